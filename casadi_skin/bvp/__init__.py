@@ -1,0 +1,1 @@
+"""Boundary-value problems of periodic orbits: symmetry classes, transcriptions, the orbit."""

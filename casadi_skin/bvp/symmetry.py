@@ -1,0 +1,51 @@
+"""How much of the period is unknown: decided by the symmetries that a model declares."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from casadi_skin.models.ode import OdeModel
+
+
+class SymmetryClass(Enum):
+    """Part of the period that determines the orbit; the value is the fraction of the period."""
+
+    QUARTER = 0.25
+    HALF = 0.5
+    FULL = 1.0
+
+    @property
+    def reason(self) -> str:
+        """What the class rests on, in words."""
+        return {
+            SymmetryClass.QUARTER: "reversible with half-period symmetry x(t + T/2) = P x(t): a quarter of the period",
+            SymmetryClass.HALF: "reversible: half of the period",
+            SymmetryClass.FULL: "no reversal declared: the full period, a phase condition and an unfolding parameter",
+        }[self]
+
+
+def symmetry_class(model: OdeModel) -> SymmetryClass:
+    """Smallest part of the period that the declared symmetries of `model` allow."""
+    if model.reversal is None:
+        return SymmetryClass.FULL
+    return SymmetryClass.HALF if model.half_period is None else SymmetryClass.QUARTER
+
+
+def pinned_components(model: OdeModel, symmetry: SymmetryClass) -> tuple[list[int], list[int]]:
+    """Components of the full state that vanish at the start and at the end of the part of the period.
+
+    The orbit starts in Fix(R); it ends in Fix(P R) after a quarter and in Fix(R) after half a period (Lamb and
+    Roberts 1998). Raises ValueError when the symmetries that the class rests on are not declared.
+    """
+    if symmetry is SymmetryClass.FULL:
+        return [], []
+    if model.reversal is None or (symmetry is SymmetryClass.QUARTER and model.half_period is None):
+        raise ValueError(f"{model.name}: the {symmetry.name.lower()}-period class needs symmetries that are not declared")
+    start = np.array(model.reversal)
+    end = start * np.array(model.half_period) if symmetry is SymmetryClass.QUARTER else start
+    first, last = np.flatnonzero(start < 0).tolist(), np.flatnonzero(end < 0).tolist()
+    if len(first) + len(last) != model.full_size:
+        raise ValueError(f"{model.name}: the reversal fixes {len(first) + len(last)} of {model.full_size} components")
+    return first, last

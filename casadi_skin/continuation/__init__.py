@@ -1,0 +1,1 @@
+"""Continuation of any problem with one more unknown than equations."""

@@ -1,0 +1,247 @@
+"""Pseudo-arclength continuation (Keller 1977) in the relative metric, with a guard against landing elsewhere.
+
+A converged corrector is no proof of being on the same branch: families lie close when a chain is long. A step is
+refused when the corrected point is farther from the predicted one than a fraction of the step, or when the tangent
+turns too far; so the step shortens before another family can be taken for this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.correctors.base import Correction
+from casadi_skin.correctors.bordered import SingularError
+from casadi_skin.correctors.ladder import ErrorEstimate, Ladder
+
+START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
+
+
+@dataclass(frozen=True)
+class WalkSettings:
+    """What the walk aims for and refuses; lengths in the relative metric, angles in degrees."""
+
+    parameter_max: float  # the walk ends at this value of the free parameter; its sign is the direction
+    tolerance: float  # relative error of Omega and of the profile at every point
+    at: tuple[float, ...] = ()  # values of the free parameter at which points are wanted exactly
+    first_step: float = 0.01
+    max_step: float = 0.2
+    min_step: float = 1e-7
+    max_points: int = 20_000
+    guard_distance: float = 0.08  # of the step, between predicted and corrected point
+    guard_angle: float = 14.0
+    aim_angle: float = 8.0
+
+
+class End(Enum):
+    """Why a walk ended, in words."""
+
+    REACHED = "reached the end asked for"
+    NO_STEP = "no step, however short, stays on the family"
+    RESOLUTION = "the orbit needs a finer discretisation than the finest there is: its period grows without bound"
+    RETURNED = "the family came back to zero amplitude"
+    POINTS = "the limit on the number of points was reached"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A converged point of the branch with its unit tangent; `step` is the step to try next."""
+
+    problem: OrbitProblem
+    z: Array
+    tangent: Array
+    error: ErrorEstimate
+    step: float
+    iterations: int
+    requested: bool = False
+    walked: bool = True  # a point of the walk itself; others lie between two of these
+
+    @property
+    def parameter(self) -> float:
+        """Value of the free parameter."""
+        return float(self.z[self.problem.parameter_index])
+
+    @property
+    def Omega(self) -> float:
+        """Frequency."""
+        return float(self.z[self.problem.Omega_index])
+
+
+class Walk:
+    """Iterator over the points of a branch in arclength order; `end` tells why it stopped, `detail` where.
+
+    `history` holds the last two points walked; a walk made from them goes on exactly as the one that was broken off.
+    """
+
+    def __init__(self, ladder: Ladder, settings: WalkSettings, history: tuple[Point, ...]) -> None:
+        self.ladder, self.settings = ladder, settings
+        self.history = history[-2:]
+        self.end: End | None = None
+        self.detail = ""
+        self.rejected = 0
+        self.missed: list[float] = []  # requested values at which no point was found
+
+    # Geometry -------------------------------------------------------------------------------------------------------
+
+    def _metric(self, problem: OrbitProblem, z: Array) -> Array:
+        return problem.metric(z, abs(self.settings.parameter_max))
+
+    def _tangent(self, problem: OrbitProblem, z: Array, row: Array) -> Array:
+        """Unit tangent at z with row . t > 0; raises SingularError."""
+        _, nonzeros = problem.evaluate(z)
+        unit = np.zeros(problem.size)
+        unit[-1] = 1.0
+        t = self.ladder.solver(problem).factor(z, nonzeros, row)(unit)
+        return np.asarray(t / np.sqrt(np.sum(self._metric(problem, z) * t**2)))
+
+    def start(self, positions: Array, Omega: float) -> Point:
+        """The linear mode at zero amplitude with the tangent of its family, at the coarsest resolution; not walked."""
+        problem = self.ladder.problem(self.ladder.rungs[0])
+        z = problem.pack(positions, Omega, 0.0)
+        direction = float(np.sign(self.settings.parameter_max))
+        tangent = self._tangent(problem, z, direction * problem.parameter_row())
+        return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
+
+    # Correcting -----------------------------------------------------------------------------------------------------
+
+    def _correct(
+        self, problem: OrbitProblem, guess: Array, row: Array, value: float, reach: float
+    ) -> Correction | None:
+        """Corrected point within the guard's fraction of `reach` of the guess, or None."""
+        correction = self.ladder.corrector(problem).correct(guess, row, value)
+        if not correction.converged or correction.z[problem.Omega_index] <= 0:
+            return None
+        distance = float(np.sqrt(np.sum(self._metric(problem, guess) * (correction.z - guess) ** 2)))
+        return correction if distance <= self.settings.guard_distance * reach else None
+
+    def _refined(self, problem: OrbitProblem, correction: Correction, row: Array, held: bool) -> Point | None:
+        """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
+
+        `held` tells that `row` holds the parameter. Where a finer rung does not lessen the estimate, round-off is what
+        is left, and the point is kept with its estimate. Raises SingularError.
+        """
+        z, iterations, last = correction.z, correction.iterations, np.inf
+        while True:
+            tangent = self._tangent(problem, z, row)
+            error = self.ladder.error(problem, z, None if held else tangent)
+            relative = error.relative(float(z[problem.Omega_index]))
+            at_round_off = relative > 0.5 * last and relative < 1e-9
+            if relative <= self.settings.tolerance or at_round_off:
+                return Point(problem, z, tangent, error, self.settings.first_step, iterations)
+            finer = self.ladder.finer(problem)
+            if finer is None or self.ladder.finer(finer) is None:
+                return None
+            last, long_z = relative, problem.prolong(z, finer)
+            if held:
+                row = finer.parameter_row() * row[problem.parameter_index]
+            else:
+                row = self._metric(finer, long_z) * problem.prolong(tangent, finer)
+            correction = self.ladder.corrector(finer).correct(long_z, row, float(row @ long_z))
+            if not correction.converged:
+                raise SingularError(f"{correction.status.value} {correction.message}".strip())
+            problem, z, iterations = finer, correction.z, iterations + correction.iterations
+
+    # Walking --------------------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Point]:
+        sign = float(np.sign(self.settings.parameter_max))
+        for _ in range(self.settings.max_points):
+            current = self.history[-1]
+            following = self._advance(current)
+            if following is None:
+                return
+            yield from self._between(current, following)
+            if sign * following.parameter >= abs(self.settings.parameter_max):
+                self.end = End.REACHED
+                return
+            self.history = (current, following)
+            yield following
+            if sign * following.parameter <= 0:
+                self.end = End.RETURNED
+                return
+        self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
+
+    def _advance(self, current: Point) -> Point | None:
+        """The next point of the walk; None with `end` set where there is none."""
+        problem, settings = current.problem, self.settings
+        row = self._metric(problem, current.z) * current.tangent
+        curve = LocalCurve.line(current.z, current.tangent)
+        if len(self.history) == 2:
+            before = self.history[0]
+            z, t = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
+            curve = LocalCurve.through(current.z, current.tangent, z, t, row)
+        step = current.step
+        while step >= settings.min_step:
+            guess = curve.at(step)
+            correction = self._correct(problem, guess, row, float(row @ current.z) + step, step)
+            if correction is not None:
+                try:
+                    tangent = self._tangent(problem, correction.z, row)
+                    angle = self._angle(problem, current, tangent)
+                    if angle <= settings.guard_angle:
+                        point = self._refined(problem, correction, row, held=False)
+                        if point is None:
+                            self.end = End.RESOLUTION
+                            return None
+                        return replace(point, step=self._next_step(problem, guess, correction, step, angle))
+                except SingularError as error:
+                    self.detail = str(error)
+            self.rejected += 1
+            step *= 0.5
+        self.end = End.NO_STEP
+        return None
+
+    def _angle(self, problem: OrbitProblem, current: Point, tangent: Array) -> float:
+        """Angle in degrees between the tangent at `current` and another, in the metric at `current`."""
+        weights = self._metric(problem, current.z)
+        cosine = np.sum(weights * current.tangent * tangent) / np.sqrt(np.sum(weights * tangent**2))
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+    def _next_step(
+        self, problem: OrbitProblem, guess: Array, correction: Correction, step: float, angle: float
+    ) -> float:
+        """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
+        weights = self._metric(problem, correction.z)
+        missed = float(np.sqrt(np.sum(weights * (correction.z - guess) ** 2))) / step
+        by_angle = self.settings.aim_angle / max(angle, 1e-3)
+        by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
+        return min(step * float(np.clip(min(by_angle, by_distance), 0.4, 1.8)), self.settings.max_step)
+
+    def _between(self, current: Point, following: Point) -> Iterator[Point]:
+        """Points at requested values, and at the walk's end, between two points walked, in arclength order."""
+        problem, settings = following.problem, self.settings
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        row = self._metric(problem, z) * t
+        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
+        length = float(row @ (following.z - z))
+        wanted = {value: True for value in settings.at}
+        wanted.setdefault(settings.parameter_max, False)
+        if current.parameter == 0.0:
+            wanted.setdefault(START_FRACTION * following.parameter, False)
+        places = sorted((s, v) for v in wanted for s in curve.crossings(problem.parameter_index, v, length))
+        for sigma, value in places:
+            point = self._exactly(problem, curve, sigma, value, length)
+            if point is None:
+                self.missed.append(value)
+                continue
+            yield replace(point, requested=wanted[value], walked=False)
+            if value == settings.parameter_max:
+                return
+
+    def _exactly(
+        self, problem: OrbitProblem, curve: LocalCurve, sigma: float, value: float, length: float
+    ) -> Point | None:
+        """The point with the free parameter at `value`, near curve(sigma); None where none is found there."""
+        guess = curve.at(sigma)
+        slope = curve.slope(sigma)[problem.parameter_index]
+        row = problem.parameter_row() * np.sign(slope)
+        correction = self._correct(problem, guess, row, value * float(np.sign(slope)), length)
+        try:
+            return None if correction is None else self._refined(problem, correction, row, held=True)
+        except SingularError:
+            return None

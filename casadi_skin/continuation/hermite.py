@@ -1,0 +1,54 @@
+"""Local cubic of a branch through two points with their tangents: predictor, and where a value is passed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+
+
+@dataclass(frozen=True)
+class LocalCurve:
+    """Curve z(sigma) with z(0) = z0 and z'(0) = t0, through z1 with slope t1 at sigma1 where these are given.
+
+    sigma = row . (z - z0) is the coordinate in which the corrector takes its step, so that the curve is a smooth graph.
+    """
+
+    z0: Array
+    t0: Array
+    quadratic: Array
+    cubic: Array
+
+    @classmethod
+    def line(cls, z0: Array, t0: Array) -> LocalCurve:
+        """The tangent line."""
+        zero = np.zeros_like(z0)
+        return cls(z0, t0, zero, zero)
+
+    @classmethod
+    def through(cls, z0: Array, t0: Array, z1: Array, t1: Array, row: Array) -> LocalCurve:
+        """Cubic Hermite curve; t0 and t1 are tangents of any length with row . t > 0."""
+        sigma = float(row @ (z1 - z0))
+        slope0, slope1 = t0 / float(row @ t0), t1 / float(row @ t1)
+        chord = (z1 - z0) / sigma
+        quadratic = (3.0 * chord - 2.0 * slope0 - slope1) / sigma
+        cubic = (slope0 + slope1 - 2.0 * chord) / sigma**2
+        return cls(z0, slope0, quadratic, cubic)
+
+    def at(self, sigma: float) -> Array:
+        """Point of the curve."""
+        return self.z0 + sigma * (self.t0 + sigma * (self.quadratic + sigma * self.cubic))
+
+    def slope(self, sigma: float) -> Array:
+        """Derivative dz/dsigma."""
+        return self.t0 + sigma * (2.0 * self.quadratic + 3.0 * sigma * self.cubic)
+
+    def crossings(self, index: int, value: float, end: float) -> list[float]:
+        """All sigma in (0, end] at which component `index` equals `value`, ascending."""
+        polynomial = [self.cubic[index], self.quadratic[index], self.t0[index], self.z0[index] - value]
+        scale = max(abs(c) for c in polynomial)
+        roots = np.roots([0.0 if abs(c) < 1e-300 * scale else c for c in polynomial])
+        real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
+        return sorted(float(s) for s in real if 0.0 < s <= end)

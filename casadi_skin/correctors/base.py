@@ -1,0 +1,44 @@
+"""The interface of correctors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+
+
+class Status(Enum):
+    """How a correction ended, in a readable sentence."""
+
+    CONVERGED = "converged"
+    TOO_MANY_ITERATIONS = "the iteration did not converge in the steps allowed"
+    DIVERGED = "the iteration left the neighbourhood of its guess"
+    SINGULAR = "the equations with their held condition are singular"
+    INFEASIBLE = "no point near the guess satisfies the equations"
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A corrected point z, or where the corrector stopped; `message` adds the solver's own words."""
+
+    z: Array
+    status: Status
+    iterations: int
+    message: str = ""
+
+    @property
+    def converged(self) -> bool:
+        """Whether z satisfies the equations and the held condition."""
+        return self.status is Status.CONVERGED
+
+
+class Corrector(Protocol):
+    """Solves R(z) = 0 together with one held linear condition row . z = value."""
+
+    problem: OrbitProblem
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
+        ...

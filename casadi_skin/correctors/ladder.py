@@ -1,0 +1,88 @@
+"""Resolutions of one orbit problem from coarse to fine, each built once when first needed, and the error between two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.correctors.base import Corrector
+from casadi_skin.correctors.bordered import BorderedSolver
+
+SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component."""
+
+    Omega: float
+    profile: float
+
+    def relative(self, Omega: float) -> float:
+        """The larger of both, with that of Omega made relative."""
+        return max(self.Omega / Omega, self.profile)
+
+
+class Ladder:
+    """Problems, linear solvers and correctors by resolution.
+
+    `build` makes a problem at a resolution, `correct_with` a corrector for it; `rungs` lists the resolutions that the
+    ladder offers, ascending.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[int], OrbitProblem],
+        correct_with: Callable[[OrbitProblem], Corrector],
+        rungs: tuple[int, ...],
+    ) -> None:
+        self._build, self._correct_with, self.rungs = build, correct_with, rungs
+        self._problems: dict[int, OrbitProblem] = {}
+        self._solvers: dict[int, BorderedSolver] = {}
+        self._correctors: dict[int, Corrector] = {}
+
+    def problem(self, resolution: int) -> OrbitProblem:
+        """The problem at a resolution."""
+        if resolution not in self._problems:
+            self._problems[resolution] = self._build(resolution)
+        return self._problems[resolution]
+
+    def solver(self, problem: OrbitProblem) -> BorderedSolver:
+        """The bordered linear solver of a problem."""
+        if problem.resolution not in self._solvers:
+            self._solvers[problem.resolution] = BorderedSolver(problem)
+        return self._solvers[problem.resolution]
+
+    def corrector(self, problem: OrbitProblem) -> Corrector:
+        """The corrector of a problem."""
+        if problem.resolution not in self._correctors:
+            self._correctors[problem.resolution] = self._correct_with(problem)
+        return self._correctors[problem.resolution]
+
+    def finer(self, problem: OrbitProblem) -> OrbitProblem | None:
+        """The next rung above, or None at the top."""
+        above = [r for r in self.rungs if r > problem.resolution]
+        return self.problem(above[0]) if above else None
+
+    def error(self, problem: OrbitProblem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
+        """Error of z: one Newton step on the next finer rung, from z prolonged.
+
+        The step is the difference to the finer solution up to its square. It contains what the corrector left over
+        and the round-off of the residual as well. The free parameter is held, or the component along `tangent`
+        where one is given. Infinite at the top of the ladder. Raises SingularError.
+        """
+        finer = self.finer(problem)
+        if finer is None:
+            return ErrorEstimate(np.inf, np.inf)
+        long_z = problem.prolong(z, finer)
+        row = finer.parameter_row()
+        if tangent is not None:
+            row = finer.metric(long_z, 1.0) * problem.prolong(tangent, finer)
+        residual, nonzeros = finer.evaluate(long_z)
+        step = self.solver(finer).factor(long_z, nonzeros, row)(np.append(residual, 0.0))
+        state, Omega_step = step[: finer.states], float(step[finer.Omega_index])
+        largest = np.max(np.abs(long_z[: finer.states]))
+        return ErrorEstimate(SAFETY * abs(Omega_step), SAFETY * float(np.max(np.abs(state)) / largest))

@@ -1,0 +1,38 @@
+"""Newton's method on the bordered orbit equations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.correctors.base import Correction, Status
+from casadi_skin.correctors.bordered import BorderedSolver, SingularError
+
+
+class NewtonCorrector:
+    """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast."""
+
+    def __init__(self, problem: OrbitProblem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self._solver = BorderedSolver(problem)
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
+        last = np.inf
+        for iteration in range(1, self.max_iterations + 1):
+            residual, nonzeros = self.problem.evaluate(z)
+            try:
+                solve = self._solver.factor(z, nonzeros, row)
+            except SingularError as error:
+                return Correction(z, Status.SINGULAR, iteration, str(error))
+            step = solve(np.append(residual, row @ z - value))
+            z = z - step
+            length = float(np.sqrt(np.sum(weights * step**2)))
+            if not np.isfinite(length) or length > max(1.0, 10.0 * last):
+                return Correction(guess, Status.DIVERGED, iteration)
+            # Quadratic convergence: after a step of this length the next would be about its square.
+            if length <= self.tolerance or (length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance):
+                return Correction(z, Status.CONVERGED, iteration)
+            last = length
+        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations)

@@ -1,0 +1,1 @@
+"""Models: the general door `OdeModel`, and the nonreciprocal chain that goes through it."""

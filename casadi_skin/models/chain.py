@@ -1,0 +1,152 @@
+"""The nonreciprocal Klein-Gordon chain y_n'' = a_- y_{n-1} - 2 y_n + a_+ y_{n+1} - alpha y_n - g y_n^3 (paper, Eq. 1).
+
+Orbits are computed in the gauge y_n = rho_n eta_n (see theory.linear), where the flow is Hamiltonian, and with the
+amplitude scaled out: eta = sqrt(S) q, q'' = -L q - (g S) w q^3, w = rho^2, sum_n w_n q_n(0)^2 = 1. Then S = ||y||^2
+exactly, only the product g S appears, and the linear mode is the regular start S = 0 of its family.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.theory import linear
+from casadi_skin.theory.linear import Array
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
+
+    Raises ValueError when a parameter is out of range or not finite.
+    """
+
+    sites: int
+    alpha: float
+    gamma: float
+    g: float
+
+    def __post_init__(self) -> None:
+        if isinstance(self.sites, bool) or self.sites != int(self.sites) or self.sites < 1:
+            raise ValueError(f"sites: given {self.sites!r}; accepted: a whole number >= 1")
+        for name in ("alpha", "gamma", "g"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: a finite number")
+        if abs(self.gamma) > 1:
+            raise ValueError(f"gamma: given {self.gamma!r}; accepted: -1 <= gamma <= 1 (frequencies are complex beyond)")
+
+    # The gauge ------------------------------------------------------------------------------------------------------
+
+    @property
+    def coupling(self) -> float:
+        """Coupling s = sqrt(1 - gamma^2) in the gauge."""
+        return linear.gauge_coupling(self.gamma)
+
+    @cached_property
+    def log_rho(self) -> Array:
+        """Logarithm of the gauge factor rho_n, shape (sites,)."""
+        return linear.log_envelope(self.sites, self.gamma)
+
+    @cached_property
+    def rho(self) -> Array:
+        """Gauge factor rho_n = y_n/eta_n <= 1, shape (sites,)."""
+        return np.exp(self.log_rho)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights w_n = rho_n^2 of the cubic term and of S in the gauge, shape (sites,)."""
+        return np.exp(2.0 * self.log_rho)
+
+    # The linear chain -----------------------------------------------------------------------------------------------
+
+    def linear_frequencies(self) -> Array:
+        """Frequencies omega_j, j = 1..N, closed form, shape (sites,); raises ValueError where one does not oscillate."""
+        return np.array([self.linear_frequency(j) for j in range(1, self.sites + 1)])
+
+    def linear_frequency(self, mode: int) -> float:
+        """Frequency omega_j of one mode; raises ValueError for a mode that is not there or does not oscillate."""
+        if not 1 <= mode <= self.sites:
+            raise ValueError(f"mode: given {mode}; accepted: 1..{self.sites}")
+        square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, mode))
+        if square <= 0:
+            raise ValueError(
+                f"mode {mode} does not oscillate: omega^2 = {square:g}; accepted: alpha > {self.alpha - square:g}"
+            )
+        return float(np.sqrt(square))
+
+    def band(self) -> tuple[float, float]:
+        """Squared cutoffs (omega_min^2, omega_max^2) of the infinite chain's band."""
+        return self.alpha + 2 - 2 * self.coupling, self.alpha + 2 + 2 * self.coupling
+
+    def right_eigenvector(self, mode: int) -> Array:
+        """Right eigenvector of D in closed form, largest envelope 1, shape (sites,)."""
+        return linear.right_eigenvector(self.sites, self.gamma, mode)
+
+    def left_eigenvector(self, mode: int) -> Array:
+        """Left eigenvector of D in closed form, largest envelope 1, shape (sites,)."""
+        return linear.left_eigenvector(self.sites, self.gamma, mode)
+
+    def diagonalise(self) -> tuple[Array, Array]:
+        """Squared frequencies (ascending) and right eigenvectors (columns) by diagonalisation in the gauge.
+
+        Physical D is so far from normal that its own diagonalisation loses r^((N-1)/2) of the digits.
+        """
+        from scipy.linalg import eigh_tridiagonal
+
+        values, vectors = eigh_tridiagonal(
+            np.full(self.sites, 2.0 + self.alpha), np.full(self.sites - 1, -self.coupling)
+        )
+        return values, self.rho[:, None] * vectors
+
+    # CasADi expressions ---------------------------------------------------------------------------------------------
+
+    def _linear_force(self, x: ca.SX, left: float, right: float) -> ca.SX:
+        """-(2 + alpha) x_n + left x_{n-1} + right x_{n+1} with fixed ends."""
+        zero = ca.SX.zeros(1)
+        below, above = ca.vertcat(zero, x[:-1]), ca.vertcat(x[1:], zero)
+        if self.sites == 1:
+            below, above = zero, zero
+        return -(2.0 + self.alpha) * x + left * below + right * above
+
+    def physical_model(self) -> OdeModel:
+        """The equations of motion in physical coordinates y, parameter g (paper, Eq. 1)."""
+        y, v, g = ca.SX.sym("y", self.sites), ca.SX.sym("v", self.sites), ca.SX.sym("g")
+        force = self._linear_force(y, 1 + self.gamma, 1 - self.gamma) - g * y**3
+        return OdeModel("physical chain", y, force, g, 2, v, **self._signs(self.sites))
+
+    def gauge_model(self) -> OdeModel:
+        """The scaled equations q'' = -L q - kappa w q^3 in the gauge, parameter kappa = g S, with their Hamiltonian."""
+        q, v, kappa = ca.SX.sym("q", self.sites), ca.SX.sym("v", self.sites), ca.SX.sym("kappa")
+        w = ca.SX(self.weights)
+        linear_part = self._linear_force(q, self.coupling, self.coupling)
+        energy = ca.dot(v, v) / 2 - ca.dot(q, linear_part) / 2 + kappa * ca.dot(w, q**4) / 4
+        return OdeModel(
+            "gauge chain", q, linear_part - kappa * w * q**3, kappa, 2, v,
+            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, **self._signs(self.sites),
+        )  # fmt: skip
+
+    @staticmethod
+    def _signs(sites: int) -> dict[str, tuple[int, ...]]:
+        return {"reversal": (1,) * sites + (-1,) * sites, "half_period": (-1,) * (2 * sites)}
+
+    def variational_matrix(self, coordinates: str = "physical") -> ca.Function:
+        """Function (y, g) -> Z, or in the "gauge" (q, kappa) -> W, sparse (2N, 2N) (paper, appendix).
+
+        Z and W generate x' = Z x; W is similar to Z, and W = J times a symmetric matrix, which makes its flow
+        symplectic (the appendix calls W itself symplectic).
+        """
+        if coordinates not in ("physical", "gauge"):
+            raise ValueError(f"coordinates: given {coordinates!r}; accepted: physical, gauge")
+        model = self.physical_model() if coordinates == "physical" else self.gauge_model()
+        matrix = ca.jacobian(model.full_rhs, model.full_state)
+        return ca.Function("variational", [model.state, model.parameters], [matrix], ["y", "p"], ["Z"])
+
+    def dynamical_matrix(self) -> Array:
+        """Dense D of omega^2 u = D u, shape (sites, sites), from the symbolic equations (paper, appendix)."""
+        model = self.physical_model()
+        jacobian = ca.Function("D", [model.state, model.parameters], [-ca.jacobian(model.rhs, model.state)])
+        return np.array(ca.DM(jacobian(0, 0)))

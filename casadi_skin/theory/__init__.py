@@ -1,0 +1,1 @@
+"""Closed forms: the linear spectrum, the multiple-scale expansion, and the Duffing oscillator."""

@@ -1,0 +1,144 @@
+"""Whatever a scene file holds, it is a Scene or one line that says why not."""
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from casadi_skin.scene import Scene, SceneError, parse_scene, read_scene
+
+QUICK = settings(
+    max_examples=120,
+    deadline=None,
+    database=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+VALID: dict[str, Any] = {
+    "title": "Softening end breather",
+    "chain": {"sites": 24, "alpha": 1.0, "gamma": 0.25, "g": -1.0},
+    "spectrum": {},
+    "family": {"mode": [1, 2], "amplitude_max": 3.0, "at": [0.2, 1.0]},
+    "stability": {"events": True},
+    "accuracy": {"preset": "standard"},
+    "method": {"transcription": "gauss", "corrector": "newton", "walker": "arclength", "flow": "cvodes"},
+}
+PLACES = [(name, key) for name, table in VALID.items() if isinstance(table, dict) for key in [None, *table]]
+KEYS = sorted(
+    {key for _, key in PLACES if key} | {name for name, _ in PLACES} | {"preset", "tolerance", "title"}
+)
+
+
+def toml(value: Any) -> str:
+    """A value in TOML; tables inline, so that any value can stand at any place."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{toml(key)} = {toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value).lower()  # True, 3, 1e-08, nan
+
+
+def text_of(scene: dict[str, Any]) -> str:
+    return "".join(f"{toml(name)} = {toml(value)}\n" for name, value in scene.items())
+
+
+def parse(text: str, source: str = "fuzz.toml") -> Scene | None:
+    """The scene, or None where it is refused as it should be."""
+    try:
+        return parse_scene(text, source)
+    except SceneError as fault:
+        message = str(fault)
+        assert message.startswith(f"{source}: ")
+        assert message.isprintable()  # so also one line
+        assert len(message) < 500
+        return None
+
+
+names = st.sampled_from(KEYS) | st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+numbers = (
+    st.integers(-3, 40)
+    | st.integers()
+    | st.sampled_from([10**25, -(10**400), 10**400, 2**63, 2**64])
+    | st.floats()
+    | st.floats(1e-14, 4.0)
+)
+scalars = numbers | st.booleans() | names
+values = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> dict[str, Any]:
+    """The valid scene with a few keys or tables replaced, removed, renamed or added."""
+    scene = {name: dict(value) if isinstance(value, dict) else value for name, value in VALID.items()}
+    for _ in range(draw(st.integers(1, 3))):
+        name, key = draw(st.sampled_from(PLACES))
+        table = scene if key is None or not isinstance(scene.get(name), dict) else scene[name]
+        place = name if table is scene else key
+        change = draw(st.sampled_from(["replace", "remove", "rename", "add"]))
+        old = table.get(place, 0) if change == "add" else table.pop(place, 0)
+        if change in ("replace", "add"):
+            table[place if change == "replace" else draw(names)] = draw(values)
+        elif change == "rename":
+            table[draw(names)] = old
+    return scene
+
+
+def test_the_scene_to_mutate_is_valid() -> None:
+    scene = parse(text_of(VALID))
+    assert scene is not None
+    assert scene.title == VALID["title"]
+
+
+@QUICK
+@given(st.text(max_size=60) | st.text("[]{}=.,\"'#\n \\ntrue01e-chainsites", max_size=60))
+@example("[")
+@example("\r")
+@example("title = '\ud800'")
+@example("a = " + "[" * 3000)
+def test_any_text(text: str) -> None:
+    parse(text)
+
+
+@QUICK
+@given(st.dictionaries(names, values, max_size=4))
+def test_any_tables(tables: dict[str, Any]) -> None:
+    parse(text_of(tables))
+
+
+@QUICK
+@given(mutated())
+def test_mutated_scenes(tables: dict[str, Any]) -> None:
+    scene = parse(text_of(tables))
+    if scene is not None:
+        assert set(tables) <= set(VALID)
+        assert 1e-13 <= scene.accuracy.relative_tolerance <= 1e-2
+        if scene.family is None:
+            assert scene.stability is None
+        else:
+            assert all(1 <= mode <= scene.chain.sites for mode in scene.family.modes)
+
+
+@QUICK
+@given(st.sampled_from([place for place in PLACES if place[1]]), values)
+def test_one_value_replaced(place: tuple[str, str], value: Any) -> None:
+    name, key = place
+    parse(text_of(VALID | {name: VALID[name] | {key: value}}))
+
+
+@QUICK
+@given(st.binary(max_size=40))
+def test_any_bytes_in_a_file(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / "fuzz.toml"
+    path.write_bytes(data)
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).isprintable()

@@ -1,0 +1,269 @@
+"""The general door to models: what it keeps, what it refuses, and which wrong declarations it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin.models.ode import OdeModel
+
+Make = Callable[..., OdeModel]
+
+
+def pendulums(**changes: Any) -> OdeModel:
+    """Two coupled pendulums of second order: odd, reversible, conservative."""
+    q, v, p = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("p", 2)
+    spring = p[1] * (q[0] - q[1])
+    declared = {
+        "name": "pendulums",
+        "state": q,
+        "rhs": -p[0] * ca.sin(q) - ca.vertcat(spring, -spring),
+        "parameters": p,
+        "order": 2,
+        "velocity": v,
+        "reversal": (1, 1, -1, -1),
+        "half_period": (-1, -1, -1, -1),
+        "normalisation": ca.dot(q, q) - 1,
+        "hamiltonian": ca.dot(v, v) / 2 - p[0] * ca.sum1(ca.cos(q)) + p[1] * (q[0] - q[1]) ** 2 / 2,
+    }
+    return OdeModel(**(declared | changes))
+
+
+def predator(**changes: Any) -> OdeModel:
+    """Lotka and Volterra in logarithms, first order: reversible under the exchange, hence by no signs; conservative."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    declared = {
+        "name": "predator",
+        "state": x,
+        "rhs": p * ca.vertcat(1 - ca.exp(x[1]), ca.exp(x[0]) - 1),
+        "parameters": p,
+        "hamiltonian": ca.exp(x[0]) - x[0] + ca.exp(x[1]) - x[1],
+    }
+    return OdeModel(**(declared | changes))
+
+
+def van_der_pol(**changes: Any) -> OdeModel:
+    """Van der Pol of first order: odd, neither reversible nor conservative."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    declared = {
+        "name": "van der Pol",
+        "state": x,
+        "rhs": ca.vertcat(x[1], p * (1 - x[0] ** 2) * x[1] - x[0]),
+        "parameters": p,
+        "half_period": (-1, -1),
+    }
+    return OdeModel(**(declared | changes))
+
+
+# What it keeps ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("make", "size", "full_size"), [(pendulums, 2, 4), (predator, 2, 2)])
+def test_full_size_counts_velocities_where_there_are_any(make: Make, size: int, full_size: int) -> None:
+    model = make()
+    assert (model.size, model.full_size) == (size, full_size)
+    assert model.full_state.shape == model.full_rhs.shape == (full_size, 1)
+
+
+def test_full_state_is_positions_then_velocities_and_full_rhs_their_rates() -> None:
+    model = pendulums()
+    evaluate = ca.Function("f", [model.state, model.velocity, model.parameters], [model.full_state, model.full_rhs])
+    state, rate = (np.array(value).ravel() for value in evaluate([0.3, -1.1], [0.7, 0.9], [2.0, 0.5]))
+    assert state.tolist() == [0.3, -1.1, 0.7, 0.9]
+    expected = [0.7, 0.9, -2 * np.sin(0.3) - 0.5 * 1.4, -2 * np.sin(-1.1) + 0.5 * 1.4]
+    np.testing.assert_allclose(rate, expected, rtol=1e-15)
+
+
+def test_rhs_and_jacobian_agree_with_derivatives_taken_by_hand() -> None:
+    function = pendulums().rhs_and_jacobian()
+    q, p = np.array([0.4, -0.9]), np.array([1.7, 0.6])
+    value, by_state, by_parameter = (np.array(ca.DM(r)) for r in function(q, p))
+    stretch = q[0] - q[1]
+    np.testing.assert_allclose(
+        value.ravel(), [-p[0] * np.sin(q[0]) - p[1] * stretch, -p[0] * np.sin(q[1]) + p[1] * stretch], rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        by_state, [[-p[0] * np.cos(q[0]) - p[1], p[1]], [p[1], -p[0] * np.cos(q[1]) - p[1]]], rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        by_parameter, [[-np.sin(q[0]), -stretch], [-np.sin(q[1]), stretch]], rtol=1e-15
+    )
+    assert function.name_in() == ["state", "p"]
+    assert function.name_out() == ["f", "df_dstate", "df_dp"]
+
+
+def test_the_state_jacobian_is_sparse_and_the_parameter_jacobian_dense() -> None:
+    x, p = ca.SX.sym("x", 5), ca.SX.sym("p", 2)
+    function = OdeModel("decoupled", x, -(x**3) + ca.vertcat(p[0], 0, 0, 0, 0), p).rhs_and_jacobian()
+    assert function.nnz_out("df_dstate") == 5
+    assert function.nnz_out("df_dp") == 10
+
+
+def test_first_order_form_has_the_same_flow_and_the_same_declarations() -> None:
+    model = pendulums()
+    first = model.first_order()
+    assert (first.order, first.velocity, first.size, first.full_size) == (1, None, 4, 4)
+    assert first.name == model.name
+    assert first.reversal == (1, 1, -1, -1)
+    assert first.half_period == (-1, -1, -1, -1)
+    evaluate = ca.Function("f", [first.state, first.parameters], [first.rhs, first.normalisation, first.hamiltonian])
+    point = [0.3, -1.1, 0.7, 0.9]
+    rate, normalisation, energy = (np.array(value).ravel() for value in evaluate(point, [2.0, 0.5]))
+    expected = [0.7, 0.9, -2 * np.sin(0.3) - 0.5 * 1.4, -2 * np.sin(-1.1) + 0.5 * 1.4]
+    np.testing.assert_allclose(rate, expected, rtol=1e-15)
+    assert normalisation[0] == pytest.approx(0.09 + 1.21 - 1)
+    assert energy[0] == pytest.approx(0.65 - 2 * (np.cos(0.3) + np.cos(1.1)) + 0.25 * 1.4**2)
+    first.check_symmetries()
+
+
+def test_a_model_of_first_order_is_its_own_first_order_form() -> None:
+    model = predator()
+    assert model.first_order() is model
+
+
+def test_a_model_cannot_be_changed_after_it_was_checked() -> None:
+    with pytest.raises(FrozenInstanceError):
+        pendulums().order = 1  # type: ignore[misc]
+
+
+# What it refuses --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [0, 3, -1])
+def test_other_orders_than_one_and_two_are_refused(order: int) -> None:
+    with pytest.raises(ValueError, match=f"pendulums: order {order}; accepted: 1 or 2"):
+        pendulums(order=order)
+
+
+@pytest.mark.parametrize("length", [1, 3])
+def test_a_right_hand_side_of_another_length_is_refused(length: int) -> None:
+    with pytest.raises(ValueError, match=rf"right-hand side of shape \({length}, 1\), state \(2, 1\)"):
+        predator(rhs=ca.SX.zeros(length))
+
+
+def test_a_right_hand_side_that_lies_down_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"right-hand side of shape \(1, 2\), state \(2, 1\)"):
+        predator(rhs=ca.SX.zeros(1, 2))
+
+
+def test_second_order_without_a_velocity_is_refused() -> None:
+    with pytest.raises(ValueError, match="a velocity symbol belongs to a model of second order"):
+        pendulums(velocity=None)
+
+
+def test_first_order_with_a_velocity_is_refused() -> None:
+    with pytest.raises(ValueError, match="a velocity symbol belongs to a model of second order"):
+        predator(velocity=ca.SX.sym("v", 2))
+
+
+def test_a_second_order_right_hand_side_that_depends_on_velocity_is_refused() -> None:
+    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+    with pytest.raises(ValueError, match="depends on velocity; write first order"):
+        OdeModel("damped", q, -q - p * v, p, 2, v)
+    OdeModel("undamped", q, -q - p * q, p, 2, v)
+
+
+@pytest.mark.parametrize("label", ["reversal", "half_period"])
+@pytest.mark.parametrize("signs", [(), (1, 1), (1, 1, -1), (1, 1, -1, -1, 1), (1, 1, -1, 0), (1, 1, -1, 2), (0.5,) * 4])
+def test_signs_that_do_not_fit_the_full_state_are_refused(label: str, signs: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=f"pendulums: {label} needs 4 signs, each \\+1 or -1"):
+        pendulums(**{label: signs})
+
+
+@pytest.mark.xfail(strict=True, reason="the velocity's shape is not checked")
+@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 2)])
+def test_a_velocity_of_another_shape_than_the_state_is_refused(shape: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="velocity"):
+        pendulums(velocity=ca.SX.sym("v", *shape), hamiltonian=None)
+
+
+@pytest.mark.xfail(strict=True, reason="symbols are only checked when a Function is built")
+@pytest.mark.parametrize("field", ["rhs", "normalisation", "hamiltonian"])
+def test_an_expression_in_an_undeclared_symbol_is_refused(field: str) -> None:
+    model = predator(normalisation=ca.SX(0))
+    with pytest.raises(ValueError, match="stranger"):
+        replace(model, **{field: getattr(model, field) + ca.SX.sym("stranger")})
+
+
+# Which wrong declarations it finds --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [pendulums, predator, van_der_pol])
+def test_declarations_that_hold_pass(make: Make) -> None:
+    make().check_symmetries()
+
+
+def test_a_model_that_declares_nothing_passes() -> None:
+    van_der_pol(half_period=None).check_symmetries(trials=2)
+
+
+@pytest.mark.parametrize(
+    ("make", "signs"),
+    [(pendulums, (1, 1, 1, 1)), (pendulums, (1, -1, -1, 1)), (van_der_pol, (1, -1)), (predator, (1, -1)), (predator, (-1, 1))],
+)  # fmt: skip
+def test_a_reversal_that_does_not_hold_is_named(make: Make, signs: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="declared reversal is not a symmetry"):
+        make(reversal=signs).check_symmetries()
+
+
+@pytest.mark.parametrize(
+    ("make", "signs"),
+    [(pendulums, (-1, 1, -1, 1)), (pendulums, (1, 1, -1, -1)), (van_der_pol, (1, -1)), (predator, (-1, -1))],
+)
+def test_a_half_period_symmetry_that_does_not_hold_is_named(make: Make, signs: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="declared half_period is not a symmetry"):
+        make(half_period=signs).check_symmetries()
+
+
+def test_an_odd_reversal_of_the_pendulums_passes() -> None:
+    """Reversal composed with the odd symmetry is a reversal too."""
+    pendulums(reversal=(-1, -1, 1, 1)).check_symmetries()
+
+
+def test_the_trivial_half_period_symmetry_passes() -> None:
+    van_der_pol(half_period=(1, 1)).check_symmetries()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0])
+def test_a_small_term_that_breaks_the_half_period_symmetry_is_found(size: float) -> None:
+    model = pendulums(hamiltonian=None)
+    broken = replace(model, rhs=model.rhs + size * model.state**2)
+    with pytest.raises(ValueError, match="half_period"):
+        broken.check_symmetries()
+    replace(broken, half_period=None).check_symmetries()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0])
+def test_a_small_damping_that_breaks_the_reversal_is_found(size: float) -> None:
+    model = pendulums(hamiltonian=None).first_order()
+    broken = replace(model, rhs=model.rhs - size * ca.vertcat(0, 0, model.state[2:]))
+    with pytest.raises(ValueError, match="reversal"):
+        broken.check_symmetries()
+    replace(broken, reversal=None).check_symmetries()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0])
+def test_a_quantity_that_is_not_conserved_is_found(size: float) -> None:
+    model = pendulums()
+    with pytest.raises(ValueError, match="declared hamiltonian is not conserved"):
+        replace(model, hamiltonian=model.hamiltonian + size * model.state[0] * model.state[1]).check_symmetries()
+
+
+def test_a_hamiltonian_of_the_wrong_sign_is_found() -> None:
+    model = predator()
+    wrong = ca.exp(model.state[0]) - model.state[0] - ca.exp(model.state[1]) + model.state[1]
+    with pytest.raises(ValueError, match="predator: the declared hamiltonian is not conserved"):
+        replace(model, hamiltonian=wrong).check_symmetries()
+
+
+@pytest.mark.xfail(strict=True, reason="comparisons with nan pass; parameters are drawn with both signs")
+def test_a_wrong_declaration_is_found_where_parameters_must_be_positive() -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 3)
+    rhs = ca.vertcat(x[1], -ca.sum1(ca.sqrt(p)) * x[0] + x[0] ** 2)  # even: no half-period symmetry
+    with pytest.raises(ValueError, match="half_period"):
+        OdeModel("square roots", x, rhs, p, half_period=(-1, -1)).check_symmetries()
