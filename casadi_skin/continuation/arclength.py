@@ -43,9 +43,10 @@ class End(Enum):
 
     REACHED = "reached the end asked for"
     NO_STEP = "no step, however short, stays on the family"
-    RESOLUTION = "the orbit needs a finer discretisation than the finest there is: its period grows without bound"
+    RESOLUTION = "the orbit needs a finer discretisation than the finest there is"
     RETURNED = "the family came back to zero amplitude"
     POINTS = "the limit on the number of points was reached"
+    FLOW = "the flow map of the variational system cannot reach the tolerance"
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class Walk:
             following = self._advance(current)
             if following is None:
                 return
-            yield from self._between(current, following)
+            yield from self._requested(current, following)
             if sign * following.parameter >= abs(self.settings.parameter_max):
                 self.end = End.REACHED
                 return
@@ -212,36 +213,66 @@ class Walk:
         by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
         return min(step * float(np.clip(min(by_angle, by_distance), 0.4, 1.8)), self.settings.max_step)
 
-    def _between(self, current: Point, following: Point) -> Iterator[Point]:
-        """Points at requested values, and at the walk's end, between two points walked, in arclength order."""
-        problem, settings = following.problem, self.settings
-        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
-        row = self._metric(problem, z) * t
-        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
-        length = float(row @ (following.z - z))
-        wanted = {value: True for value in settings.at}
+    def _requested(self, current: Point, following: Point) -> Iterator[Point]:
+        """Points asked for between two points walked, the walk's end among them, in arclength order."""
+        settings = self.settings
+        wanted = dict.fromkeys(settings.at, True)
         wanted.setdefault(settings.parameter_max, False)
         if current.parameter == 0.0:
             wanted.setdefault(START_FRACTION * following.parameter, False)
-        places = sorted((s, v) for v in wanted for s in curve.crossings(problem.parameter_index, v, length))
-        for sigma, value in places:
-            point = self._exactly(problem, curve, sigma, value, length)
+        for value, point in self.between(current, following, tuple(wanted)):
             if point is None:
                 self.missed.append(value)
-                continue
-            yield replace(point, requested=wanted[value], walked=False)
+            else:
+                yield replace(point, requested=wanted[value])
             if value == settings.parameter_max:
                 return
+
+    def between(self, current: Point, following: Point, values: tuple[float, ...]) -> Iterator[tuple[float, Point | None]]:
+        """Points with the free parameter at any of `values` between two points of the branch, in arclength order.
+
+        Yields (value, point), and (value, None) where the corrector does not find the point that the branch passes.
+        """
+        curve, length = self.curve(current, following)
+        index = following.problem.parameter_index
+        places = sorted((s, v) for v in values for s in curve.crossings(index, v, length))
+        for sigma, value in places:
+            yield value, self._exactly(following.problem, curve, sigma, value, length)
+
+    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
+        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+        problem = following.problem
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        row = self._metric(problem, z) * t
+        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
+        return curve, float(row @ (following.z - z))
+
+    def along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """A corrected point at a fraction of the way between two points of the branch, or None."""
+        problem = following.problem
+        curve, length = self.curve(current, following)
+        guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
+        row = self._metric(problem, guess) * slope
+        correction = self._correct(problem, guess, row, float(row @ guess), length)
+        try:
+            point = None if correction is None else self._refined(problem, correction, row, held=False)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
 
     def _exactly(
         self, problem: OrbitProblem, curve: LocalCurve, sigma: float, value: float, length: float
     ) -> Point | None:
         """The point with the free parameter at `value`, near curve(sigma); None where none is found there."""
         guess = curve.at(sigma)
-        slope = curve.slope(sigma)[problem.parameter_index]
-        row = problem.parameter_row() * np.sign(slope)
-        correction = self._correct(problem, guess, row, value * float(np.sign(slope)), length)
+        direction = float(np.sign(curve.slope(sigma)[problem.parameter_index]))
+        row = problem.parameter_row() * direction
+        correction = self._correct(problem, guess, row, value * direction, length)
+        if correction is None:
+            return None
+        correction.z[problem.parameter_index] = value  # equal but for round-off of the held row
         try:
-            return None if correction is None else self._refined(problem, correction, row, held=True)
+            point = self._refined(problem, correction, row, held=True)
         except SingularError:
             return None
+        return None if point is None else replace(point, walked=False)

@@ -1,0 +1,1 @@
+"""Floquet stability: flow maps of the variational system, multipliers, vectors, kinds of instability."""

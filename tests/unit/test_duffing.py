@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -26,7 +28,7 @@ ORBITS = [
 
 
 def frequency_from_the_energy_integral(omega_squared: float, g: float, amplitude: float) -> mp.mpf:
-    """2 pi over T = 4 int_0^a dy/sqrt(2(E - V(y))), with y = a sin(phi) to remove the end point singularity."""
+    """2 pi over T = 4 int_0^a dy/sqrt(2(E - V(y))), y = a sin(phi) to remove the end singularity."""
     with mp.workdps(40):
         w2, cubic = mp.mpf(omega_squared), mp.mpf(g) * mp.mpf(amplitude) ** 2
         quarter = mp.quad(
@@ -36,7 +38,9 @@ def frequency_from_the_energy_integral(omega_squared: float, g: float, amplitude
         return mp.pi / (2 * quarter)
 
 
-def integrate(omega_squared: float, g: float, amplitude: float, t: NDArray[np.float64]) -> NDArray[np.float64]:
+def integrate(
+    omega_squared: float, g: float, amplitude: float, t: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Displacement by Dormand and Prince's eighth-order method."""
     solution = solve_ivp(
         lambda _, x: [x[1], -omega_squared * x[0] - g * x[0] ** 3],
@@ -61,7 +65,9 @@ def test_frequency_agrees_with_the_energy_integral(omega_squared: float, g: floa
 
 
 @pytest.mark.parametrize(("omega_squared", "g", "amplitude"), ORBITS)
-def test_displacement_agrees_with_direct_integration(omega_squared: float, g: float, amplitude: float) -> None:
+def test_displacement_agrees_with_direct_integration(
+    omega_squared: float, g: float, amplitude: float
+) -> None:
     period = float(2 * mp.pi / frequency_from_the_energy_integral(omega_squared, g, amplitude))
     # Near the separatrix the integration itself loses four digits at each passage of the saddle.
     near_separatrix = 0 < omega_squared < -1.1 * g * amplitude**2
@@ -124,15 +130,15 @@ def test_amplitudes_at_and_beyond_the_separatrix_are_refused_with_the_bound(ampl
 def test_the_frequency_of_a_soft_oscillator_falls_to_zero_at_the_separatrix() -> None:
     gaps = [1e-2, 1e-6, 1e-10, 1e-14]
     found = [duffing_frequency(1.0, -1.0, float(np.sqrt(1.0 - gap))) for gap in gaps]
-    # K(m) grows like log: Omega ~ pi/(2 sqrt(1/2) log(4 sqrt(2/gap)...)), slowly and without a jump.
-    assert all(a > b > 0 for a, b in zip(found, found[1:], strict=False))
+    # K(m) grows like the logarithm of the gap: slowly, and without a jump.
+    assert all(a > b > 0 for a, b in pairwise(found))
     assert found[-1] < 0.2
 
 
-@pytest.mark.xfail(strict=True, reason="a double well's inner orbits come back as nan")
-@pytest.mark.parametrize("amplitude", [1.2, np.sqrt(2.0), 1.0, 0.5])
+@pytest.mark.xfail(strict=True, reason="a double well's inner orbits: nan, or a bound that is none")
+@pytest.mark.parametrize("amplitude", [1.2, 1.41, 1.0, 0.5])
 def test_orbits_that_do_not_swing_through_zero_are_refused(amplitude: float) -> None:
-    with pytest.raises(ValueError, match="must exceed 2$"):
+    with pytest.raises(ValueError, match="must exceed 2"):
         duffing_frequency(-1.0, 1.0, amplitude)
 
 

@@ -1,4 +1,4 @@
-"""The linear chain in closed form against numpy's diagonalisation and 50-digit arithmetic (arXiv:2512.17483)."""
+"""The linear chain in closed form (arXiv:2512.17483) against numpy's diagonalisation and 50 digits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ def test_squared_frequencies_are_the_eigenvalues_of_the_papers_dynamical_matrix(
     np.testing.assert_allclose(found, expected, rtol=2e-11)
 
 
-def test_squared_frequencies_are_the_eigenvalues_of_a_symmetric_matrix_with_the_geometric_mean_coupling() -> None:
+def test_squared_frequencies_are_the_eigenvalues_of_a_symmetric_matrix_with_the_geometric_mean_coupling() -> (
+    None
+):
     sites, alpha, gamma = 200, 1.0, 0.7
     off_diagonal = -np.sqrt((1 - gamma) * (1 + gamma)) * np.ones(sites - 1)
     matrix = np.diag((2 + alpha) * np.ones(sites)) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
@@ -113,7 +115,9 @@ def test_gauge_coupling_keeps_its_digits_near_one_way_coupling(gamma: float) -> 
 
 
 @pytest.mark.parametrize("gamma", [0.25, -0.25, 1e-10, 0.9999999, -(1 - 1e-12)])
-def test_log_envelope_is_half_the_logarithm_of_r_times_the_distance_to_the_favoured_edge(gamma: float) -> None:
+def test_log_envelope_is_half_the_logarithm_of_r_times_the_distance_to_the_favoured_edge(
+    gamma: float,
+) -> None:
     sites = 40
     found = linear.log_envelope(sites, gamma)
     favoured = sites if gamma > 0 else 1
@@ -186,7 +190,9 @@ def test_left_and_right_eigenvectors_are_biorthogonal_with_the_papers_norm(gamma
 def test_the_opposite_nonreciprocity_has_the_mirrored_profile(mode: int) -> None:
     mirrored = linear.right_eigenvector(7, -0.4, mode)[::-1]
     parity = 1 if mode % 2 else -1
-    np.testing.assert_allclose(mirrored, parity * linear.right_eigenvector(7, 0.4, mode), rtol=1e-14, atol=EPS)
+    np.testing.assert_allclose(
+        mirrored, parity * linear.right_eigenvector(7, 0.4, mode), rtol=1e-14, atol=EPS
+    )
 
 
 def test_right_eigenvectors_lean_right_and_left_ones_left_for_positive_gamma() -> None:

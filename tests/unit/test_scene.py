@@ -162,7 +162,7 @@ def test_same_request_ignores_the_title_alone() -> None:
     [
         ("[chian]\nsites = 3", f"[chian]: unknown table; did you mean [chain]? ({TABLES})"),
         ("[[chian]]", f"[chian]: unknown table; did you mean [chain]? ({TABLES})"),
-        ("[Chain]", f"[Chain]: unknown table; did you mean [chain]? ({TABLES})"),
+        ("[CHAIN]", f"[CHAIN]: unknown table; did you mean [chain]? ({TABLES})"),
         (CHAIN + "[zzz]", f"[zzz]: unknown table; {TABLES}"),
         ("zzz = 1\n" + CHAIN, f"zzz: unknown key; {TABLES}"),
         ("titel = 'x'\n" + CHAIN, f"titel: unknown key; did you mean title? ({TABLES})"),

@@ -1,0 +1,101 @@
+"""Following a family: the walk, with stability and its changes computed beside it, point by point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.continuation.arclength import End, Point, Walk
+from casadi_skin.families.branch import Branch
+from casadi_skin.families.events import StabilityChange, locate_change
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.models.chain import Chain
+from casadi_skin.stability.flow import FlowError
+
+
+class FamilyWalk:
+    """Iterates over the orbits of a family and, between two of them, over the changes of stability.
+
+    What has been computed is in `branch()` at any time, so that an interruption loses nothing. `orbits` and `changes`
+    computed earlier may be given: the walk goes on from the last two points walked.
+    """
+
+    def __init__(
+        self,
+        tools: FamilyTools,
+        stability: bool = False,
+        events: bool = True,
+        orbits: Sequence[Orbit] = (),
+        changes: Sequence[StabilityChange] = (),
+    ) -> None:
+        self.tools, self.stability, self.events = tools, stability, events and stability
+        self.orbits, self.changes = list(orbits), list(changes)
+        self._walk = Walk(tools.ladder, tools.request.walk_settings(), ())
+        omega = tools.core.linear_frequency(tools.core_mode)
+        self.start: Point = self._walk.start(tools.mode_positions, omega)
+        self._walk.history = (self.start, *(o.point for o in self.orbits if o.point.walked))[-2:]
+        self._end: End | None = None
+        self._detail = ""
+
+    def __iter__(self) -> Iterator[Orbit | StabilityChange]:
+        for point in self._walk:
+            orbit = Orbit(self.tools, point)
+            try:
+                if self.stability:
+                    orbit.floquet()
+                if self.events and self.orbits and self.orbits[-1].floquet().stable != orbit.floquet().stable:
+                    change = locate_change(self._walk, self.orbits[-1], orbit)
+                    self.changes.append(change)
+                    yield change
+            except FlowError as error:
+                self._end, self._detail = End.FLOW, str(error)
+                return
+            self.orbits.append(orbit)
+            yield orbit
+
+    def branch(self) -> Branch:
+        """What has been computed so far."""
+        g = self.tools.request.chain.g
+        return Branch(
+            tools=self.tools,
+            start=self.start,
+            orbits=tuple(self.orbits),
+            changes=tuple(self.changes),
+            with_stability=self.stability,
+            end=self._end or self._walk.end,
+            detail=self._detail or self._walk.detail,
+            missed=tuple(kappa / g for kappa in self._walk.missed),
+        )
+
+
+def follow_family(
+    chain: Chain,
+    mode: int,
+    amplitude_max: float,
+    *,
+    at: Sequence[float] = (),
+    stability: bool = False,
+    events: bool = True,
+    tolerance: float = 1e-8,
+    transcription: str = "trigonometric",
+    corrector: str = "ipopt",
+    flow: str = "splitting",
+    symmetry: SymmetryClass | None = None,
+    progress: Callable[[Orbit], None] | None = None,
+) -> Branch:
+    """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
+
+    Points exactly at the values of `at` are among the orbits; `tolerance` bounds the relative error of Omega, profile
+    and multipliers; `progress` is called with each orbit. A family that ends early is returned with `complete` False
+    and a `reason`. Raises ValueError for arguments out of range. Method: collocation and pseudo-arclength
+    continuation in the gauge (paper, Sec. II; Keller 1977).
+    """
+    request = FamilyRequest(
+        chain, mode, float(amplitude_max), tuple(float(S) for S in at), tolerance, transcription, corrector, flow, symmetry
+    )  # fmt: skip
+    walk = FamilyWalk(FamilyTools(request), stability, events)
+    for result in walk:
+        if progress is not None and isinstance(result, Orbit):
+            progress(result)
+    return walk.branch()

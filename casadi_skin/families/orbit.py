@@ -1,0 +1,141 @@
+"""One nonlinear mode: a periodic orbit of the chain in physical coordinates, with its stability when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.arclength import Point
+from casadi_skin.families.request import FamilyTools
+from casadi_skin.models.chain import Chain
+from casadi_skin.stability.multipliers import ComplexArray, Floquet, floquet, floquet_vectors
+from casadi_skin.theory.linear import standing_wave
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A converged orbit y_n(t) of period 2 pi/Omega with all velocities zero at t = 0; dimensionless."""
+
+    tools: FamilyTools
+    point: Point
+    known_floquet: Floquet | None = None  # computed before, as in a run that is resumed
+
+    @property
+    def chain(self) -> Chain:
+        """The chain that the orbit belongs to."""
+        return self.tools.request.chain
+
+    @property
+    def S(self) -> float:
+        """Total amplitude ||y||^2, the sum of y_n^2 at t = 0."""
+        return self.tools.request.S_of(self.point.parameter)
+
+    @property
+    def Omega(self) -> float:
+        """Frequency."""
+        return self.point.Omega
+
+    @property
+    def period(self) -> float:
+        """Period 2 pi/Omega."""
+        return 2.0 * np.pi / self.Omega
+
+    @property
+    def Omega_error(self) -> float:
+        """Estimated absolute error of Omega."""
+        return self.point.error.Omega
+
+    @property
+    def profile_error(self) -> float:
+        """Estimated error of the state relative to its largest component."""
+        return self.point.error.profile
+
+    @cached_property
+    def residual(self) -> float:
+        """Largest residual of the collocation equations relative to their largest term."""
+        return self.point.problem.relative_residual(self.point.z)
+
+    # Shape ----------------------------------------------------------------------------------------------------------
+
+    def _gauge(self, theta: Array) -> Array:
+        """Scaled gauge positions q at phases theta, shape (len(theta), core sites)."""
+        return self.point.problem.sample(self.point.z, theta)
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive."""
+        gauge = self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float)))
+        core = np.sqrt(self.S) * self.tools.core.rho * gauge
+        if core.shape[1] == self.chain.sites:
+            return core
+        everywhere = np.zeros((core.shape[0], self.chain.sites))
+        everywhere[:, -1 if self.chain.gamma > 0 else 0] = core[:, 0]
+        return everywhere
+
+    @cached_property
+    def profile(self) -> Array:
+        """Displacements at t = 0, where all velocities vanish, shape (sites,)."""
+        return self.evaluate(0.0)[0]
+
+    @cached_property
+    def energy(self) -> float:
+        """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to."""
+        q = self._gauge(np.zeros(1))[0]
+        return self.S * float(self.tools.hamiltonian(q, np.zeros(q.size), self.point.parameter))
+
+    @cached_property
+    def Omega_shift(self) -> float:
+        """Omega - omega_j, formed without subtraction where the shift is small.
+
+        The fundamental harmonic of the equations projected on the linear mode gives Omega^2 - omega_j^2 as a ratio
+        of sums over the cubic term, with no cancellation.
+        """
+        core, mode = self.tools.core, self.tools.core_mode
+        omega = core.linear_frequency(mode)
+        nodes = max(32, 2 * self.point.problem.resolution)
+        theta = (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
+        q, phi = self._gauge(theta), standing_wave(core.sites, mode)
+        cosine = np.cos(theta)
+        overlap = float(cosine @ q @ phi)
+        cubic = float(cosine @ (core.weights * q**3) @ phi)
+        by_projection = self.point.parameter * cubic / overlap / (self.Omega + omega)
+        amplification = np.linalg.norm(cosine @ q) * np.linalg.norm(phi) / abs(overlap)
+        subtraction_is_better = 100.0 * amplification * abs(by_projection) > omega
+        return self.Omega - omega if subtraction_is_better else by_projection
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    def _acceleration(self) -> Array:
+        return np.array(self.tools.rhs(self._gauge(np.zeros(1))[0], self.point.parameter)[0]).ravel()
+
+    def floquet(self) -> Floquet:
+        """Multipliers and the kind of instability; at |gamma| = 1 without the Jordan block's algebraic growth.
+
+        Raises FlowError where the flow map cannot reach the tolerance.
+        """
+        return self._floquet
+
+    @cached_property
+    def _floquet(self) -> Floquet:
+        if self.known_floquet is not None:
+            return self.known_floquet
+        result = floquet(self.tools.flow.transition(self.point.problem, self.point.z), self._acceleration())
+        resting = self.chain.sites - self.tools.core.sites
+        if resting == 0:
+            return result
+        # At |gamma| = 1 the other sites are linear oscillators that nothing drives in the gauge.
+        mu = -np.sin(0.25 * self.period * self.chain.linear_frequency(1)) ** 2
+        return Floquet(np.full(resting, mu, complex), np.zeros(resting), result.trivial_deviation, result.power)
+
+    def floquet_vectors(self) -> ComplexArray:
+        """Floquet vectors (positions, velocities) at t = 0 in physical coordinates, shape (2N, 2N), one a column.
+
+        Columns go with `floquet().multipliers`. Raises ValueError at |gamma| = 1, where the gauge has no image of them.
+        """
+        if self.tools.core.sites != self.chain.sites:
+            raise ValueError("floquet_vectors: at |gamma| = 1 the vectors form Jordan chains that the gauge does not have")
+        transition = self.tools.flow.transition(self.point.problem, self.point.z)
+        return floquet_vectors(transition, self._acceleration(), self.chain.rho)

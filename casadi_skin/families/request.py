@@ -1,0 +1,162 @@
+"""What is asked of one family, checked; and the objects that computing it needs, each built when first used."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.gauss import GaussProblem
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.continuation.arclength import WalkSettings
+from casadi_skin.correctors.base import Corrector
+from casadi_skin.correctors.ipopt import IpoptCorrector
+from casadi_skin.correctors.ladder import Ladder
+from casadi_skin.correctors.newton import NewtonCorrector
+from casadi_skin.models.chain import Chain
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.cvodes import CvodesFlow
+from casadi_skin.stability.flow import FlowMap
+from casadi_skin.stability.splitting import SplittingFlow
+from casadi_skin.theory.linear import standing_wave
+
+HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+GAUSS_DEGREE = 8  # the fewest unknowns at the tolerances in use; lower degrees need many more intervals for the profile
+
+
+@dataclass(frozen=True)
+class FamilyRequest:
+    """One family of `chain`: from linear mode `mode` to S = `amplitude_max`, with points exactly at the S of `at`.
+
+    `symmetry` may name a larger part of the period than the model's class needs (gauss only). Raises ValueError
+    naming the argument, what was given and what is accepted.
+    """
+
+    chain: Chain
+    mode: int
+    amplitude_max: float
+    at: tuple[float, ...] = ()
+    tolerance: float = 1e-8
+    transcription: str = "trigonometric"
+    corrector: str = "ipopt"
+    flow: str = "splitting"
+    symmetry: SymmetryClass | None = None
+
+    def __post_init__(self) -> None:
+        chain = self.chain
+        if chain.g == 0:
+            raise ValueError("g: given 0; accepted: not 0 (the family is the linear mode at every amplitude)")
+        chain.linear_frequency(self.mode)
+        if abs(chain.gamma) == 1.0:
+            edge = chain.sites if chain.g > 0 else 1
+            if self.mode != edge:
+                raise ValueError(
+                    f"mode: given {self.mode}; accepted at |gamma| = 1 with g = {chain.g:g}: {edge} (all frequencies "
+                    "meet, and only the family in which the edge site alone moves exists in the gauge)"
+                )
+        if not (math.isfinite(self.amplitude_max) and self.amplitude_max > 0):
+            raise ValueError(f"amplitude_max: given {self.amplitude_max!r}; accepted: a finite number > 0")
+        ascending = all(a < b for a, b in zip(self.at, self.at[1:], strict=False))
+        if not ascending or any(not 0 < a <= self.amplitude_max for a in self.at):
+            raise ValueError(f"at: given {list(self.at)}; accepted: ascending numbers > 0 up to {self.amplitude_max:g}")
+        if not 1e-13 <= self.tolerance <= 1e-2:
+            raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: 1e-13 to 1e-2")
+        for name, accepted in (
+            ("transcription", ("trigonometric", "gauss")),
+            ("corrector", ("ipopt", "newton")),
+            ("flow", ("splitting", "cvodes")),
+        ):
+            if getattr(self, name) not in accepted:
+                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: {', '.join(accepted)}")
+        if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription != "gauss":
+            raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
+
+    def walk_settings(self) -> WalkSettings:
+        """The walk in kappa = g S, the model's free parameter."""
+        g = self.chain.g
+        return WalkSettings(g * self.amplitude_max, self.tolerance, tuple(g * S for S in self.at))
+
+    def S_of(self, kappa: float) -> float:
+        """S of a value of kappa = g S; exactly the S asked for where kappa came from one."""
+        asked = {self.chain.g * S: S for S in (*self.at, self.amplitude_max)}
+        return asked.get(kappa, kappa / self.chain.g)
+
+
+class FamilyTools:
+    """Model, problems, correctors and flow map of a request; nothing exists before it is asked for.
+
+    Tools made once serve any number of walks of the same request.
+    """
+
+    def __init__(self, request: FamilyRequest) -> None:
+        self.request = request
+
+    @cached_property
+    def core(self) -> Chain:
+        """The chain whose gauge is solved: the edge site alone at |gamma| = 1, where it moves by itself."""
+        chain = self.request.chain
+        return chain if abs(chain.gamma) < 1.0 else Chain(1, chain.alpha, 0.0, chain.g)
+
+    @cached_property
+    def core_mode(self) -> int:
+        """The mode of `core` that the family grows from."""
+        return self.request.mode if self.core.sites == self.request.chain.sites else 1
+
+    @cached_property
+    def model(self) -> OdeModel:
+        """The scaled equations in the gauge."""
+        return self.core.gauge_model()
+
+    @cached_property
+    def rhs(self) -> ca.Function:
+        """Function (q, kappa) -> acceleration and its derivatives."""
+        return self.model.rhs_and_jacobian()
+
+    @cached_property
+    def hamiltonian(self) -> ca.Function:
+        """Function (q, q', kappa) -> energy of the scaled gauge coordinates."""
+        model = self.model
+        return ca.Function("H", [model.state, model.velocity, model.parameters], [model.hamiltonian])
+
+    @cached_property
+    def symmetry(self) -> SymmetryClass:
+        """Part of the period that is unknown."""
+        return self.request.symmetry or symmetry_class(self.model)
+
+    @cached_property
+    def mode_positions(self) -> Array:
+        """The linear mode in the gauge with sum_n w_n q_n^2 = 1, largest displacement positive, shape (sites,)."""
+        q = standing_wave(self.core.sites, self.core_mode)
+        q = q / np.sqrt(np.sum(self.core.weights * q**2))
+        return np.asarray(q * np.sign(q[np.argmax(np.abs(self.core.rho * q))]))
+
+    @cached_property
+    def ladder(self) -> Ladder:
+        """Discretisations from coarse to fine with their correctors."""
+        rungs = HARMONICS if self.request.transcription == "trigonometric" else INTERVALS
+        return Ladder(self._problem, self._corrector, rungs)
+
+    def _problem(self, resolution: int) -> OrbitProblem:
+        if self.request.transcription == "trigonometric":
+            return TrigonometricProblem(self.model, resolution)
+        return GaussProblem(self.model, resolution, self.symmetry, GAUSS_DEGREE)
+
+    def _corrector(self, problem: OrbitProblem) -> Corrector:
+        # Residuals scale with the state, which is largest in the mode; below 1e-12 of it they are round-off.
+        scale = max(1.0, float(np.max(np.abs(self.mode_positions))))
+        tolerance = float(np.clip(1e-2 * self.request.tolerance, 1e-12, 1e-6))
+        if self.request.corrector == "newton":
+            return NewtonCorrector(problem, tolerance)
+        return IpoptCorrector(problem, tolerance * scale)
+
+    @cached_property
+    def flow(self) -> FlowMap:
+        """Flow map of the variational system."""
+        kinds = {"splitting": SplittingFlow, "cvodes": CvodesFlow}
+        return kinds[self.request.flow](self.model, self.request.tolerance)

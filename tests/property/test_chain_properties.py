@@ -1,0 +1,218 @@
+"""What holds for every nonreciprocal chain, however it is drawn (arXiv:2512.17483)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from casadi_skin.models.chain import Chain
+from casadi_skin.models.ode import OdeModel
+
+Array = NDArray[np.float64]
+
+quick = settings(max_examples=40, deadline=None)
+
+couplings = st.floats(0.01, 3.0) | st.floats(-3.0, -0.01)
+chains = st.builds(
+    Chain,
+    sites=st.integers(1, 30),
+    alpha=st.floats(0.0, 5.0),
+    gamma=st.floats(-0.95, 0.95),
+    g=couplings,
+)
+amplitudes = st.floats(1e-3, 10.0)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def points(chain: Chain, seed: int, count: int = 1) -> list[Array]:
+    """Displacements of order one in the gauge."""
+    return list(np.random.default_rng(seed).normal(size=(count, chain.sites)))
+
+
+def evaluate(model: OdeModel, expression: ca.SX, state: Array, parameter: float) -> Array:
+    """`expression` of positions, or of the full state where `state` has its length, as a dense array."""
+    symbols = model.state if len(state) == model.size else model.full_state
+    value = np.array(ca.DM(ca.Function("value", [symbols, model.parameters], [expression])(state, parameter)))
+    return value.ravel() if value.shape[1] == 1 else value
+
+
+def envelope(chain: Chain) -> Array:
+    """rho_n = r^((n-c)/2) with r = (1+gamma)/(1-gamma), typed out here, c the favoured edge."""
+    n = np.arange(1, chain.sites + 1)
+    favoured = chain.sites if chain.gamma >= 0 else 1
+    return np.asarray(((1 + chain.gamma) / (1 - chain.gamma)) ** ((n - favoured) / 2))
+
+
+def force_scale(chain: Chain, q: Array, kappa: float) -> Array:
+    """Absolute values of the terms of the gauge equations summed at each site: round-off's yardstick."""
+    size = np.abs(q)
+    neighbours = np.append(size[1:], 0.0) + np.insert(size[:-1], 0, 0.0)
+    return (2 + chain.alpha) * size + neighbours + abs(kappa) * envelope(chain) ** 2 * size**3
+
+
+def variational(chain: Chain, coordinates: str, state: Array, parameter: float) -> Array:
+    return np.array(ca.DM(chain.variational_matrix(coordinates)(state, parameter)))
+
+
+def mirrored(chain: Chain) -> Chain:
+    return replace(chain, gamma=-chain.gamma)
+
+
+@quick
+@given(chain=chains, S=amplitudes, seed=seeds)
+def test_gauge_equations_are_the_physical_ones_in_other_coordinates(
+    chain: Chain, S: float, seed: int
+) -> None:
+    """y = sqrt(S) rho q moves as the gauge says, at every site relative to that site's own size."""
+    (q,) = points(chain, seed)
+    change = np.sqrt(S) * envelope(chain)
+    physical, gauge = chain.physical_model(), chain.gauge_model()
+    expected = evaluate(physical, physical.rhs, change * q, chain.g) / change
+    found = evaluate(gauge, gauge.rhs, q, chain.g * S)
+    assert np.all(np.abs(found - expected) <= 1e-13 * force_scale(chain, q, chain.g * S))
+
+
+@quick
+@given(chain=chains, S=amplitudes, factor=st.floats(0.1, 10.0), seed=seeds)
+def test_only_the_product_of_nonlinearity_and_amplitude_matters(
+    chain: Chain, S: float, factor: float, seed: int
+) -> None:
+    """Physical chains with (g, S) and (factor g, S/factor) move alike; the gauge knows one parameter, g S."""
+    (q,) = points(chain, seed)
+    rho, kappa = envelope(chain), chain.g * S
+    scale = 1e-13 * force_scale(chain, q, kappa)
+    gauge = replace(chain, g=factor * chain.g).gauge_model()
+    assert gauge.parameters.numel() == 1
+    reduced = evaluate(gauge, gauge.rhs, q, kappa)
+    physical = chain.physical_model()
+    for g, amplitude in ((chain.g, S), (factor * chain.g, S / factor)):
+        change = np.sqrt(amplitude) * rho
+        moved = evaluate(physical, physical.rhs, change * q, g) / change
+        assert np.all(np.abs(moved - reduced) <= scale)
+
+
+@quick
+@given(chain=chains, S=amplitudes, seed=seeds)
+def test_the_gauge_force_is_the_gradient_of_an_energy_and_its_linear_part_symmetric(
+    chain: Chain, S: float, seed: int
+) -> None:
+    (q,) = points(chain, seed)
+    kappa = chain.g * S
+    model = chain.gauge_model()
+    L = -evaluate(model, ca.jacobian(model.rhs, model.state), np.zeros(chain.sites), kappa)
+    np.testing.assert_array_equal(L, L.T)
+    rest = np.concatenate([q, np.zeros(chain.sites)])
+    gradient = evaluate(model, ca.gradient(model.hamiltonian, model.full_state), rest, kappa)
+    force = evaluate(model, model.rhs, q, kappa)
+    assert np.all(np.abs(gradient[: chain.sites] + force) <= 1e-14 * force_scale(chain, q, kappa))
+    assert not gradient[chain.sites :].any()
+
+
+@quick
+@given(chain=chains, S=amplitudes, seed=seeds)
+def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(
+    chain: Chain, S: float, seed: int
+) -> None:
+    """W = diag(rho, rho)^-1 Z diag(rho, rho) along the same orbit, and W^T J + J W = 0."""
+    (q,) = points(chain, seed)
+    rho = envelope(chain)
+    Z = variational(chain, "physical", np.sqrt(S) * rho * q, chain.g)
+    W = variational(chain, "gauge", q, chain.g * S)
+    both = np.concatenate([rho, rho])
+    np.testing.assert_allclose(W, Z * both / both[:, None], rtol=1e-12, atol=1e-13)
+    zero, one = np.zeros((chain.sites, chain.sites)), np.eye(chain.sites)
+    J = np.block([[zero, -one], [one, zero]])
+    np.testing.assert_array_equal(W.T @ J + J @ W, np.zeros_like(W))
+
+
+@quick
+@given(chain=chains, coordinates=st.sampled_from(["physical", "gauge"]), seed=seeds)
+def test_the_variational_matrix_is_the_derivative_of_the_flow(
+    chain: Chain, coordinates: str, seed: int
+) -> None:
+    """A cubic field's central difference errs by the step squared alone; Richardson takes that out."""
+    q, direction = points(chain, seed, 2)
+    model = chain.physical_model() if coordinates == "physical" else chain.gauge_model()
+
+    def difference(step: float) -> Array:
+        ahead, behind = (evaluate(model, model.rhs, q + sign * step * direction, chain.g) for sign in (1, -1))
+        return (ahead - behind) / (2 * step)
+
+    expected = (4 * difference(0.5) - difference(1.0)) / 3
+    found = variational(chain, coordinates, q, chain.g)[chain.sites :, : chain.sites] @ direction
+    size = np.abs(q) + np.abs(direction)
+    scale = 8 * (4 + chain.alpha) * size.max() + 8 * abs(chain.g) * size**3
+    assert np.all(np.abs(found - expected) <= 1e-13 * scale)
+
+
+@quick
+@given(chain=chains, seed=seeds)
+def test_every_chain_is_reversible_and_odd(chain: Chain, seed: int) -> None:
+    """f(R x) = -R f(x) with R = diag(1, -1), and f(-x) = -f(x): exact in floating point."""
+    x = np.concatenate(points(chain, seed, 2))
+    R = np.repeat([1.0, -1.0], chain.sites)
+    for model in (chain.physical_model(), chain.gauge_model()):
+        rate = evaluate(model, model.full_rhs, x, chain.g)
+        np.testing.assert_array_equal(evaluate(model, model.full_rhs, R * x, chain.g), -R * rate)
+        np.testing.assert_array_equal(evaluate(model, model.full_rhs, -x, chain.g), -rate)
+        assert (model.reversal, model.half_period) == (tuple(R), (-1,) * (2 * chain.sites))
+
+
+@quick
+@given(chain=chains, seed=seeds)
+def test_the_opposite_nonreciprocity_is_the_mirror_image(chain: Chain, seed: int) -> None:
+    (q,) = points(chain, seed)
+    size = np.abs(q)
+    neighbours = np.append(size[1:], 0.0) + np.insert(size[:-1], 0, 0.0)
+    scale = (2 + chain.alpha) * size + 2 * neighbours + abs(chain.g) * size**3
+    for coordinates in ("physical_model", "gauge_model"):
+        model: Any = getattr(chain, coordinates)()
+        image: Any = getattr(mirrored(chain), coordinates)()
+        there = evaluate(model, model.rhs, q, chain.g)
+        back = evaluate(image, image.rhs, q[::-1], chain.g)[::-1]
+        assert np.all(np.abs(there - back) <= 1e-15 * scale)
+    np.testing.assert_array_equal(mirrored(chain).rho[::-1], chain.rho)
+    np.testing.assert_array_equal(mirrored(chain).linear_frequencies(), chain.linear_frequencies())
+
+
+@quick
+@given(chain=chains, data=st.data())
+def test_the_mirrored_mode_has_the_reversed_profile(chain: Chain, data: st.DataObject) -> None:
+    mode = data.draw(st.integers(1, chain.sites))
+    parity = 1 if mode % 2 else -1
+    there, back = chain.right_eigenvector(mode), mirrored(chain).right_eigenvector(mode)[::-1]
+    np.testing.assert_allclose(back / envelope(chain), parity * there / envelope(chain), atol=5e-15)
+
+
+@quick
+@given(chain=chains)
+def test_the_spectrum_of_the_equations_is_the_papers_closed_form(chain: Chain) -> None:
+    """numpy diagonalises the physical equations' Jacobian after the similarity that makes it symmetric."""
+    rho = envelope(chain)
+    symmetric = chain.dynamical_matrix() * rho / rho[:, None]
+    j = np.arange(1, chain.sites + 1)
+    closed_form = 2 + chain.alpha - 2 * np.sqrt(1 - chain.gamma**2) * np.cos(j * np.pi / (chain.sites + 1))
+    np.testing.assert_allclose(symmetric, symmetric.T, atol=1e-13)
+    np.testing.assert_allclose(np.linalg.eigvalsh(symmetric), closed_form, rtol=0, atol=5e-14)
+    np.testing.assert_allclose(chain.linear_frequencies() ** 2, closed_form, rtol=0, atol=5e-15)
+    low, high = chain.band()
+    assert low < closed_form[0] <= closed_form[-1] < high
+
+
+@quick
+@given(chain=chains, seed=seeds)
+def test_energy_is_conserved_in_the_gauge_for_every_parameter(chain: Chain, seed: int) -> None:
+    model = chain.gauge_model()
+    model.check_symmetries(trials=2, seed=seed)
+    chain.physical_model().check_symmetries(trials=2, seed=seed)
+    x = np.concatenate(points(chain, seed, 2))
+    rate = ca.jacobian(model.hamiltonian, model.full_state) @ model.full_rhs
+    gradient = evaluate(model, ca.gradient(model.hamiltonian, model.full_state), x, chain.g)
+    field = evaluate(model, model.full_rhs, x, chain.g)
+    assert abs(evaluate(model, rate, x, chain.g)[0]) <= 1e-14 * (np.abs(gradient) @ np.abs(field))
