@@ -18,6 +18,10 @@ from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
 
 
+def _is_whole(number: object) -> bool:
+    return isinstance(number, int | np.integer) and not isinstance(number, bool)
+
+
 @dataclass(frozen=True)
 class Chain:
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
@@ -31,7 +35,7 @@ class Chain:
     g: float
 
     def __post_init__(self) -> None:
-        if isinstance(self.sites, bool) or self.sites != int(self.sites) or self.sites < 1:
+        if not _is_whole(self.sites) or self.sites < 1:
             raise ValueError(f"sites: given {self.sites!r}; accepted: a whole number >= 1")
         for name in ("alpha", "gamma", "g"):
             if not np.isfinite(getattr(self, name)):
@@ -69,8 +73,8 @@ class Chain:
 
     def linear_frequency(self, mode: int) -> float:
         """Frequency omega_j of one mode; raises ValueError for a mode that is not there or does not oscillate."""
-        if not 1 <= mode <= self.sites:
-            raise ValueError(f"mode: given {mode}; accepted: 1..{self.sites}")
+        if not _is_whole(mode) or not 1 <= mode <= self.sites:
+            raise ValueError(f"mode: given {mode!r}; accepted: 1..{self.sites}")
         square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, mode))
         if square <= 0:
             raise ValueError(
@@ -80,7 +84,8 @@ class Chain:
 
     def band(self) -> tuple[float, float]:
         """Squared cutoffs (omega_min^2, omega_max^2) of the infinite chain's band."""
-        return self.alpha + 2 - 2 * self.coupling, self.alpha + 2 + 2 * self.coupling
+        s = self.coupling
+        return self.alpha + 2.0 * self.gamma**2 / (1.0 + s), self.alpha + 2.0 * (1.0 + s)
 
     def right_eigenvector(self, mode: int) -> Array:
         """Right eigenvector of D in closed form, largest envelope 1, shape (sites,)."""

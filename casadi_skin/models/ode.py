@@ -40,6 +40,15 @@ class OdeModel:
             raise ValueError(f"{self.name}: right-hand side of shape {self.rhs.shape}, state {self.state.shape}")
         if (self.velocity is None) != (self.order == 1):
             raise ValueError(f"{self.name}: a velocity symbol belongs to a model of second order, and only there")
+        if self.velocity is not None and self.velocity.shape != self.state.shape:
+            raise ValueError(f"{self.name}: velocity of shape {self.velocity.shape}, state {self.state.shape}")
+        known = {s.element_hash() for s in ca.symvar(ca.vertcat(self.full_state, self.parameters))}
+        for label in ("rhs", "normalisation", "hamiltonian"):
+            expression = getattr(self, label)
+            strangers = [] if expression is None else ca.symvar(expression)
+            unknown = [s.name() for s in strangers if s.element_hash() not in known]
+            if unknown:
+                raise ValueError(f"{self.name}: {label} depends on {', '.join(unknown)}, which is not declared")
         if self.velocity is not None and ca.depends_on(self.rhs, self.velocity):
             raise ValueError(f"{self.name}: a second-order right-hand side that depends on velocity; write first order")
         for label, signs in (("reversal", self.reversal), ("half_period", self.half_period)):
@@ -99,6 +108,11 @@ class OdeModel:
         for _ in range(trials):
             point, parameter = generator.normal(size=self.full_size), generator.normal(size=p.numel())
             value, rate = (np.array(r).ravel() for r in evaluate(point, parameter))
+            if not np.all(np.isfinite(value)):  # perhaps a root or a logarithm of a parameter
+                parameter = np.abs(parameter)
+                value, rate = (np.array(r).ravel() for r in evaluate(point, parameter))
+            if not (np.all(np.isfinite(value)) and np.all(np.isfinite(rate))):
+                raise ValueError(f"{self.name}: the right-hand side or the hamiltonian is not finite at a random point")
             scale = 1e-12 * (1.0 + np.abs(value).max())
             for label, signs, sense in (("reversal", self.reversal, -1), ("half_period", self.half_period, 1)):
                 if signs is None:

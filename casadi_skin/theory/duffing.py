@@ -12,9 +12,12 @@ from casadi_skin.theory.linear import Array
 def duffing_frequency(omega_squared: float, g: float, amplitude: float) -> float:
     """Exact frequency of the orbit with y(0) = amplitude, y'(0) = 0.
 
-    Raises ValueError where no oscillation exists: g amplitude^2 <= -omega_squared.
+    Raises ValueError where no oscillation about y = 0 with this amplitude exists.
     """
     stiffness = omega_squared + g * amplitude**2
+    if omega_squared <= 0 and omega_squared + stiffness <= 0:
+        where = f": it must exceed {-2.0 * omega_squared / g:g}" if g > 0 else " with this stiffness"
+        raise ValueError(f"no orbit at amplitude^2 = {amplitude**2:g}{where}")
     if stiffness <= 0:
         raise ValueError(f"no orbit at amplitude^2 = {amplitude**2:g}: it must stay below {omega_squared / -g:g}")
     m = g * amplitude**2 / (2.0 * stiffness)

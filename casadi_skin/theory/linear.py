@@ -30,10 +30,13 @@ def log_envelope(sites: int, gamma: float) -> Array:
 
 
 def standing_wave(sites: int, mode: int) -> Array:
-    """Values sin(n j pi/(N+1)) for n = 1..N, shape (sites,); n j is reduced before the sine so that large N keeps digits."""
-    period = 2 * (sites + 1)
-    phase = (np.arange(1, sites + 1, dtype=np.int64) * int(mode)) % period
-    return np.sin(np.pi * (phase / (sites + 1)))
+    """Values sin(n j pi/(N+1)) for n = 1..N, shape (sites,).
+
+    n j is reduced to the first quarter wave in integers, so that the sine keeps its digits near its zeros.
+    """
+    half_wave, rest = np.divmod(np.arange(1, sites + 1, dtype=np.int64) * mode, sites + 1)
+    rest = np.minimum(rest, sites + 1 - rest)
+    return np.where(half_wave % 2 == 0, 1.0, -1.0) * np.sin(np.pi * (rest / (sites + 1)))
 
 
 def squared_frequency(sites: int, alpha: float, gamma: float, mode: int | NDArray[np.int64]) -> Array:

@@ -52,7 +52,6 @@ def test_a_number_of_sites_that_is_not_a_positive_whole_number_is_refused(sites:
         Chain(sites, 1.0, 0.25, 1.0)
 
 
-@pytest.mark.xfail(strict=True, reason="int() speaks first, and a whole float is kept as a float")
 @pytest.mark.parametrize("sites", [float("nan"), float("inf"), 3.0, None])
 def test_a_number_of_sites_that_no_chain_can_be_built_with_is_refused_by_name(sites: Any) -> None:
     with pytest.raises(ValueError, match="sites: given"):
@@ -83,9 +82,6 @@ def test_a_mode_that_is_not_there_is_refused(mode: int) -> None:
         Chain(4, 1.0, 0.25, 1.0).linear_frequency(mode)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="only the range is checked; the frequency uses 1.5 and the sine int(1.5)"
-)
 def test_a_mode_between_two_modes_is_refused() -> None:
     with pytest.raises(ValueError, match=r"mode: given 1\.5"):
         Chain(4, 1.0, 0.25, 1.0).linear_frequency(1.5)  # type: ignore[arg-type]
@@ -287,7 +283,6 @@ def test_the_numbers_that_the_paper_states_for_its_chain() -> None:
     assert np.mean(np.diff(chain.linear_frequencies())) == pytest.approx(0.05, abs=0.005)
 
 
-@pytest.mark.xfail(strict=True, reason="the lower cutoff subtracts nearly equal numbers when alpha is small")
 def test_the_lower_cutoff_keeps_its_digits_in_a_soft_chain() -> None:
     with mp.workdps(50):
         exact = 2 - 2 * mp.sqrt(1 - mp.mpf(1e-4) ** 2)

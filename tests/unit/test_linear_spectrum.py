@@ -239,7 +239,6 @@ def test_standing_waves_of_a_million_sites_agree_with_fifty_digits(mode: int) ->
         assert abs(mp.mpf(float(wave[n - 1])) - exact_sine(sites, mode, n)) < 6 * EPS
 
 
-@pytest.mark.xfail(strict=True, reason="phases beyond a quarter turn are not folded back before the sine")
 @pytest.mark.parametrize("mode", [1, 17])
 def test_standing_waves_keep_their_relative_digits_at_the_edge_where_skin_modes_live(mode: int) -> None:
     sites = 10**6
