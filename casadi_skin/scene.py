@@ -30,9 +30,7 @@ TRANSCRIPTIONS: tuple[str, ...] = get_args(Transcription)
 CORRECTORS: tuple[str, ...] = get_args(Corrector)
 WALKERS: tuple[str, ...] = get_args(Walker)
 FLOWS: tuple[str, ...] = get_args(Flow)
-PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType(
-    {"draft": 1e-4, "standard": 1e-8, "reference": 1e-12}
-)
+PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
 _LONGEST = 60  # characters of a given value or name that a message shows
 _MAX_SITES = 10_000_000
@@ -91,6 +89,9 @@ class StabilityTable(_Table, frozen=True):
     """Floquet multipliers along the families are asked for."""
 
     events: Annotated[bool, Meta(title="Locate changes of stability", description="true or false")] = True
+    vectors: Annotated[
+        bool, Meta(title="Keep the Floquet vectors at the points of `at`", description="true or false")
+    ] = False
 
 
 class AccuracyTable(_Table, frozen=True):
@@ -110,12 +111,10 @@ class AccuracyTable(_Table, frozen=True):
 class MethodTable(_Table, frozen=True):
     """The interchangeable methods, by name."""
 
-    transcription: Annotated[
-        Transcription, Meta(title="Discretisation", description=_one_of(TRANSCRIPTIONS))
-    ] = "trigonometric"
-    corrector: Annotated[Corrector, Meta(title="Solver of a point", description=_one_of(CORRECTORS))] = (
-        "ipopt"
+    transcription: Annotated[Transcription, Meta(title="Discretisation", description=_one_of(TRANSCRIPTIONS))] = (
+        "trigonometric"
     )
+    corrector: Annotated[Corrector, Meta(title="Solver of a point", description=_one_of(CORRECTORS))] = "ipopt"
     walker: Annotated[Walker, Meta(title="Way along a family", description=_one_of(WALKERS))] = "arclength"
     flow: Annotated[Flow, Meta(title="Flow map of stability", description=_one_of(FLOWS))] = "splitting"
 
@@ -158,15 +157,19 @@ class SceneError(ValueError):
 
 def read_scene(path: str | Path) -> Scene:
     """Read the scene in a TOML file; raises SceneError where the file is missing, unreadable or wrong."""
+    return parse_scene(read_text(path), str(path) or ".")
+
+
+def read_text(path: str | Path) -> str:
+    """Read the text of a scene file; raises SceneError where the file is missing or unreadable."""
     source = str(path) or "."
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
+        return Path(path).read_bytes().decode("utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
     except UnicodeDecodeError as error:
         raise SceneError(f"{source}: not UTF-8 at byte {error.start}; accepted: TOML in UTF-8") from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or error
         raise SceneError(f"{source}: cannot be read: {reason}; accepted: a file in TOML") from None
-    return parse_scene(text, source)
 
 
 def parse_scene(text: str, source: str = "scene") -> Scene:
@@ -212,9 +215,7 @@ def _check_names(raw: dict[str, Any]) -> None:
         if name in raw:
             _check_keys(name, table, raw[name])
     if "chain" not in raw:
-        raise SceneError(
-            f"[chain]: missing; accepted: a table with {', '.join(ChainTable.__struct_fields__)}"
-        )
+        raise SceneError(f"[chain]: missing; accepted: a table with {', '.join(ChainTable.__struct_fields__)}")
 
 
 def _check_keys(name: str, table: type[_Table], given: object) -> None:
@@ -264,9 +265,7 @@ def _check_family(scene: Scene) -> None:
     chain, family = scene.chain, scene.family
     if family is None:
         if scene.stability is not None:
-            raise _refusal(
-                "[stability]", "without [family]", "beside a [family], whose stability it asks for"
-            )
+            raise _refusal("[stability]", "without [family]", "beside a [family], whose stability it asks for")
         return
     _check_modes(chain, family.modes)
     if chain.g == 0:
@@ -296,9 +295,7 @@ def _check_gauge(chain: ChainTable, mode: int) -> None:
             "at |gamma| = 1 all frequencies meet and only mode N (g > 0) or mode 1 (g < 0), "
             "in which the edge site alone moves, can be followed"
         )
-        raise _refusal(
-            "[family] mode", f"mode {mode} with gamma = {chain.gamma!r}", f"mode {only} ({reason})"
-        )
+        raise _refusal("[family] mode", f"mode {mode} with gamma = {chain.gamma!r}", f"mode {only} ({reason})")
 
 
 def _check_frequency(chain: ChainTable, mode: int) -> None:

@@ -31,7 +31,7 @@ def gauss_table(degree: int) -> GaussTable:
     """Nodes and weights of the d-stage Gauss method on [0, 1], from integrals of the Lagrange polynomials."""
     x, quadrature = np.polynomial.legendre.leggauss(degree)
     nodes, b = (x + 1.0) / 2.0, quadrature / 2.0
-    # Lagrange polynomials in the Legendre basis: l_j = sum_k (2k+1) b_j P_k(x_j) P_k; their integrals are exact below d.
+    # Lagrange polynomials in the Legendre basis, l_j = sum_k (2k+1) b_j P_k(x_j) P_k, integrated term by term.
     vandermonde = np.polynomial.legendre.legvander(x, degree)
     order = 2 * np.arange(degree) + 1
     below = np.concatenate([np.zeros((degree, 1)), vandermonde[:, : degree - 1]], axis=1)
@@ -85,7 +85,7 @@ class GaussProblem(OrbitProblem):
         return ca.Function("field", [x, parameters], results)
 
     def _conditions(self) -> ca.Function:
-        """Function (x_0, x_K, p) -> boundary conditions, normalisation and phase, with their derivatives by x_0, x_K, p."""
+        """Function (x_0, x_K, p) -> boundary conditions, normalisation, phase; then their derivatives."""
         model = self.model
         x, p, end = model.full_state, model.parameters, ca.SX.sym("end", model.full_size)
         first, last = self.pinned
@@ -110,7 +110,6 @@ class GaussProblem(OrbitProblem):
         field = self._field()
         F, dF_dx, dF_dp = field.map(K * d)(values[:, stage.tolist()], ca.repmat(ca.vertcat(p, damping), 1, K * d))
         step = self.symmetry.value * 2.0 * np.pi / K / Omega
-        weights = ca.DM(ca.Sparsity.dense(1, 1), 0)
         weights = ca.kron(ca.DM.eye(K), ca.DM(extended.T))  # (K d) x (K (d + 1)): increments from stage derivatives
         increments = F @ weights
         collocation = values[:, target.tolist()] - values[:, start.tolist()] - step * increments
@@ -215,4 +214,4 @@ class GaussProblem(OrbitProblem):
                 image = image * np.array(self.model.half_period)
             signs[back] *= image
         full = signs * self._interpolate(z, turn / self.symmetry.value)
-        return full[:, : self.model.size]
+        return np.asarray(full[:, : self.model.size])

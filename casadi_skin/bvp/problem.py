@@ -1,4 +1,4 @@
-"""A periodic orbit as a square-but-one system of equations: what every transcription offers to correctors and walkers."""
+"""A periodic orbit as equations with one unknown more: what every transcription offers to correctors and walkers."""
 
 from __future__ import annotations
 
@@ -98,9 +98,9 @@ class OrbitProblem(ABC):
         z, residual = np.zeros(self.size), np.zeros(self.size - 1)
         nonzeros = np.zeros(self.function.nnz_out(1))
         buffer, trigger = self.function.buffer()
-        buffer.set_arg(0, memoryview(z))
-        buffer.set_res(0, memoryview(residual))
-        buffer.set_res(1, memoryview(nonzeros))
+        buffer.set_arg(0, z.data)
+        buffer.set_res(0, residual.data)
+        buffer.set_res(1, nonzeros.data)
         return buffer, trigger, z, residual, nonzeros
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
@@ -113,7 +113,7 @@ class OrbitProblem(ABC):
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""
         residual, nonzeros = self.evaluate(z)
-        rows, columns = self.pattern
+        _, columns = self.pattern
         inside = columns < self.states
         largest = np.max(np.abs(nonzeros[inside] * z[columns[inside]]), initial=1.0)
         return float(np.max(np.abs(residual)) / largest)

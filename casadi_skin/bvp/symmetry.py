@@ -42,7 +42,9 @@ def pinned_components(model: OdeModel, symmetry: SymmetryClass) -> tuple[list[in
     if symmetry is SymmetryClass.FULL:
         return [], []
     if model.reversal is None or (symmetry is SymmetryClass.QUARTER and model.half_period is None):
-        raise ValueError(f"{model.name}: the {symmetry.name.lower()}-period class needs symmetries that are not declared")
+        raise ValueError(
+            f"{model.name}: the {symmetry.name.lower()}-period class needs symmetries that are not declared"
+        )
     start = np.array(model.reversal)
     end = start * np.array(model.half_period) if symmetry is SymmetryClass.QUARTER else start
     first, last = np.flatnonzero(start < 0).tolist(), np.flatnonzero(end < 0).tolist()

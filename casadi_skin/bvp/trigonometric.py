@@ -108,4 +108,4 @@ class TrigonometricProblem(OrbitProblem):
 
     def sample(self, z: Array, theta: Array) -> Array:
         basis = np.cos(np.outer(theta, 2 * np.arange(self.resolution) + 1))
-        return basis @ self.coefficients(z).T
+        return np.asarray(basis @ self.coefficients(z).T)

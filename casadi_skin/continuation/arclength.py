@@ -228,7 +228,9 @@ class Walk:
             if value == settings.parameter_max:
                 return
 
-    def between(self, current: Point, following: Point, values: tuple[float, ...]) -> Iterator[tuple[float, Point | None]]:
+    def between(
+        self, current: Point, following: Point, values: tuple[float, ...]
+    ) -> Iterator[tuple[float, Point | None]]:
         """Points with the free parameter at any of `values` between two points of the branch, in arclength order.
 
         Yields (value, point), and (value, None) where the corrector does not find the point that the branch passes.

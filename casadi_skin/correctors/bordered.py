@@ -61,7 +61,9 @@ class BorderedSolver:
                 return solve
         solve = self._factor_sparse(nonzeros, row)
         if not self._accurate(solve, nonzeros, row):
-            raise SingularError("the Jacobian with its border is singular: two families meet, or a fold in what is held")
+            raise SingularError(
+                "the Jacobian with its border is singular: two families meet, or a fold in what is held"
+            )
         return solve
 
     def _accurate(self, solve: Solve, nonzeros: Array, row: Array) -> bool:

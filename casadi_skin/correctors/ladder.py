@@ -1,4 +1,4 @@
-"""Resolutions of one orbit problem from coarse to fine, each built once when first needed, and the error between two."""
+"""Resolutions of one orbit problem from coarse to fine, each built when first needed, and the error between two."""
 
 from __future__ import annotations
 

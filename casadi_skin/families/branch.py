@@ -54,7 +54,7 @@ class Branch:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each orbit is stable, shape (points,); computed now where the branch was followed without stability."""
+        """Whether each orbit is stable, shape (points,); computed now where it was not before."""
         return np.array([o.floquet().stable for o in self.orbits], dtype=bool)
 
     @property
@@ -113,7 +113,9 @@ class Branch:
                     raise ArithmeticError(f"at: no orbit was found at S = {S:g}, which the branch passes")
                 return orbit if point is orbit.point else Orbit(self.tools, point)
         covered = f"{self.S.min():g} to {self.S.max():g}" if self.orbits else "no point"
-        raise ValueError(f"at: given S = {S!r}, which = {which}; the branch covers {covered} and passes S {passage} times")
+        raise ValueError(
+            f"at: given S = {S!r}, which = {which}; the branch covers {covered} and passes S {passage} times"
+        )
 
     def to_xarray(self) -> xarray.Dataset:
         """The branch as an xarray Dataset along `point`, with profiles; needs the extra `xarray`.

@@ -1,4 +1,4 @@
-"""Where stability changes along a family: between two points of different stability, by bisection on corrected orbits."""
+"""Where stability changes between two orbits of a family, by bisection on corrected orbits."""
 
 from __future__ import annotations
 

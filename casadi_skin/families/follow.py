@@ -56,17 +56,16 @@ class FamilyWalk:
 
     def branch(self) -> Branch:
         """What has been computed so far."""
-        g = self.tools.request.chain.g
-        return Branch(
-            tools=self.tools,
-            start=self.start,
-            orbits=tuple(self.orbits),
-            changes=tuple(self.changes),
-            with_stability=self.stability,
-            end=self._end or self._walk.end,
-            detail=self._detail or self._walk.detail,
-            missed=tuple(kappa / g for kappa in self._walk.missed),
-        )
+        request, end = self.tools.request, self._end or self._walk.end
+        missed = {request.S_of(kappa) for kappa in self._walk.missed}
+        if end is End.REACHED:
+            missed |= set(request.at) - {orbit.S for orbit in self.orbits}
+        return self.finished(end, self._detail or self._walk.detail, tuple(sorted(missed)))
+
+    def finished(self, end: End | None, detail: str, missed: tuple[float, ...]) -> Branch:
+        """The branch of what has been computed, with a known end."""
+        orbits, changes = tuple(self.orbits), tuple(self.changes)
+        return Branch(self.tools, self.start, orbits, changes, self.stability, end, detail, missed)
 
 
 def follow_family(
@@ -91,9 +90,9 @@ def follow_family(
     and a `reason`. Raises ValueError for arguments out of range. Method: collocation and pseudo-arclength
     continuation in the gauge (paper, Sec. II; Keller 1977).
     """
-    request = FamilyRequest(
-        chain, mode, float(amplitude_max), tuple(float(S) for S in at), tolerance, transcription, corrector, flow, symmetry
-    )  # fmt: skip
+    wanted = tuple(float(S) for S in at)
+    methods = (transcription, corrector, flow, symmetry)
+    request = FamilyRequest(chain, mode, float(amplitude_max), wanted, tolerance, *methods)
     walk = FamilyWalk(FamilyTools(request), stability, events)
     for result in walk:
         if progress is not None and isinstance(result, Orbit):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.arclength import Point
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
@@ -67,13 +68,27 @@ class Orbit:
 
     def evaluate(self, t: ArrayLike) -> Array:
         """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive."""
-        gauge = self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float)))
+        return self._physical(self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float))))
+
+    def _physical(self, gauge: Array) -> Array:
+        """Displacements of scaled gauge positions, shape (rows, core sites) -> (rows, sites)."""
         core = np.sqrt(self.S) * self.tools.core.rho * gauge
         if core.shape[1] == self.chain.sites:
-            return core
+            return np.asarray(core)
         everywhere = np.zeros((core.shape[0], self.chain.sites))
         everywhere[:, -1 if self.chain.gamma > 0 else 0] = core[:, 0]
         return everywhere
+
+    @property
+    def harmonics(self) -> int:
+        """Number of odd harmonics that carry the orbit at its tolerance."""
+        problem = self.point.problem
+        return problem.resolution if isinstance(problem, TrigonometricProblem) else 64
+
+    def coefficients(self, harmonics: int) -> Array:
+        """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites)."""
+        theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
+        return self._physical((2.0 / harmonics) * cosine_matrix(harmonics) @ self._gauge(theta))
 
     @cached_property
     def profile(self) -> Array:
@@ -104,7 +119,7 @@ class Orbit:
         by_projection = self.point.parameter * cubic / overlap / (self.Omega + omega)
         amplification = np.linalg.norm(cosine @ q) * np.linalg.norm(phi) / abs(overlap)
         subtraction_is_better = 100.0 * amplification * abs(by_projection) > omega
-        return self.Omega - omega if subtraction_is_better else by_projection
+        return float(self.Omega - omega if subtraction_is_better else by_projection)
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -127,7 +142,7 @@ class Orbit:
         if resting == 0:
             return result
         # At |gamma| = 1 the other sites are linear oscillators that nothing drives in the gauge.
-        mu = -np.sin(0.25 * self.period * self.chain.linear_frequency(1)) ** 2
+        mu = -(np.sin(0.25 * self.period * self.chain.linear_frequency(1)) ** 2)
         return Floquet(np.full(resting, mu, complex), np.zeros(resting), result.trivial_deviation, result.power)
 
     def floquet_vectors(self) -> ComplexArray:
@@ -136,6 +151,8 @@ class Orbit:
         Columns go with `floquet().multipliers`. Raises ValueError at |gamma| = 1, where the gauge has no image of them.
         """
         if self.tools.core.sites != self.chain.sites:
-            raise ValueError("floquet_vectors: at |gamma| = 1 the vectors form Jordan chains that the gauge does not have")
+            raise ValueError(
+                "floquet_vectors: at |gamma| = 1 the vectors form Jordan chains that the gauge does not have"
+            )
         transition = self.tools.flow.transition(self.point.problem, self.point.z)
         return floquet_vectors(transition, self._acceleration(), self.chain.rho)

@@ -158,5 +158,6 @@ class FamilyTools:
     @cached_property
     def flow(self) -> FlowMap:
         """Flow map of the variational system."""
-        kinds = {"splitting": SplittingFlow, "cvodes": CvodesFlow}
-        return kinds[self.request.flow](self.model, self.request.tolerance)
+        if self.request.flow == "cvodes":
+            return CvodesFlow(self.model, self.request.tolerance)
+        return SplittingFlow(self.model, self.request.tolerance)

@@ -41,7 +41,9 @@ class Chain:
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: a finite number")
         if abs(self.gamma) > 1:
-            raise ValueError(f"gamma: given {self.gamma!r}; accepted: -1 <= gamma <= 1 (frequencies are complex beyond)")
+            raise ValueError(
+                f"gamma: given {self.gamma!r}; accepted: -1 <= gamma <= 1 (frequencies are complex beyond)"
+            )
 
     # The gauge ------------------------------------------------------------------------------------------------------
 
@@ -68,7 +70,7 @@ class Chain:
     # The linear chain -----------------------------------------------------------------------------------------------
 
     def linear_frequencies(self) -> Array:
-        """Frequencies omega_j, j = 1..N, closed form, shape (sites,); raises ValueError where one does not oscillate."""
+        """Frequencies omega_j, j = 1..N, closed form, (sites,); raises ValueError where one does not oscillate."""
         return np.array([self.linear_frequency(j) for j in range(1, self.sites + 1)])
 
     def linear_frequency(self, mode: int) -> float:
@@ -105,7 +107,7 @@ class Chain:
         values, vectors = eigh_tridiagonal(
             np.full(self.sites, 2.0 + self.alpha), np.full(self.sites - 1, -self.coupling)
         )
-        return values, self.rho[:, None] * vectors
+        return np.asarray(values, dtype=float), np.asarray(self.rho[:, None] * vectors)
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

@@ -54,5 +54,4 @@ class CvodesFlow:
             fine, coarse = (np.array(f(self._start(problem, z), parameters)[1]) for f in (self._fine, self._coarse))
         except RuntimeError as error:
             raise FlowError(f"cvodes: {str(error).splitlines()[0]}") from error
-        error = float(np.linalg.norm(fine - coarse))
-        return Transition(fine, self.fraction, error)
+        return Transition(fine, self.fraction, float(np.linalg.norm(fine - coarse)))

@@ -88,7 +88,7 @@ def _reflection(direction: Array) -> Array:
     """Householder matrix that maps `direction` to a multiple of the first unit vector."""
     u = direction / np.linalg.norm(direction)
     u[0] += np.copysign(1.0, u[0])
-    return np.eye(u.size) - 2.0 * np.outer(u, u) / (u @ u)
+    return np.asarray(np.eye(u.size) - 2.0 * np.outer(u, u) / (u @ u))
 
 
 def _power(transition: Transition) -> int:
@@ -120,7 +120,7 @@ def _reduced(transition: Transition, acceleration: Array) -> tuple[Floquet, Arra
     if rest.size == 0:
         empty = np.zeros(0)
         return Floquet(empty.astype(complex), empty, deviation, power), reflection, np.zeros((0, 0), complex)
-    mu, left, right = eig(rest, left=True, right=True, check_finite=False)
+    mu, left, right = eig(rest, left=True, right=True, check_finite=False)  # type: ignore[misc]
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     error = transition.error * float(np.linalg.norm(B) + np.linalg.norm(C))
     order = np.lexsort((mu.imag, mu.real))

@@ -126,6 +126,6 @@ class SplittingFlow:
                 return Transition(matrix, self.fraction, truncation + ROUND_OFF * scale)
             if rung + 1 == len(STEPS) or not np.isfinite(truncation):
                 raise FlowError(
-                    f"the splitting leaves an error of {truncation:.1e} with {STEPS[rung]} steps; asked: {self.tolerance:.1e}"
+                    f"the splitting leaves {truncation:.1e} with {STEPS[rung]} steps; asked: {self.tolerance:.1e}"
                 )
             rung, coarse = rung + 1, fine

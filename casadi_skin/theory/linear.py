@@ -26,7 +26,7 @@ def log_envelope(sites: int, gamma: float) -> Array:
     distance = (sites - n) if gamma >= 0 else (n - 1)
     if abs(gamma) == 1.0:
         return np.where(distance == 0, 0.0, -np.inf)
-    return -distance * float(np.arctanh(abs(gamma)))
+    return np.asarray(-distance * float(np.arctanh(abs(gamma))), dtype=float)
 
 
 def standing_wave(sites: int, mode: int) -> Array:
@@ -36,7 +36,7 @@ def standing_wave(sites: int, mode: int) -> Array:
     """
     half_wave, rest = np.divmod(np.arange(1, sites + 1, dtype=np.int64) * mode, sites + 1)
     rest = np.minimum(rest, sites + 1 - rest)
-    return np.where(half_wave % 2 == 0, 1.0, -1.0) * np.sin(np.pi * (rest / (sites + 1)))
+    return np.asarray(np.where(half_wave % 2 == 0, 1.0, -1.0) * np.sin(np.pi * (rest / (sites + 1))))
 
 
 def squared_frequency(sites: int, alpha: float, gamma: float, mode: int | NDArray[np.int64]) -> Array:
@@ -56,5 +56,5 @@ def right_eigenvector(sites: int, gamma: float, mode: int) -> Array:
 
 
 def left_eigenvector(sites: int, gamma: float, mode: int) -> Array:
-    """Left eigenvector v_{j,n} = r^(-n/2) sin(n j pi/(N+1)) of D, scaled to the opposite edge; shape (sites,)."""
+    """Left eigenvector v_{j,n} = r^(-n/2) sin(n j pi/(N+1)) of D, scaled to the opposite edge, (sites,)."""
     return right_eigenvector(sites, -gamma, mode) if gamma != 0 else standing_wave(sites, mode)

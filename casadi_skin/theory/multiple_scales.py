@@ -23,13 +23,11 @@ def frequency(sites: int, alpha: float, gamma: float, g: float, mode: int, S: Ar
     return np.asarray(omega + frequency_slope(sites, alpha, gamma, g, mode) * np.asarray(S, dtype=float))
 
 
-def displacement(
-    sites: int, alpha: float, gamma: float, g: float, mode: int, S: float, t: ArrayLike
-) -> Array:
+def displacement(sites: int, alpha: float, gamma: float, g: float, mode: int, S: float, t: ArrayLike) -> Array:
     """Displacements y_n(t) = sqrt(S) u_n/||u|| cos(Omega t), shape (time, sites), physical coordinates."""
     u = right_eigenvector(sites, gamma, mode)
     omega = frequency(sites, alpha, gamma, g, mode, S)
-    return np.sqrt(S) * np.outer(np.cos(omega * np.atleast_1d(t)), u / np.linalg.norm(u))
+    return np.asarray(np.sqrt(S) * np.outer(np.cos(omega * np.atleast_1d(t)), u / np.linalg.norm(u)))
 
 
 def sensitivity(sites: int, alpha: float, gamma: float, g: float, mode: int) -> float:

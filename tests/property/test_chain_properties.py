@@ -66,9 +66,7 @@ def mirrored(chain: Chain) -> Chain:
 
 @quick
 @given(chain=chains, S=amplitudes, seed=seeds)
-def test_gauge_equations_are_the_physical_ones_in_other_coordinates(
-    chain: Chain, S: float, seed: int
-) -> None:
+def test_gauge_equations_are_the_physical_ones_in_other_coordinates(chain: Chain, S: float, seed: int) -> None:
     """y = sqrt(S) rho q moves as the gauge says, at every site relative to that site's own size."""
     (q,) = points(chain, seed)
     change = np.sqrt(S) * envelope(chain)
@@ -116,9 +114,7 @@ def test_the_gauge_force_is_the_gradient_of_an_energy_and_its_linear_part_symmet
 
 @quick
 @given(chain=chains, S=amplitudes, seed=seeds)
-def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(
-    chain: Chain, S: float, seed: int
-) -> None:
+def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(chain: Chain, S: float, seed: int) -> None:
     """W = diag(rho, rho)^-1 Z diag(rho, rho) along the same orbit, and W^T J + J W = 0."""
     (q,) = points(chain, seed)
     rho = envelope(chain)
@@ -133,9 +129,7 @@ def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(
 
 @quick
 @given(chain=chains, coordinates=st.sampled_from(["physical", "gauge"]), seed=seeds)
-def test_the_variational_matrix_is_the_derivative_of_the_flow(
-    chain: Chain, coordinates: str, seed: int
-) -> None:
+def test_the_variational_matrix_is_the_derivative_of_the_flow(chain: Chain, coordinates: str, seed: int) -> None:
     """A cubic field's central difference errs by the step squared alone; Richardson takes that out."""
     q, direction = points(chain, seed, 2)
     model = chain.physical_model() if coordinates == "physical" else chain.gauge_model()

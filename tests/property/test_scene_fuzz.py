@@ -26,9 +26,7 @@ VALID: dict[str, Any] = {
     "method": {"transcription": "gauss", "corrector": "newton", "walker": "arclength", "flow": "cvodes"},
 }
 PLACES = [(name, key) for name, table in VALID.items() if isinstance(table, dict) for key in [None, *table]]
-KEYS = sorted(
-    {key for _, key in PLACES if key} | {name for name, _ in PLACES} | {"preset", "tolerance", "title"}
-)
+KEYS = sorted({key for _, key in PLACES if key} | {name for name, _ in PLACES} | {"preset", "tolerance", "title"})
 
 
 def toml(value: Any) -> str:

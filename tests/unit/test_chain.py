@@ -38,9 +38,7 @@ def paper_rhs(y: Array, alpha: float, gamma: float, g: float) -> Array:
     a_plus, a_minus = 1 - gamma, 1 + gamma
     x = [0.0, *y, 0.0]
     sites = range(1, len(y) + 1)
-    return np.array(
-        [a_minus * x[n - 1] - 2 * x[n] + a_plus * x[n + 1] - alpha * x[n] - g * x[n] ** 3 for n in sites]
-    )
+    return np.array([a_minus * x[n - 1] - 2 * x[n] + a_plus * x[n + 1] - alpha * x[n] - g * x[n] ** 3 for n in sites])
 
 
 # Parameters -------------------------------------------------------------------------------------------------
@@ -245,9 +243,7 @@ def test_the_reciprocal_energy_is_not_conserved_by_a_nonreciprocal_chain() -> No
     with pytest.raises(ValueError, match="hamiltonian is not conserved"):
         replace(model, hamiltonian=energy).check_symmetries()
     reciprocal = Chain(4, 1.0, 0.0, -1.0).physical_model()
-    swapped = ca.substitute(
-        energy, ca.vertcat(y, v, g), ca.vertcat(reciprocal.full_state, reciprocal.parameters)
-    )
+    swapped = ca.substitute(energy, ca.vertcat(y, v, g), ca.vertcat(reciprocal.full_state, reciprocal.parameters))
     replace(reciprocal, hamiltonian=swapped).check_symmetries()
 
 

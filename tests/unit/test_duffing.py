@@ -38,9 +38,7 @@ def frequency_from_the_energy_integral(omega_squared: float, g: float, amplitude
         return mp.pi / (2 * quarter)
 
 
-def integrate(
-    omega_squared: float, g: float, amplitude: float, t: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def integrate(omega_squared: float, g: float, amplitude: float, t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Displacement by Dormand and Prince's eighth-order method."""
     solution = solve_ivp(
         lambda _, x: [x[1], -omega_squared * x[0] - g * x[0] ** 3],
@@ -65,17 +63,13 @@ def test_frequency_agrees_with_the_energy_integral(omega_squared: float, g: floa
 
 
 @pytest.mark.parametrize(("omega_squared", "g", "amplitude"), ORBITS)
-def test_displacement_agrees_with_direct_integration(
-    omega_squared: float, g: float, amplitude: float
-) -> None:
+def test_displacement_agrees_with_direct_integration(omega_squared: float, g: float, amplitude: float) -> None:
     period = float(2 * mp.pi / frequency_from_the_energy_integral(omega_squared, g, amplitude))
     # Near the separatrix the integration itself loses four digits at each passage of the saddle.
     near_separatrix = 0 < omega_squared < -1.1 * g * amplitude**2
     t = np.linspace(0.0, (0.5 if near_separatrix else 3) * period, 61)
     found = duffing_displacement(omega_squared, g, amplitude, t)
-    np.testing.assert_allclose(
-        found, integrate(omega_squared, g, amplitude, t), rtol=0, atol=3e-10 * amplitude
-    )
+    np.testing.assert_allclose(found, integrate(omega_squared, g, amplitude, t), rtol=0, atol=3e-10 * amplitude)
 
 
 @pytest.mark.parametrize(("omega_squared", "g", "amplitude"), ORBITS)
@@ -90,9 +84,7 @@ def test_displacement_is_a_brake_orbit_with_the_symmetries_of_a_quarter_period(
 @pytest.mark.parametrize("g", [0.5, -0.5])
 def test_the_sign_of_the_amplitude_is_the_sign_of_the_displacement(g: float) -> None:
     t = np.linspace(0.0, 5.0, 11)
-    np.testing.assert_array_equal(
-        duffing_displacement(2.0, g, -0.8, t), -duffing_displacement(2.0, g, 0.8, t)
-    )
+    np.testing.assert_array_equal(duffing_displacement(2.0, g, -0.8, t), -duffing_displacement(2.0, g, 0.8, t))
     assert duffing_displacement(2.0, g, -0.8, 0.0) == -0.8
     assert duffing_frequency(2.0, g, -0.8) == duffing_frequency(2.0, g, 0.8)
 

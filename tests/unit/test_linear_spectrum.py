@@ -42,17 +42,13 @@ def exact_sine(sites: int, mode: int, site: int) -> mp.mpf:
 
 @pytest.mark.parametrize("gamma", [0.0, 0.25, -0.6, 0.9])
 @pytest.mark.parametrize("sites", [1, 2, 3, 7])
-def test_squared_frequencies_are_the_eigenvalues_of_the_papers_dynamical_matrix(
-    sites: int, gamma: float
-) -> None:
+def test_squared_frequencies_are_the_eigenvalues_of_the_papers_dynamical_matrix(sites: int, gamma: float) -> None:
     expected = np.sort(np.linalg.eigvals(paper_dynamical_matrix(sites, 0.4, gamma)).real)
     found = linear.squared_frequency(sites, 0.4, gamma, np.arange(1, sites + 1))
     np.testing.assert_allclose(found, expected, rtol=2e-11)
 
 
-def test_squared_frequencies_are_the_eigenvalues_of_a_symmetric_matrix_with_the_geometric_mean_coupling() -> (
-    None
-):
+def test_squared_frequencies_are_the_eigenvalues_of_a_symmetric_matrix_with_the_geometric_mean_coupling() -> None:
     sites, alpha, gamma = 200, 1.0, 0.7
     off_diagonal = -np.sqrt((1 - gamma) * (1 + gamma)) * np.ones(sites - 1)
     matrix = np.diag((2 + alpha) * np.ones(sites)) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
@@ -146,9 +142,7 @@ def test_a_reciprocal_chain_has_no_envelope() -> None:
 
 @pytest.mark.parametrize("mode", [1, 2, 12, 24])
 @pytest.mark.parametrize("gamma", [0.25, -0.25, 0.7, 0.0])
-def test_right_and_left_eigenvectors_satisfy_the_papers_eigenvalue_problems_row_by_row(
-    gamma: float, mode: int
-) -> None:
+def test_right_and_left_eigenvectors_satisfy_the_papers_eigenvalue_problems_row_by_row(gamma: float, mode: int) -> None:
     """Every row is relative to its own size, so a wrong site of size 1e-20 is seen."""
     matrix = paper_dynamical_matrix(24, 1.0, gamma)
     omega_squared = float(exact_squared_frequency(24, 1.0, gamma, mode))
@@ -190,9 +184,7 @@ def test_left_and_right_eigenvectors_are_biorthogonal_with_the_papers_norm(gamma
 def test_the_opposite_nonreciprocity_has_the_mirrored_profile(mode: int) -> None:
     mirrored = linear.right_eigenvector(7, -0.4, mode)[::-1]
     parity = 1 if mode % 2 else -1
-    np.testing.assert_allclose(
-        mirrored, parity * linear.right_eigenvector(7, 0.4, mode), rtol=1e-14, atol=EPS
-    )
+    np.testing.assert_allclose(mirrored, parity * linear.right_eigenvector(7, 0.4, mode), rtol=1e-14, atol=EPS)
 
 
 def test_right_eigenvectors_lean_right_and_left_ones_left_for_positive_gamma() -> None:

@@ -29,9 +29,7 @@ def exact_slope(sites: int, alpha: float, gamma: float, g: float, mode: int) -> 
         sine = [mp.sin(mp.pi * n * mode / (sites + 1)) for n in range(1, sites + 1)]
         fourth = mp.fsum(r**n * sine[n - 1] ** 4 for n in range(1, sites + 1))
         second = mp.fsum(r**n * sine[n - 1] ** 2 for n in range(1, sites + 1))
-        return (
-            3 * mp.mpf(g) / (4 * (sites + 1) * exact_frequency(sites, alpha, gamma, mode)) * fourth / second
-        )
+        return 3 * mp.mpf(g) / (4 * (sites + 1) * exact_frequency(sites, alpha, gamma, mode)) * fourth / second
 
 
 def paper_dynamical_matrix(sites: int, alpha: float, gamma: float) -> NDArray[np.float64]:
@@ -154,9 +152,7 @@ def test_small_orbits_found_by_shooting_have_the_predicted_slope_and_profile(g: 
     miss = np.array([small.frequency, large.frequency]) - predicted
     assert miss[1] / miss[0] == pytest.approx(4.0, rel=2e-3)
     profile = multiple_scales.displacement(sites, alpha, gamma, g, mode, S, 0.0)[0] / np.sqrt(S)
-    deviation = [
-        np.linalg.norm(orbit.profile * np.sign(orbit.profile @ profile) - profile) for orbit in (small, large)
-    ]
+    deviation = [np.linalg.norm(orbit.profile * np.sign(orbit.profile @ profile) - profile) for orbit in (small, large)]
     assert deviation[1] / deviation[0] == pytest.approx(2.0, rel=2e-3)
 
 
@@ -173,9 +169,7 @@ def test_frequency_is_the_linear_one_plus_slope_times_amplitude() -> None:
 
 
 @pytest.mark.parametrize(("g", "mode", "period"), [(1.0, 24, 2.83), (-1.0, 1, 6.06)])
-def test_periods_at_small_amplitude_are_those_that_the_paper_states(
-    g: float, mode: int, period: float
-) -> None:
+def test_periods_at_small_amplitude_are_those_that_the_paper_states(g: float, mode: int, period: float) -> None:
     found = 2 * np.pi / multiple_scales.frequency(24, 1.0, 0.25, g, mode, 0.2)
     assert float(found) == pytest.approx(period, abs=0.006)
 
@@ -189,9 +183,7 @@ def test_displacement_is_the_normalised_mode_times_a_cosine(gamma: float) -> Non
     r = (1 + gamma) / (1 - gamma)
     n = np.arange(1, sites + 1)
     u = r ** (n / 2) * np.sin(n * mode * np.pi / (sites + 1))
-    frequency = float(
-        exact_frequency(sites, 1.0, gamma, mode) + S * exact_slope(sites, 1.0, gamma, 1.0, mode)
-    )
+    frequency = float(exact_frequency(sites, 1.0, gamma, mode) + S * exact_slope(sites, 1.0, gamma, 1.0, mode))
     for row, time in zip(found, t, strict=True):
         expected = np.sqrt(S) * u / np.sqrt(np.sum(u**2)) * np.cos(frequency * time)
         np.testing.assert_allclose(row, expected, rtol=0, atol=1e-14)
@@ -240,9 +232,7 @@ def test_a_long_strongly_nonreciprocal_chain_agrees_with_the_sums_over_its_favou
     with mp.workdps(DIGITS):
         r = (1 + abs(mp.mpf(gamma))) / (1 - abs(mp.mpf(gamma)))
         sine = [mp.sin(mp.pi * m * mode / (sites + 1)) for m in range(60)]
-        ratio = mp.fsum(r**-m * s**4 for m, s in enumerate(sine)) / mp.fsum(
-            r**-m * s**2 for m, s in enumerate(sine)
-        )
+        ratio = mp.fsum(r**-m * s**4 for m, s in enumerate(sine)) / mp.fsum(r**-m * s**2 for m, s in enumerate(sine))
         exact = 3 * ratio / (4 * (sites + 1) * exact_frequency(sites, 1.0, gamma, mode))
     found = multiple_scales.frequency_slope(sites, 1.0, gamma, 1.0, mode)
     assert abs(mp.mpf(found) / exact - 1) < 1e-12

@@ -72,9 +72,7 @@ def test_full_size_counts_velocities_where_there_are_any(make: Make, size: int, 
 
 def test_full_state_is_positions_then_velocities_and_full_rhs_their_rates() -> None:
     model = pendulums()
-    evaluate = ca.Function(
-        "f", [model.state, model.velocity, model.parameters], [model.full_state, model.full_rhs]
-    )
+    evaluate = ca.Function("f", [model.state, model.velocity, model.parameters], [model.full_state, model.full_rhs])
     state, rate = (np.array(value).ravel() for value in evaluate([0.3, -1.1], [0.7, 0.9], [2.0, 0.5]))
     assert state.tolist() == [0.3, -1.1, 0.7, 0.9]
     expected = [0.7, 0.9, -2 * np.sin(0.3) - 0.5 * 1.4, -2 * np.sin(-1.1) + 0.5 * 1.4]
@@ -94,9 +92,7 @@ def test_rhs_and_jacobian_agree_with_derivatives_taken_by_hand() -> None:
     np.testing.assert_allclose(
         by_state, [[-p[0] * np.cos(q[0]) - p[1], p[1]], [p[1], -p[0] * np.cos(q[1]) - p[1]]], rtol=1e-15
     )
-    np.testing.assert_allclose(
-        by_parameter, [[-np.sin(q[0]), -stretch], [-np.sin(q[1]), stretch]], rtol=1e-15
-    )
+    np.testing.assert_allclose(by_parameter, [[-np.sin(q[0]), -stretch], [-np.sin(q[1]), stretch]], rtol=1e-15)
     assert function.name_in() == ["state", "p"]
     assert function.name_out() == ["f", "df_dstate", "df_dp"]
 
@@ -115,9 +111,7 @@ def test_first_order_form_has_the_same_flow_and_the_same_declarations() -> None:
     assert first.name == model.name
     assert first.reversal == (1, 1, -1, -1)
     assert first.half_period == (-1, -1, -1, -1)
-    evaluate = ca.Function(
-        "f", [first.state, first.parameters], [first.rhs, first.normalisation, first.hamiltonian]
-    )
+    evaluate = ca.Function("f", [first.state, first.parameters], [first.rhs, first.normalisation, first.hamiltonian])
     point = [0.3, -1.1, 0.7, 0.9]
     rate, normalisation, energy = (np.array(value).ravel() for value in evaluate(point, [2.0, 0.5]))
     expected = [0.7, 0.9, -2 * np.sin(0.3) - 0.5 * 1.4, -2 * np.sin(-1.1) + 0.5 * 1.4]
@@ -175,9 +169,7 @@ def test_a_second_order_right_hand_side_that_depends_on_velocity_is_refused() ->
 
 
 @pytest.mark.parametrize("label", ["reversal", "half_period"])
-@pytest.mark.parametrize(
-    "signs", [(), (1, 1), (1, 1, -1), (1, 1, -1, -1, 1), (1, 1, -1, 0), (1, 1, -1, 2), (0.5,) * 4]
-)
+@pytest.mark.parametrize("signs", [(), (1, 1), (1, 1, -1), (1, 1, -1, -1, 1), (1, 1, -1, 0), (1, 1, -1, 2), (0.5,) * 4])
 def test_signs_that_do_not_fit_the_full_state_are_refused(label: str, signs: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=f"pendulums: {label} needs 4 signs, each \\+1 or -1"):
         pendulums(**{label: signs})
@@ -263,9 +255,7 @@ def test_a_small_damping_that_breaks_the_reversal_is_found(size: float) -> None:
 def test_a_quantity_that_is_not_conserved_is_found(size: float) -> None:
     model = pendulums()
     with pytest.raises(ValueError, match="declared hamiltonian is not conserved"):
-        replace(
-            model, hamiltonian=model.hamiltonian + size * model.state[0] * model.state[1]
-        ).check_symmetries()
+        replace(model, hamiltonian=model.hamiltonian + size * model.state[0] * model.state[1]).check_symmetries()
 
 
 def test_an_energy_that_only_ever_falls_is_found() -> None:

@@ -174,8 +174,7 @@ def test_same_request_ignores_the_title_alone() -> None:
         (CHAIN + "[spectrum]\nmodes = 3", "[spectrum] modes: unknown key; accepted: no keys"),
         (
             CHAIN + family(amplitude="2.0"),
-            "[family] amplitude: unknown key; did you mean 'amplitude_max'? "
-            "(accepted: mode, amplitude_max, at)",
+            "[family] amplitude: unknown key; did you mean 'amplitude_max'? (accepted: mode, amplitude_max, at)",
         ),
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g"),
@@ -448,9 +447,7 @@ def test_faults_in_a_file_name_it_as_given(tmp_path: Path, monkeypatch: pytest.M
         ("x" * 999, "long"),
     ],
 )
-def test_files_that_are_not_there(
-    path: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_are_not_there(path: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     message = file_fault(path)
     assert message.startswith(f"{path or '.'}: cannot be read: ".replace("\0", "\\x00"))
@@ -493,8 +490,6 @@ def test_tables_can_be_made_in_python() -> None:
 
 
 def test_reading_a_scene_loads_no_numerics() -> None:
-    code = (
-        "import sys, casadi_skin.scene; print([m for m in ('casadi', 'numpy', 'scipy') if m in sys.modules])"
-    )
+    code = "import sys, casadi_skin.scene; print([m for m in ('casadi', 'numpy', 'scipy') if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

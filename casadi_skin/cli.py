@@ -1,0 +1,194 @@
+"""The command line: words -> a scene, a study."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
+
+from casadi_skin._version import __version__
+from casadi_skin.rundir import DirectoryError, Existing, prepare
+from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
+
+if TYPE_CHECKING:
+    from casadi_skin.run import Run
+
+DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class InputError(ValueError):
+    """Something the user gave is wrong; the message is one line."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(WRONG_INPUT, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="casadi-skin",
+        description="Nonlinear periodic orbits of nonreciprocal chains: families, stability, pictures.",
+        epilog="Exit status: 0 done, 1 failed or ended early, 2 wrong input, 130 interrupted.",
+    )
+    parser.add_argument("--version", action="version", version=f"casadi-skin {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="compute what a scene asks for", description="Compute what a scene asks for.")
+    run.add_argument("scene", type=Path, metavar="SCENE.toml")
+    run.add_argument(
+        "--out", type=Path, metavar="DIR", help="directory of the results (default: results/NAME-OF-THE-SCENE)"
+    )
+    held = run.add_mutually_exclusive_group()
+    held.add_argument(
+        "--resume", action="store_true", help="go on with a run that was killed, interrupted or ended early"
+    )
+    held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
+    run.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+    run.set_defaults(act=_run)
+
+    check = commands.add_parser("check", help="print the plan of a scene", description="Print what a run would do.")
+    check.add_argument("scene", type=Path, metavar="SCENE.toml")
+    check.set_defaults(act=_check)
+
+    spectrum = commands.add_parser(
+        "spectrum", help="linear frequencies of a scene's chain", description="Print the linear frequencies omega_j."
+    )
+    spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
+    spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
+    spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
+    spectrum.set_defaults(act=_spectrum)
+    return parser
+
+
+# Commands -----------------------------------------------------------------------------------------------------------
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    scene, text = _read(arguments.scene)
+    if scene.family is None and scene.spectrum is None:
+        raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: a table [family] or [spectrum]")
+    if scene.spectrum is not None:
+        _check_spectrum(arguments.scene, scene)
+    directory = arguments.out or Path("results") / arguments.scene.stem
+    existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    if not prepare(directory, scene, text, existing):
+        print(f"{directory} holds the complete run already")
+        return DONE
+
+    from casadi_skin.progress import Progress
+    from casadi_skin.run import Run
+
+    with Progress(arguments.quiet) as progress:
+        run = Run(scene, text, directory, progress)
+        try:
+            complete = run.execute()
+        except KeyboardInterrupt:
+            progress.__exit__(None, None, None)
+            _summary(run)
+            print(f"interrupted; what was computed is in {directory}; go on with --resume", file=sys.stderr)
+            return INTERRUPTED
+    _summary(run)
+    for branch in run.branches:
+        if not branch.complete:
+            print(f"{arguments.scene}: mode {branch.tools.request.mode}: {branch.reason}", file=sys.stderr)
+    return DONE if complete else FAILED
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    scene, _ = _read(arguments.scene)
+    from casadi_skin.plan import plan_lines
+
+    for subject, words in plan_lines(scene):
+        print(f"{subject:<14}{words}")
+    return DONE
+
+
+def _spectrum(arguments: argparse.Namespace) -> int:
+    scene, text = _read(arguments.scene)
+    _check_spectrum(arguments.scene, scene)
+    if arguments.out is not None:
+        prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+    from casadi_skin.results.tables import spectrum_rows
+    from casadi_skin.run import scene_chain, write_spectrum
+
+    chain = scene_chain(scene)
+    print("j omega_j")
+    for row in spectrum_rows(chain):
+        print(f"{row['mode']} {row['omega']:.15g}")
+    if arguments.out is not None:
+        write_spectrum(chain, arguments.out)
+    return DONE
+
+
+# Parts --------------------------------------------------------------------------------------------------------------
+
+
+def _read(path: Path) -> tuple[Scene, str]:
+    """The scene of a file and its text."""
+    text = read_text(path)
+    return parse_scene(text, str(path)), text
+
+
+def _check_spectrum(path: Path, scene: Scene) -> None:
+    """Raises InputError where the lowest mode does not oscillate."""
+    from casadi_skin.run import scene_chain
+
+    try:
+        scene_chain(scene).linear_frequency(1)
+    except ValueError as error:
+        raise InputError(f"{path}: [chain] alpha: given {scene.chain.alpha:g}; {error}") from error
+
+
+def _summary(run: Run) -> None:
+    """A table of the families on standard output."""
+    if not run.branches:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=run.scene.title, box=None, header_style="bold")
+    columns = ["mode", "points", "S", "Omega", "error of Omega"]
+    if run.scene.stability is not None:
+        columns += ["max |multiplier|", "changes of stability"]
+    for column in (*columns, "seconds"):
+        table.add_column(column, justify="right")
+    for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
+        cells = [str(branch.tools.request.mode), str(len(branch))]
+        if not len(branch):
+            table.add_row(*cells)
+            continue
+        last = branch.orbits[-1]
+        cells += [f"{last.S:.6g}", f"{last.Omega:.12g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
+        if branch.with_stability:
+            cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
+        table.add_row(*cells, f"{seconds:.2f}")
+    Console().print(table)
+    print(f"results in {run.directory}")
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """A polite kill ends a run like Ctrl-C: what was computed is written."""
+    raise KeyboardInterrupt
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    parsed = _parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return int(parsed.act(parsed))
+    except (SceneError, DirectoryError, InputError) as error:
+        print(f"casadi-skin: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("casadi-skin: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,104 @@
+"""The plan of a scene: what would be built and solved, what would not, and what it is expected to cost."""
+
+from __future__ import annotations
+
+import time
+
+from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.continuation.arclength import Walk
+from casadi_skin.correctors.ladder import ErrorEstimate
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.run import scene_requests
+from casadi_skin.scene import Scene
+
+TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
+
+
+def plan_lines(scene: Scene) -> list[tuple[str, str]]:
+    """Pairs (subject, text) that describe what a run of the scene would do."""
+    table = scene.chain
+    lines = [("chain", f"N = {table.sites}, alpha = {table.alpha:g}, gamma = {table.gamma:g}, g = {table.g:g}")]
+    if scene.spectrum is not None:
+        lines.append(("spectrum", "linear frequencies and modes"))
+    requests = scene_requests(scene)
+    if requests:
+        lines += _family_lines(scene, requests)
+    else:
+        lines.append(("not built", "any boundary-value problem: the scene asks for no family"))
+    return lines
+
+
+def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str, str]]:
+    request, tools = requests[0], FamilyTools(requests[0])
+    modes = ", ".join(str(r.mode) for r in requests)
+    at = f", points exactly at S = {', '.join(f'{S:g}' for S in request.at)}" if request.at else ""
+    lines = [
+        ("families", f"j = {modes}, to S = {request.amplitude_max:g}{at}"),
+        ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
+        ("symmetry", tools.symmetry.reason),
+    ]
+    if tools.core.sites != request.chain.sites:
+        lines.append(("unknown sites", "the edge site alone: at |gamma| = 1 no other site moves in the gauge"))
+    started = time.perf_counter()
+    problem, error = _first_problem(tools)
+    building = time.perf_counter() - started
+    lines += [
+        ("transcription", _transcription(request, problem)),
+        (
+            "unknowns",
+            f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it",
+        ),
+        ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
+        ("first error", f"{error.relative(tools.core.linear_frequency(tools.core_mode)):.1e} estimated at the start"),
+    ]
+    built = f"model in the gauge, collocation equations, {request.corrector} corrector"
+    if scene.stability is not None:
+        what = "multipliers and events" if scene.stability.events else "multipliers"
+        lines.append(("built", f"{built}, variational system with the {request.flow} flow for {what}"))
+    else:
+        lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
+    lines.append(("expected cost", _cost(scene, tools, problem, len(requests), building)))
+    return lines
+
+
+def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
+    """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
+    walk = Walk(tools.ladder, tools.request.walk_settings(), ())
+    start = walk.start(tools.mode_positions, tools.core.linear_frequency(tools.core_mode))
+    problem, z = start.problem, start.z + start.step * start.tangent
+    while True:
+        row = problem.parameter_row()
+        correction = tools.ladder.corrector(problem).correct(z, row, float(row @ z))
+        error = tools.ladder.error(problem, correction.z)
+        finer = tools.ladder.finer(problem)
+        if finer is None or error.relative(float(z[problem.Omega_index])) <= tools.request.tolerance:
+            return problem, error
+        problem, z = finer, problem.prolong(correction.z, finer)
+
+
+def _transcription(request: FamilyRequest, problem: OrbitProblem) -> str:
+    if request.transcription == "trigonometric":
+        return f"trigonometric: positions only, {problem.resolution} odd cosines at the start"
+    return f"gauss: positions and velocities, {problem.resolution} intervals of Gauss-Legendre elements at the start"
+
+
+def _cost(scene: Scene, tools: FamilyTools, problem: OrbitProblem, families: int, building: float) -> str:
+    """Cost from one measured solve (and one transition matrix), times the usual number of points."""
+    walk = Walk(tools.ladder, tools.request.walk_settings(), ())
+    start = walk.start(tools.mode_positions, tools.core.linear_frequency(tools.core_mode))
+    z = start.problem.prolong(start.z + start.step * start.tangent, problem)
+    row = problem.parameter_row()
+    started = time.perf_counter()
+    z = tools.ladder.corrector(problem).correct(z, row, float(row @ z)).z
+    tools.ladder.error(problem, z)
+    point = time.perf_counter() - started
+    words = f"{1e3 * building:.0f} ms to build, {1e3 * point:.2g} ms a point"
+    if scene.stability is not None:
+        tools.flow.transition(problem, z)
+        started = time.perf_counter()
+        tools.flow.transition(problem, z)
+        stability = time.perf_counter() - started
+        point += stability
+        words += f" and {1e3 * stability:.2g} ms for its multipliers"
+    low, high = (families * (building + n * point) for n in TYPICAL_POINTS)
+    return f"{words} (measured now); {low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"

@@ -1,0 +1,175 @@
+"""Running a scene: families one after the other, every orbit kept as it converges, tables and pictures at the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import casadi_skin.figures as figures
+from casadi_skin.families.branch import Branch
+from casadi_skin.families.follow import FamilyWalk
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.models.chain import Chain
+from casadi_skin.progress import Progress
+from casadi_skin.results.journal import (
+    ChangeRecord,
+    EndRecord,
+    Journal,
+    orbit_record,
+    read_journal,
+    restore,
+    resumable,
+    trim_journal,
+)
+from casadi_skin.results.netcdf import write_netcdf
+from casadi_skin.results.tables import EVENT_COLUMNS, Cell, event_row, orbit_row, spectrum_rows, write_csv
+from casadi_skin.rundir import JOURNAL
+from casadi_skin.scene import Scene
+
+TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
+
+
+def scene_chain(scene: Scene) -> Chain:
+    """The chain of a scene."""
+    table = scene.chain
+    return Chain(table.sites, table.alpha, table.gamma, table.g)
+
+
+def scene_requests(scene: Scene) -> list[FamilyRequest]:
+    """The families that a scene asks for, in its order; empty where it asks for none."""
+    if scene.family is None:
+        return []
+    family, method, chain = scene.family, scene.method, scene_chain(scene)
+    return [
+        FamilyRequest(
+            chain=chain,
+            mode=mode,
+            amplitude_max=family.amplitude_max,
+            at=family.at,
+            tolerance=scene.accuracy.relative_tolerance,
+            transcription=method.transcription,
+            corrector=method.corrector,
+            flow=method.flow,
+        )
+        for mode in family.modes
+    ]
+
+
+@dataclass
+class Run:
+    """One run of a scene into a directory that is ready for it (see rundir).
+
+    `branches` and `seconds` fill as families end; an exception or an interruption leaves what was computed in the
+    files and in the journal.
+    """
+
+    scene: Scene
+    scene_text: str
+    directory: Path
+    progress: Progress
+    branches: list[Branch] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    _rows: list[dict[str, Cell]] = field(default_factory=list)
+    _written: float = 0.0
+
+    @property
+    def _with_stability(self) -> bool:
+        return self.scene.stability is not None
+
+    def execute(self) -> bool:
+        """Compute, write, and tell whether every family is complete."""
+        try:
+            self._follow_all()
+        finally:
+            self._write_results()
+        complete = all(branch.complete for branch in self.branches)
+        if complete:
+            (self.directory / JOURNAL).unlink(missing_ok=True)
+        return complete
+
+    # Computing ------------------------------------------------------------------------------------------------------
+
+    def _follow_all(self) -> None:
+        requests = scene_requests(self.scene)
+        if not requests:
+            return
+        path = self.directory / JOURNAL
+        records = resumable(read_journal(path)) if path.exists() else []
+        trim_journal(path, records)
+        stability = self.scene.stability
+        with Journal(path) as journal:
+            for request in requests:
+                known = restore(
+                    records, FamilyTools(request), stability is not None, stability is not None and stability.events
+                )
+                started = time.perf_counter()
+                self._keep(known.orbits)
+                if isinstance(known, FamilyWalk):
+                    self._follow(known, journal)
+                else:
+                    self.branches.append(known)
+                self.seconds.append(time.perf_counter() - started)
+
+    def _follow(self, walk: FamilyWalk, journal: Journal) -> None:
+        """Follow one family to its end; each result goes to the journal before anything else happens."""
+        request = walk.tools.request
+        self.progress.say(f"j = {request.mode}: building")
+        try:
+            for result in walk:
+                if isinstance(result, Orbit):
+                    journal.append(orbit_record(result, self._with_stability))
+                    self._keep([result])
+                    self.progress.orbit(result, len(walk.orbits))
+                else:
+                    journal.append(ChangeRecord(request.mode, result))
+        finally:
+            branch = walk.branch()
+            self.branches.append(branch)
+        journal.append(EndRecord(request.mode, branch.end, branch.detail, branch.missed))
+
+    # Writing --------------------------------------------------------------------------------------------------------
+
+    def _keep(self, orbits: Sequence[Orbit]) -> None:
+        """Add rows to family.csv, which is replaced at most every TABLE_PERIOD."""
+        for orbit in orbits:
+            index = sum(row["mode"] == orbit.tools.request.mode for row in self._rows)
+            self._rows.append(orbit_row(orbit, index, self._with_stability))
+        if self._rows and time.monotonic() - self._written > TABLE_PERIOD:
+            self._write_family()
+
+    def _write_family(self) -> None:
+        write_csv(self.directory / "family.csv", list(self._rows[0]), self._rows)
+        self._written = time.monotonic()
+
+    def _write_results(self) -> None:
+        self.progress.say("writing tables and pictures")
+        if self.scene.spectrum is not None:
+            write_spectrum(scene_chain(self.scene), self.directory)
+        if not self._rows:
+            return
+        self._write_family()
+        stability = self.scene.stability
+        if stability is not None and stability.events:
+            events = [event_row(b.tools.request.mode, c) for b in self.branches for c in b.changes]
+            write_csv(self.directory / "events.csv", EVENT_COLUMNS, events)
+        branches = [branch for branch in self.branches if len(branch)]
+        vectors = stability is not None and stability.vectors
+        title = self.scene.title or ""
+        write_netcdf(self.directory / "family.nc", branches, self.scene_text, title, vectors)
+        figures.save(figures.frequency_figure(branches), self.directory / "frequency")
+        profile = figures.profile_figure(branches)
+        if profile is not None:
+            figures.save(profile, self.directory / "profile")
+        for branch in branches:
+            multipliers = figures.multiplier_figure(branch)
+            if multipliers is not None:
+                figures.save(multipliers, self.directory / f"multipliers_j{branch.tools.request.mode}")
+
+
+def write_spectrum(chain: Chain, directory: Path) -> None:
+    """spectrum.csv and the picture of the linear spectrum."""
+    write_csv(directory / "spectrum.csv", ("mode", "omega"), spectrum_rows(chain))
+    figures.save(figures.spectrum_figure(chain), directory / "spectrum")

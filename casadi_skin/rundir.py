@@ -1,0 +1,82 @@
+"""The directory of a run: refused when it holds anything, unless the run is to be resumed or overwritten."""
+
+from __future__ import annotations
+
+import os
+from enum import Enum
+from pathlib import Path
+
+from casadi_skin.results.files import replacing
+from casadi_skin.scene import Scene, SceneError, parse_scene
+
+SCENE = "scene.toml"
+JOURNAL = "journal.msgpack"
+WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", SCENE, JOURNAL)
+PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*")
+
+
+class DirectoryError(ValueError):
+    """A directory that a run cannot use, in one line."""
+
+
+class Existing(Enum):
+    """What to do with a directory that is not empty."""
+
+    REFUSE = "refuse"
+    RESUME = "resume"
+    OVERWRITE = "overwrite"
+
+
+def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) -> bool:
+    """Make `directory` ready for a run of `scene`; False where a resumed run has nothing left to do.
+
+    Raises DirectoryError where the directory may not be used; nothing is written then.
+    """
+    _check_writable(directory)
+    held = sorted(path.name for path in directory.iterdir()) if directory.exists() else []
+    if held and existing is Existing.REFUSE:
+        raise DirectoryError(
+            f"{directory}: holds {held[0]}{' and more' if len(held) > 1 else ''}; accepted: an empty or new directory, "
+            "--resume or --overwrite"
+        )
+    if held and existing is Existing.RESUME:
+        _check_same(directory, scene)
+        if not (directory / JOURNAL).exists() and (directory / "family.nc").exists():
+            return False
+    if existing is Existing.OVERWRITE:
+        for name in (*WRITTEN, *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg"))):
+            for path in directory.glob(name):
+                path.unlink()
+    directory.mkdir(parents=True, exist_ok=True)
+    with replacing(directory / SCENE) as temporary:
+        temporary.write_text(scene_text, encoding="utf-8")
+    return True
+
+
+def _check_writable(directory: Path) -> None:
+    """Raises DirectoryError for a path that is not a directory, or where nothing can be written."""
+    if directory.exists() and not directory.is_dir():
+        raise DirectoryError(f"{directory}: is not a directory; accepted: an empty or new directory")
+    parent = directory
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
+
+
+def _check_same(directory: Path, scene: Scene) -> None:
+    """Raises DirectoryError where the directory is not a run of this scene."""
+    path = directory / SCENE
+    if not path.exists():
+        raise DirectoryError(f"{directory}: holds no {SCENE}, so no run to resume; accepted: the directory of a run")
+    try:
+        before = parse_scene(path.read_text(encoding="utf-8"), str(path))
+    except (SceneError, UnicodeDecodeError) as error:
+        raise DirectoryError(f"{directory}: its {SCENE} cannot be read: {error}") from error
+    if not scene.same_request(before):
+        tables = [name for name in scene.__struct_fields__ if name != "title"]
+        changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
+        raise DirectoryError(
+            f"{directory}: was begun with another scene ({', '.join(changed)} differs); accepted: the same scene but "
+            "for its title, or --overwrite"
+        )
