@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -113,14 +114,16 @@ def _spectrum(arguments: argparse.Namespace) -> int:
     _check_spectrum(arguments.scene, scene)
     if arguments.out is not None:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+    from casadi_skin.plan import scene_chain
     from casadi_skin.results.tables import spectrum_rows
-    from casadi_skin.run import scene_chain, write_spectrum
 
     chain = scene_chain(scene)
     print("j omega_j")
     for row in spectrum_rows(chain):
         print(f"{row['mode']} {row['omega']:.15g}")
     if arguments.out is not None:
+        from casadi_skin.run import write_spectrum
+
         write_spectrum(chain, arguments.out)
     return DONE
 
@@ -136,7 +139,7 @@ def _read(path: Path) -> tuple[Scene, str]:
 
 def _check_spectrum(path: Path, scene: Scene) -> None:
     """Raises InputError where the lowest mode does not oscillate."""
-    from casadi_skin.run import scene_chain
+    from casadi_skin.plan import scene_chain
 
     try:
         scene_chain(scene).linear_frequency(1)
@@ -151,19 +154,19 @@ def _summary(run: Run) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=run.scene.title, box=None, header_style="bold")
-    columns = ["mode", "points", "S", "Omega", "error of Omega"]
+    table = Table(title=run.scene.title, box=None, header_style="bold", padding=(0, 1), title_justify="left")
+    columns = ["mode", "points", "S", "Omega", "its error"]
     if run.scene.stability is not None:
-        columns += ["max |multiplier|", "changes of stability"]
+        columns += ["max |multiplier|", "changes"]
     for column in (*columns, "seconds"):
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", no_wrap=True)
     for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
         cells = [str(branch.tools.request.mode), str(len(branch))]
         if not len(branch):
             table.add_row(*cells)
             continue
         last = branch.orbits[-1]
-        cells += [f"{last.S:.6g}", f"{last.Omega:.12g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
+        cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
             cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
         table.add_row(*cells, f"{seconds:.2f}")
@@ -188,6 +191,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("casadi-skin: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone, as in `casadi-skin spectrum SCENE.toml | head`; nothing more can be said.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
 
 
 if __name__ == "__main__":

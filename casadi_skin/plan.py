@@ -8,10 +8,36 @@ from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.continuation.arclength import Walk
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.request import FamilyRequest, FamilyTools
-from casadi_skin.run import scene_requests
+from casadi_skin.models.chain import Chain
 from casadi_skin.scene import Scene
 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
+
+
+def scene_chain(scene: Scene) -> Chain:
+    """The chain of a scene."""
+    table = scene.chain
+    return Chain(table.sites, table.alpha, table.gamma, table.g)
+
+
+def scene_requests(scene: Scene) -> list[FamilyRequest]:
+    """The families that a scene asks for, in its order; empty where it asks for none."""
+    if scene.family is None:
+        return []
+    family, method, chain = scene.family, scene.method, scene_chain(scene)
+    return [
+        FamilyRequest(
+            chain=chain,
+            mode=mode,
+            amplitude_max=family.amplitude_max,
+            at=family.at,
+            tolerance=scene.accuracy.relative_tolerance,
+            transcription=method.transcription,
+            corrector=method.corrector,
+            flow=method.flow,
+        )
+        for mode in family.modes
+    ]
 
 
 def plan_lines(scene: Scene) -> list[tuple[str, str]]:

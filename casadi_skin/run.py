@@ -11,8 +11,9 @@ import casadi_skin.figures as figures
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
+from casadi_skin.plan import scene_chain, scene_requests
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import (
     ChangeRecord,
@@ -30,32 +31,6 @@ from casadi_skin.rundir import JOURNAL
 from casadi_skin.scene import Scene
 
 TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
-
-
-def scene_chain(scene: Scene) -> Chain:
-    """The chain of a scene."""
-    table = scene.chain
-    return Chain(table.sites, table.alpha, table.gamma, table.g)
-
-
-def scene_requests(scene: Scene) -> list[FamilyRequest]:
-    """The families that a scene asks for, in its order; empty where it asks for none."""
-    if scene.family is None:
-        return []
-    family, method, chain = scene.family, scene.method, scene_chain(scene)
-    return [
-        FamilyRequest(
-            chain=chain,
-            mode=mode,
-            amplitude_max=family.amplitude_max,
-            at=family.at,
-            tolerance=scene.accuracy.relative_tolerance,
-            transcription=method.transcription,
-            corrector=method.corrector,
-            flow=method.flow,
-        )
-        for mode in family.modes
-    ]
 
 
 @dataclass

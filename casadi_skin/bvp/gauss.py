@@ -190,7 +190,7 @@ class GaussProblem(OrbitProblem):
         weights[hit] = 1.0
         weights /= weights.sum(axis=1, keepdims=True)
         columns = interval[:, None] * (d + 1) + np.arange(d + 2)
-        return np.einsum("tk,tkn->tn", weights, values[columns])
+        return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
     def prolong(self, z: Array, finer: OrbitProblem) -> Array:
         assert isinstance(finer, GaussProblem)

@@ -16,8 +16,8 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.correctors.base import Correction
-from casadi_skin.correctors.bordered import SingularError
-from casadi_skin.correctors.ladder import ErrorEstimate, Ladder
+from casadi_skin.correctors.bordered import SingularError, Solve
+from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 
@@ -31,6 +31,7 @@ class WalkSettings:
     at: tuple[float, ...] = ()  # values of the free parameter at which points are wanted exactly
     first_step: float = 0.01
     max_step: float = 0.2
+    max_parameter_step: float = 1.0 / 30.0  # of parameter_max: points to draw, and to see stability change between
     min_step: float = 1e-7
     max_points: int = 20_000
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
@@ -92,12 +93,15 @@ class Walk:
     def _metric(self, problem: OrbitProblem, z: Array) -> Array:
         return problem.metric(z, abs(self.settings.parameter_max))
 
-    def _tangent(self, problem: OrbitProblem, z: Array, row: Array) -> Array:
-        """Unit tangent at z with row . t > 0; raises SingularError."""
-        _, nonzeros = problem.evaluate(z)
+    def _factor(self, problem: OrbitProblem, z: Array, row: Array) -> Solve:
+        """Solver of the Jacobian at z closed by `row`; raises SingularError."""
+        return self.ladder.solver(problem).factor(z, problem.evaluate(z)[1], row)
+
+    def _tangent(self, problem: OrbitProblem, z: Array, solve: Solve) -> Array:
+        """Unit tangent at z with row . t > 0, by the solver closed by that row."""
         unit = np.zeros(problem.size)
         unit[-1] = 1.0
-        t = self.ladder.solver(problem).factor(z, nonzeros, row)(unit)
+        t = solve(unit)
         return np.asarray(t / np.sqrt(np.sum(self._metric(problem, z) * t**2)))
 
     def start(self, positions: Array, Omega: float) -> Point:
@@ -105,7 +109,7 @@ class Walk:
         problem = self.ladder.problem(self.ladder.rungs[0])
         z = problem.pack(positions, Omega, 0.0)
         direction = float(np.sign(self.settings.parameter_max))
-        tangent = self._tangent(problem, z, direction * problem.parameter_row())
+        tangent = self._tangent(problem, z, self._factor(problem, z, direction * problem.parameter_row()))
         return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
 
     # Correcting -----------------------------------------------------------------------------------------------------
@@ -123,29 +127,36 @@ class Walk:
     def _refined(self, problem: OrbitProblem, correction: Correction, row: Array, held: bool) -> Point | None:
         """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
 
-        `held` tells that `row` holds the parameter. Where a finer rung does not lessen the estimate, round-off is what
-        is left, and the point is kept with its estimate. Raises SingularError.
+        `held` tells that `row` holds the parameter. Where most of the error is what the corrector left over, a Newton
+        step and the corrector once more take it away; what stays after that is round-off, and the point is kept with
+        its estimate. Raises SingularError.
         """
-        z, iterations, last = correction.z, correction.iterations, np.inf
+        z, iterations, polished = correction.z, correction.iterations, False
         while True:
-            tangent = self._tangent(problem, z, row)
+            solve = self._factor(problem, z, row)
+            tangent = self._tangent(problem, z, solve)
             error = self.ladder.error(problem, z, None if held else tangent)
             relative = error.relative(float(z[problem.Omega_index]))
-            at_round_off = relative > 0.5 * last and relative < 1e-9
+            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
+            algebraic = step_error(problem, z, left_over).relative(float(z[problem.Omega_index]))
+            at_round_off = polished and algebraic > 0.25 * relative
             if relative <= self.settings.tolerance or at_round_off:
                 return Point(problem, z, tangent, error, self.settings.first_step, iterations)
-            finer = self.ladder.finer(problem)
-            if finer is None or self.ladder.finer(finer) is None:
-                return None
-            last, long_z = relative, problem.prolong(z, finer)
-            if held:
-                row = finer.parameter_row() * row[problem.parameter_index]
+            if algebraic > 0.25 * relative:
+                polished, target, guess = True, problem, z - left_over
             else:
-                row = self._metric(finer, long_z) * problem.prolong(tangent, finer)
-            correction = self.ladder.corrector(finer).correct(long_z, row, float(row @ long_z))
+                finer = self.ladder.finer(problem)
+                if finer is None or self.ladder.finer(finer) is None:
+                    return None
+                polished, target, guess = False, finer, problem.prolong(z, finer)
+                if held:
+                    row = finer.parameter_row() * row[problem.parameter_index]
+                else:
+                    row = self._metric(finer, guess) * problem.prolong(tangent, finer)
+            correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
             if not correction.converged:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
-            problem, z, iterations = finer, correction.z, iterations + correction.iterations
+            problem, z, iterations = target, correction.z, iterations + correction.iterations
 
     # Walking --------------------------------------------------------------------------------------------------------
 
@@ -176,13 +187,13 @@ class Walk:
             before = self.history[0]
             z, t = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
             curve = LocalCurve.through(current.z, current.tangent, z, t, row)
-        step = current.step
+        step = min(current.step, self._longest_step(current))
         while step >= settings.min_step:
             guess = curve.at(step)
             correction = self._correct(problem, guess, row, float(row @ current.z) + step, step)
             if correction is not None:
                 try:
-                    tangent = self._tangent(problem, correction.z, row)
+                    tangent = self._tangent(problem, correction.z, self._factor(problem, correction.z, row))
                     angle = self._angle(problem, current, tangent)
                     if angle <= settings.guard_angle:
                         point = self._refined(problem, correction, row, held=False)
@@ -212,6 +223,12 @@ class Walk:
         by_angle = self.settings.aim_angle / max(angle, 1e-3)
         by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
         return min(step * float(np.clip(min(by_angle, by_distance), 0.4, 1.8)), self.settings.max_step)
+
+    def _longest_step(self, current: Point) -> float:
+        """The step that changes the parameter, to first order, by the most allowed."""
+        slope = abs(float(current.tangent[current.problem.parameter_index]))
+        allowed = self.settings.max_parameter_step * abs(self.settings.parameter_max)
+        return allowed / slope if slope > 0 else np.inf
 
     def _requested(self, current: Point, following: Point) -> Iterator[Point]:
         """Points asked for between two points walked, the walk's end among them, in arclength order."""

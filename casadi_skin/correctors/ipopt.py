@@ -21,6 +21,7 @@ _STATUS = {
 class IpoptCorrector:
     """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value, with row and value as its parameters.
 
+    Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
     Ipopt gets the Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no
     objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
     """
@@ -29,11 +30,11 @@ class IpoptCorrector:
         self.problem = problem
         z, residual, jacobian = problem.symbols
         size = problem.size
-        held = ca.MX.sym("held", size + 1)
-        row, value = held[:size], held[size]
-        constraints = ca.vertcat(residual, ca.dot(row, z) - value)
+        held = ca.MX.sym("held", size + 2)
+        row, value, scale = held[:size], held[size], held[size + 1]
+        constraints = ca.vertcat(residual / scale, ca.dot(row, z) - value)
         jac_g = ca.Function(
-            "jac_g", [z, held], [constraints, ca.vertcat(jacobian, row.T)], ["x", "p"], ["g", "jac_g_x"]
+            "jac_g", [z, held], [constraints, ca.vertcat(jacobian / scale, row.T)], ["x", "p"], ["g", "jac_g_x"]
         )
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
         hess_lag = ca.Function(
@@ -65,7 +66,8 @@ class IpoptCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
-        result = self._solver(x0=guess, p=np.append(row, value), lbg=0.0, ubg=0.0)
+        scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
+        result = self._solver(x0=guess, p=np.concatenate([row, [value, scale]]), lbg=0.0, ubg=0.0)
         stats = self._solver.stats()
         words = str(stats["return_status"])
         status = _STATUS.get(words, Status.DIVERGED)

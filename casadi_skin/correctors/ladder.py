@@ -26,6 +26,12 @@ class ErrorEstimate:
         return max(self.Omega / Omega, self.profile)
 
 
+def step_error(problem: OrbitProblem, z: Array, step: Array) -> ErrorEstimate:
+    """The error that a step from z to the better point makes up for."""
+    state = np.max(np.abs(step[: problem.states])) / np.max(np.abs(z[: problem.states]))
+    return ErrorEstimate(SAFETY * abs(float(step[problem.Omega_index])), SAFETY * float(state))
+
+
 class Ladder:
     """Problems, linear solvers and correctors by resolution.
 
@@ -83,6 +89,4 @@ class Ladder:
             row = finer.metric(long_z, 1.0) * problem.prolong(tangent, finer)
         residual, nonzeros = finer.evaluate(long_z)
         step = self.solver(finer).factor(long_z, nonzeros, row)(np.append(residual, 0.0))
-        state, Omega_step = step[: finer.states], float(step[finer.Omega_index])
-        largest = np.max(np.abs(long_z[: finer.states]))
-        return ErrorEstimate(SAFETY * abs(Omega_step), SAFETY * float(np.max(np.abs(state)) / largest))
+        return step_error(finer, long_z, step)

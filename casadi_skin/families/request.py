@@ -27,6 +27,8 @@ from casadi_skin.theory.linear import standing_wave
 
 HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
+LARGEST = 10_000_000  # sites times harmonics squared: what fits into about a gigabyte
 GAUSS_DEGREE = 8  # the fewest unknowns at the tolerances in use; lower degrees need many more intervals for the profile
 
 
@@ -139,8 +141,10 @@ class FamilyTools:
     @cached_property
     def ladder(self) -> Ladder:
         """Discretisations from coarse to fine with their correctors."""
-        rungs = HARMONICS if self.request.transcription == "trigonometric" else INTERVALS
-        return Ladder(self._problem, self._corrector, rungs)
+        if self.request.transcription == "gauss":
+            return Ladder(self._problem, self._corrector, INTERVALS)
+        fits = [H for H in HARMONICS if self.core.sites * H**2 <= LARGEST]
+        return Ladder(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
 
     def _problem(self, resolution: int) -> OrbitProblem:
         if self.request.transcription == "trigonometric":
@@ -148,12 +152,10 @@ class FamilyTools:
         return GaussProblem(self.model, resolution, self.symmetry, GAUSS_DEGREE)
 
     def _corrector(self, problem: OrbitProblem) -> Corrector:
-        # Residuals scale with the state, which is largest in the mode; below 1e-12 of it they are round-off.
-        scale = max(1.0, float(np.max(np.abs(self.mode_positions))))
         tolerance = float(np.clip(1e-2 * self.request.tolerance, 1e-12, 1e-6))
         if self.request.corrector == "newton":
             return NewtonCorrector(problem, tolerance)
-        return IpoptCorrector(problem, tolerance * scale)
+        return IpoptCorrector(problem, max(tolerance, ROUND_OFF * problem.resolution**2))
 
     @cached_property
     def flow(self) -> FlowMap:
