@@ -70,7 +70,9 @@ def test_end_breather_family_with_and_without_multipliers(unit: float, corrector
     for stability in (True, False):
         value = seconds(lambda s=stability: follow(tools, s), 9)  # type: ignore[misc]
         words = "with multipliers" if stability else "without"
-        print(f"  {words:<17} {1e3 * value:7.1f} ms = {value / unit:6.0f} solves, {1e3 * value / points:.2f} ms a point")
+        print(
+            f"  {words:<17} {1e3 * value:7.1f} ms = {value / unit:6.0f} solves, {1e3 * value / points:.2f} ms a point"
+        )
 
 
 def test_overhead_of_ipopt(unit: float, monkeypatch: pytest.MonkeyPatch) -> None:

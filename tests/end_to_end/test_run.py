@@ -1,0 +1,251 @@
+"""Runs of scenes through the command line: files, resuming, interruption, families that end early."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadi_skin.cli import main
+
+FAMILY_COLUMNS = (
+    "mode,point,requested,S,Omega,Omega_shift,period,energy,max_abs_multiplier,stable,unstable_real,unstable_complex,"
+    "Omega_error,residual"
+).split(",")
+STABILITY_COLUMNS = {"max_abs_multiplier", "stable", "unstable_real", "unstable_complex"}
+
+CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = {g}\n"
+FAMILY = "[family]\nmode = {mode}\namplitude_max = {end}\nat = {at}\n"
+
+
+def write_scene(
+    path: Path,
+    sites: int = 6,
+    g: float = -1.0,
+    mode: str = "1",
+    end: float = 1.0,
+    at: str = "[0.2, 1.0]",
+    rest: str = "",
+) -> Path:
+    text = CHAIN.format(sites=sites, g=g) + FAMILY.format(mode=mode, end=end, at=at) + rest
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def requested(directory: Path) -> dict[tuple[int, float], float]:
+    """Omega at the requested points by mode and S."""
+    table = rows(directory / "family.csv")
+    return {(int(r["mode"]), float(r["S"])): float(r["Omega"]) for r in table if r["requested"] == "1"}
+
+
+def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "small.toml", mode="[1, 4]", rest="[spectrum]\n[stability]\nvectors = true\n")
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    names = {path.name for path in out.iterdir()}
+    pictures = {f"{stem}.{kind}" for stem in ("frequency", "profile", "spectrum") for kind in ("png", "svg")}
+    assert pictures | {"family.csv", "events.csv", "spectrum.csv", "family.nc", "scene.toml"} <= names
+    assert not any("journal" in name or name.startswith(".") for name in names)
+    table = rows(out / "family.csv")
+    assert list(table[0])[: len(FAMILY_COLUMNS)] == FAMILY_COLUMNS
+    assert [r["mode"] for r in table] == sorted(r["mode"] for r in table)
+    for mode in ("1", "4"):
+        mine = [r for r in table if r["mode"] == mode]
+        assert [int(r["point"]) for r in mine] == list(range(len(mine)))
+        assert [float(r["S"]) for r in mine if r["requested"] == "1"] == [0.2, 1.0]
+        assert float(mine[0]["S"]) < 1e-3
+    assert np.all(np.isfinite([[float(v) for v in r.values()] for r in table]))
+    assert list(rows(out / "events.csv") or [{}])[0].keys() >= set()
+    header = (out / "events.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.startswith("mode,S,Omega,kind,stable_before,stable_after")
+    assert "results in" in capsys.readouterr().out
+
+
+def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    scene = write_scene(tmp_path / "small.toml", rest="[stability]\nvectors = true\n")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
+        table = rows(tmp_path / "out" / "family.csv")
+        np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
+        assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-12)
+        at_zero = data.coefficients.values.sum(axis=1)
+        np.testing.assert_allclose(at_zero, data.profile.values, atol=1e-14)
+        assert data.vectors.shape == (2, 12, 12, 2)
+        assert "sites = 6" in data.attrs["scene"]
+        assert data.attrs["casadi_version"]
+        moduli = np.hypot(*np.moveaxis(data.multipliers.values, -1, 0))
+        assert moduli.max(axis=1) == pytest.approx(data.max_abs_multiplier.values, rel=1e-12)
+
+
+def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a variational system was built")
+
+    monkeypatch.setattr("casadi_skin.families.request.SplittingFlow", refuse)
+    monkeypatch.setattr("casadi_skin.families.request.CvodesFlow", refuse)
+    scene = write_scene(tmp_path / "small.toml")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    assert not STABILITY_COLUMNS & set(rows(tmp_path / "out" / "family.csv")[0])
+    assert not (tmp_path / "out" / "events.csv").exists()
+    with pytest.raises(AssertionError, match="variational"):
+        main(["run", str(write_scene(tmp_path / "b.toml", rest="[stability]\n")), "--out", str(tmp_path / "b")])
+
+
+def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
+    found = []
+    for method in (
+        'corrector = "ipopt"',
+        'corrector = "newton"',
+        'transcription = "gauss"\ncorrector = "newton"',
+        'flow = "cvodes"',
+    ):
+        rest = f"[stability]\nevents = false\n[accuracy]\ntolerance = 1e-9\n[method]\n{method}\n"
+        scene = write_scene(tmp_path / "scene.toml", sites=4, g=1.0, mode="4", rest=rest)
+        out = tmp_path / method[:18].replace('"', "").replace(" ", "")
+        assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+        points = [r for r in rows(out / "family.csv") if r["requested"] == "1"]
+        found.append([(float(r["Omega"]), float(r["max_abs_multiplier"])) for r in points])
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], rtol=0, atol=2e-8)
+
+
+def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(
+        tmp_path / "duffing.toml", sites=1, end=5.0, at="[1.0, 4.0]", rest='[accuracy]\npreset = "draft"\n'
+    )
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 1
+    told = capsys.readouterr().err
+    assert "mode 1" in told
+    assert "does not exist at S = 5" in told
+    table = rows(out / "family.csv")
+    assert [float(r["S"]) for r in table if r["requested"] == "1"] == [1.0]
+    assert 2.9 < max(float(r["S"]) for r in table) < 3.0  # omega^2/|g| = 3 is where the period diverges
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 1
+    assert rows(out / "family.csv") == table
+
+
+# Interruption -------------------------------------------------------------------------------------------------------
+
+LONG = {"sites": 60, "mode": "[1, 2]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
+
+
+def start(scene: Path, out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "casadi_skin.cli", "run", str(scene), "--out", str(out)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_points(out: Path, size: int) -> None:
+    deadline = time.monotonic() + 60
+    journal = out / "journal.msgpack"
+    while not journal.exists() or journal.stat().st_size < size:
+        assert time.monotonic() < deadline, "the run wrote no journal"
+        time.sleep(0.01)
+
+
+def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
+    out, whole = tmp_path / "killed", tmp_path / "whole"
+    process = start(scene, out)
+    wait_for_points(out, 300_000)
+    process.kill()
+    process.wait()
+    kept = (out / "journal.msgpack").stat().st_size
+    assert kept > 0
+    with (out / "journal.msgpack").open("ab") as journal:
+        journal.write(b"\xff\x00\x00\x00 half a record")
+    assert not (out / "family.nc").exists()
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
+    resumed, expected = requested(out), requested(whole)
+    assert list(resumed) == list(expected)
+    np.testing.assert_allclose(list(resumed.values()), list(expected.values()), rtol=0, atol=1e-10)
+    assert len(rows(out / "family.csv")) == len(rows(whole / "family.csv"))
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0  # nothing left to do
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_writes_what_it_has(tmp_path: Path, number: signal.Signals) -> None:
+    scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
+    out = tmp_path / "out"
+    process = start(scene, out)
+    wait_for_points(out, 300_000)
+    process.send_signal(number)
+    _, told = process.communicate()
+    assert process.returncode == 130, told
+    assert "--resume" in told
+    assert "Traceback" not in told
+    assert len(rows(out / "family.csv")) > 1
+    assert (out / "family.nc").exists()
+    assert (out / "journal.msgpack").exists()
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert len(requested(out)) == 6
+
+
+def test_resume_wants_the_same_scene_but_for_its_title(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    scene = write_scene(tmp_path / "a.toml")
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    titled = tmp_path / "b.toml"
+    titled.write_text('title = "another"\n' + scene.read_text(encoding="utf-8"), encoding="utf-8")
+    assert main(["run", str(titled), "--out", str(out), "--resume"]) == 0
+    capsys.readouterr()
+    other = write_scene(tmp_path / "c.toml", sites=7)
+    assert main(["run", str(other), "--out", str(out), "--resume"]) == 2
+    told = capsys.readouterr().err
+    assert "[chain] differs" in told
+    assert told.count("\n") == 1
+
+
+# Directories --------------------------------------------------------------------------------------------------------
+
+
+def test_a_directory_that_holds_something_is_refused_unless_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = write_scene(tmp_path / "a.toml"), tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.tex").write_text("years of work", encoding="utf-8")
+    (out / "family.csv").write_text("old", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(out)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert sorted(p.name for p in out.iterdir()) == ["family.csv", "thesis.tex"]
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+    assert (out / "thesis.tex").read_text(encoding="utf-8") == "years of work"
+    assert rows(out / "family.csv")[0]["mode"] == "1"
+
+
+def test_a_path_that_cannot_be_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "a.toml")
+    for out in (scene, scene / "below"):
+        assert main(["run", str(scene), "--out", str(out)]) == 2
+        told = capsys.readouterr().err
+        assert str(out) in told
+        assert told.count("\n") == 1
+    if os.geteuid() != 0:  # root may write anywhere
+        locked = tmp_path / "locked"
+        locked.mkdir(mode=0o500)
+        assert main(["run", str(scene), "--out", str(locked / "out")]) == 2
+
+
+def test_results_go_to_a_folder_named_after_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "weak.toml", end=0.1, at="[]")
+    assert main(["run", "weak.toml"]) == 0
+    assert (tmp_path / "results" / "weak" / "family.csv").exists()
