@@ -88,7 +88,8 @@ class Orbit:
     def coefficients(self, harmonics: int) -> Array:
         """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites)."""
         theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
-        return self._physical((2.0 / harmonics) * cosine_matrix(harmonics) @ self._gauge(theta))
+        to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
+        return self._physical(np.asarray(to_coefficients @ self._gauge(theta)))
 
     @cached_property
     def profile(self) -> Array:

@@ -1,0 +1,1 @@
+"""Results on disk: tables, netCDF, and the journal that a broken run goes on from."""

@@ -1,0 +1,139 @@
+"""family.nc: everything that a run computed, in netCDF 3 (64-bit offsets), readable by xarray, MATLAB and Julia."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin._version import __version__
+from casadi_skin.families.branch import Branch
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.results.files import replacing
+
+if TYPE_CHECKING:
+    from scipy.io import netcdf_file
+
+PARTS = ("real", "imaginary")
+
+
+def _versions() -> dict[str, str]:
+    import casadi
+    import scipy
+
+    return {
+        "casadi_skin_version": __version__,
+        "casadi_version": casadi.__version__,
+        "numpy_version": np.__version__,
+        "scipy_version": scipy.__version__,
+        "python_version": platform.python_version(),
+    }
+
+
+def _put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDArray[np.generic], meaning: str) -> None:
+    data = np.asarray(values)
+    if np.iscomplexobj(data):
+        dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
+    if not np.all(np.isfinite(data)):
+        raise ArithmeticError(f"{name} holds a value that is not finite: family.nc is not written")
+    kind = "i4" if data.dtype.kind in "bi" else "f8"
+    variable = file.createVariable(name, kind, dimensions)
+    variable[:] = data.astype(kind)
+    variable.long_name = meaning  # type: ignore[attr-defined]
+
+
+def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title: str, vectors: bool) -> None:
+    """Write all branches along one dimension `point`, in the order given and in arclength order within each.
+
+    All values are dimensionless. Complex values have a last dimension `part` (real, imaginary). `vectors` asks for the
+    Floquet vectors at requested points. Raises ArithmeticError on a value that is not finite.
+    """
+    from scipy.io import netcdf_file
+
+    orbits = [orbit for branch in branches for orbit in branch.orbits]
+    if not orbits:
+        return
+    chain = orbits[0].chain
+    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
+        for name, value in {"title": title, "scene": scene_text, **_versions()}.items():
+            setattr(file, name, value or "untitled")
+        for name in ("sites", "alpha", "gamma", "g"):
+            setattr(file, name, getattr(chain, name))
+        file.createDimension("point", len(orbits))
+        file.createDimension("site", chain.sites)
+        file.createDimension("part", 2)
+        _write_orbits(file, orbits)
+        if branches[0].with_stability:
+            _write_stability(file, orbits)
+            if vectors:
+                _write_vectors(file, orbits)
+
+
+def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
+    index = [i for _, i in _places(orbits)]
+    columns = {
+        "mode": ([o.tools.request.mode for o in orbits], "linear mode j that the family grows from"),
+        "index": (index, "place along the family"),
+        "requested": ([o.point.requested for o in orbits], "1 where S was asked for"),
+        "S": ([o.S for o in orbits], "total amplitude: sum of y_n^2 at t = 0"),
+        "Omega": ([o.Omega for o in orbits], "frequency"),
+        "Omega_shift": ([o.Omega_shift for o in orbits], "Omega - omega_j"),
+        "Omega_error": ([o.Omega_error for o in orbits], "estimated absolute error of Omega"),
+        "profile_error": ([o.profile_error for o in orbits], "estimated relative error of the profile"),
+        "energy": ([o.energy for o in orbits], "Hamiltonian of the gauge with rho = 1 at the favoured edge"),
+        "residual": ([o.residual for o in orbits], "largest residual relative to the largest term"),
+        "resolution": ([o.point.problem.resolution for o in orbits], "harmonics or intervals of the discretisation"),
+    }
+    for name, (values, meaning) in columns.items():
+        _put(file, name, ("point",), np.array(values), meaning)
+    _put(file, "profile", ("point", "site"), np.array([o.profile for o in orbits]), "displacements y_n at t = 0")
+    harmonics = max(o.harmonics for o in orbits)
+    file.createDimension("harmonic", harmonics)
+    coefficients = np.stack([o.coefficients(harmonics) for o in orbits])
+    meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
+    _put(file, "coefficients", ("point", "harmonic", "site"), coefficients, meaning)
+
+
+def _places(orbits: Sequence[Orbit]) -> list[tuple[int, int]]:
+    """(mode, index along its family) of each orbit."""
+    seen: dict[int, int] = {}
+    places = []
+    for orbit in orbits:
+        mode = orbit.tools.request.mode
+        places.append((mode, seen.get(mode, 0)))
+        seen[mode] = places[-1][1] + 1
+    return places
+
+
+def _write_stability(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
+    results = [o.floquet() for o in orbits]
+    stable = np.array([f.stable for f in results])
+    _put(file, "stable", ("point",), stable, "1 where every mu lies in [-1, 0] within its estimated error")
+    largest = np.array([f.max_abs_multiplier for f in results])
+    _put(file, "max_abs_multiplier", ("point",), largest, "largest modulus, the trivial pair left out")
+    deviation = np.array([f.trivial_deviation for f in results])
+    _put(file, "trivial_deviation", ("point",), deviation, "distance of the trivial mu from its exact value")
+    file.createDimension("multiplier", results[0].multipliers.size)
+    multipliers = np.stack([f.multipliers for f in results])
+    _put(file, "multipliers", ("point", "multiplier"), multipliers, "Floquet multipliers, the trivial pair first")
+    if results[0].mu.size:
+        file.createDimension("mu_index", results[0].mu.size)
+        _put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C but the trivial")
+        errors = np.stack([f.mu_error for f in results])
+        _put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu from the flow map")
+
+
+def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
+    places = [i for i, o in enumerate(orbits) if o.point.requested]
+    if not places:
+        return
+    file.createDimension("requested_point", len(places))
+    file.createDimension("component", 2 * orbits[0].chain.sites)
+    _put(file, "vectors_point", ("requested_point",), np.array(places), "place along `point`, from 0")
+    vectors = np.stack([orbits[i].floquet_vectors() for i in places])
+    dimensions = ("requested_point", "component", "multiplier")
+    _put(file, "vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, a column a multiplier")

@@ -1,0 +1,79 @@
+"""CSV tables of a run: family.csv, events.csv, spectrum.csv; 17 significant digits, no NaN."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from casadi_skin.families.events import StabilityChange
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.models.chain import Chain
+from casadi_skin.results.files import replacing
+
+Cell = float | int | str
+EVENT_COLUMNS = ("mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width")
+
+
+def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]:
+    """One row of family.csv; the stability columns are absent without stability."""
+    row: dict[str, Cell] = {
+        "mode": orbit.tools.request.mode,
+        "point": index,
+        "requested": int(orbit.point.requested),
+        "S": orbit.S,
+        "Omega": orbit.Omega,
+        "Omega_shift": orbit.Omega_shift,
+        "period": orbit.period,
+        "energy": orbit.energy,
+    }
+    if with_stability:
+        stability = orbit.floquet()
+        row |= {
+            "max_abs_multiplier": stability.max_abs_multiplier,
+            "stable": int(stability.stable),
+            "unstable_real": stability.unstable_real,
+            "unstable_complex": stability.unstable_complex,
+        }
+    return row | {
+        "Omega_error": orbit.Omega_error,
+        "residual": orbit.residual,
+        "profile_error": orbit.profile_error,
+    }
+
+
+def event_row(mode: int, change: StabilityChange) -> dict[str, Cell]:
+    """One row of events.csv."""
+    values = (
+        mode,
+        change.S,
+        change.Omega,
+        change.kind,
+        int(change.stable_before),
+        int(change.stable_after),
+        change.mu,
+        change.S_width,
+    )
+    return dict(zip(EVENT_COLUMNS, values, strict=True))
+
+
+def spectrum_rows(chain: Chain) -> list[dict[str, Cell]]:
+    """Rows of spectrum.csv: mode and omega; raises ValueError where a mode does not oscillate."""
+    return [{"mode": j, "omega": float(w)} for j, w in enumerate(chain.linear_frequencies(), start=1)]
+
+
+def _text(value: Cell) -> str:
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ArithmeticError(f"a result is {value}: it is not written")
+        return f"{value:.17g}"
+    return str(value)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Cell]]) -> None:
+    """Write rows under `columns`, replacing the file in one step; raises ArithmeticError on a value not finite."""
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([_text(row[column]) for column in columns] for row in rows)
