@@ -13,6 +13,7 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.arclength import Point
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
+from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.multipliers import ComplexArray, Floquet, floquet, floquet_vectors
 from casadi_skin.theory.linear import standing_wave
 
@@ -157,3 +158,13 @@ class Orbit:
             )
         transition = self.tools.flow.transition(self.point.problem, self.point.z)
         return floquet_vectors(transition, self._acceleration(), self.chain.rho)
+
+    def transient_growth(self, quarters: int = 40) -> TransientGrowth:
+        """Largest amplification of perturbations at multiples of a quarter period, in physical coordinates.
+
+        Raises ValueError at |gamma| = 1 or without the splitting flow.
+        """
+        if self.tools.core.sites != self.chain.sites or self.tools.request.flow != "splitting":
+            raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
+        transition = self.tools.flow.transition(self.point.problem, self.point.z)
+        return transient_growth(transition, self._acceleration(), self.chain.log_rho, self.period, quarters)

@@ -129,6 +129,20 @@ def _reduced(transition: Transition, acceleration: Array) -> tuple[Floquet, Arra
     return Floquet(mu[order].astype(complex), mu_error[order], deviation, power), reflection, right[:, order]
 
 
+def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Array]:
+    """Velocity of the flow and direction along the family at phase zero, each (positions, velocities) in the gauge, (2n,).
+
+    The second is the right eigenvector of B^T C for the trivial mu: bordered with the left one, the matrix is regular.
+    """
+    _, B, C, _ = transition.blocks()
+    n, trivial = acceleration.size, -1.0 if _power(transition) == 2 else 0.0
+    left = acceleration / np.linalg.norm(acceleration)
+    bordered = np.block([[B.T @ C - trivial * np.eye(n), left[:, None]], [left[None, :], np.zeros((1, 1))]])
+    family = np.linalg.lstsq(bordered, np.append(np.zeros(n), 1.0), rcond=None)[0][:n]
+    zero = np.zeros(n)
+    return np.concatenate([zero, acceleration]), np.concatenate([family, zero])
+
+
 def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> ComplexArray:
     """Floquet vectors (positions, velocities) at phase zero, physical coordinates, shape (2n, 2n).
 
@@ -137,15 +151,8 @@ def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> 
     follow from the second row of M: (lambda - 1 - 2 mu) v = 2 A^T C x.
     """
     result, reflection, right = _reduced(transition, acceleration)
-    A, B, C, _ = transition.blocks()
-    n = acceleration.size
-    zero = np.zeros(n, complex)
-    trivial = -1.0 if result.power == 2 else 0.0
-    # The right eigenvector of the trivial mu: bordered with its left eigenvector, the matrix is regular.
-    left = acceleration / np.linalg.norm(acceleration)
-    bordered = np.block([[B.T @ C - trivial * np.eye(n), left[:, None]], [left[None, :], np.zeros((1, 1))]])
-    family = np.linalg.lstsq(bordered, np.append(np.zeros(n), 1.0), rcond=None)[0][:n]
-    columns = [np.concatenate([zero, acceleration]), np.concatenate([family, zero])]
+    A, _, C, _ = transition.blocks()
+    columns = [vector.astype(complex) for vector in trivial_pair(transition, acceleration)]
     for mu, root, reduced in zip(result.mu, result.root, right.T, strict=True):
         x = reflection @ np.concatenate([[0.0], reduced])
         velocity = 2.0 * A.T @ (C @ x)
