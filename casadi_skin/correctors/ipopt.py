@@ -7,6 +7,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.correctors.base import Correction, Status
+from casadi_skin.interrupts import interrupts_deferred
 
 _STATUS = {
     "Solve_Succeeded": Status.CONVERGED,
@@ -67,7 +68,8 @@ class IpoptCorrector:
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
         scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
-        result = self._solver(x0=guess, p=np.concatenate([row, [value, scale]]), lbg=0.0, ubg=0.0)
+        with interrupts_deferred():
+            result = self._solver(x0=guess, p=np.concatenate([row, [value, scale]]), lbg=0.0, ubg=0.0)
         stats = self._solver.stats()
         words = str(stats["return_status"])
         status = _STATUS.get(words, Status.DIVERGED)

@@ -71,11 +71,17 @@ class Orbit:
         """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive."""
         return self._physical(self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float))))
 
+    @cached_property
+    def _sign(self) -> float:
+        """The sign that makes the largest displacement at t = 0 positive; along a family that site can change."""
+        start = self.tools.core.rho * self._gauge(np.zeros(1))[0]
+        return float(np.sign(start[np.argmax(np.abs(start))]))
+
     def _physical(self, gauge: Array) -> Array:
         """Displacements of scaled gauge positions, shape (rows, core sites) -> (rows, sites)."""
-        core = np.sqrt(self.S) * self.tools.core.rho * gauge
+        core = self._sign * np.sqrt(self.S) * self.tools.core.rho * gauge
         if core.shape[1] == self.chain.sites:
-            return np.asarray(core)
+            return np.asarray(core, dtype=float)
         everywhere = np.zeros((core.shape[0], self.chain.sites))
         everywhere[:, -1 if self.chain.gamma > 0 else 0] = core[:, 0]
         return everywhere
@@ -90,12 +96,13 @@ class Orbit:
         """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites)."""
         theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
         to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
-        return self._physical(np.asarray(to_coefficients @ self._gauge(theta)))
+        return self._physical(to_coefficients @ self._gauge(theta))
 
     @cached_property
     def profile(self) -> Array:
         """Displacements at t = 0, where all velocities vanish, shape (sites,)."""
-        return self.evaluate(0.0)[0]
+        start: Array = self.evaluate(0.0)[0]
+        return start
 
     @cached_property
     def energy(self) -> float:

@@ -122,7 +122,7 @@ def _write_stability(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     _put(file, "multipliers", ("point", "multiplier"), multipliers, "Floquet multipliers, the trivial pair first")
     if results[0].mu.size:
         file.createDimension("mu_index", results[0].mu.size)
-        _put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C but the trivial")
+        _put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C")
         errors = np.stack([f.mu_error for f in results])
         _put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu from the flow map")
 
@@ -136,4 +136,4 @@ def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     _put(file, "vectors_point", ("requested_point",), np.array(places), "place along `point`, from 0")
     vectors = np.stack([orbits[i].floquet_vectors() for i in places])
     dimensions = ("requested_point", "component", "multiplier")
-    _put(file, "vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, a column a multiplier")
+    _put(file, "vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, columns")

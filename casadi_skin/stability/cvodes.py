@@ -7,6 +7,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.bvp.symmetry import symmetry_class
+from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.flow import FlowError, Transition
 
@@ -51,7 +52,8 @@ class CvodesFlow:
         duration = 2.0 * np.pi * self.fraction / float(z[problem.Omega_index])
         parameters = np.array([z[problem.parameter_index], duration])
         try:
-            fine, coarse = (np.array(f(self._start(problem, z), parameters)[1]) for f in (self._fine, self._coarse))
+            with interrupts_deferred():
+                fine, coarse = (np.array(f(self._start(problem, z), parameters)[1]) for f in (self._fine, self._coarse))
         except RuntimeError as error:
             raise FlowError(f"cvodes: {str(error).splitlines()[0]}") from error
         return Transition(fine, self.fraction, float(np.linalg.norm(fine - coarse)))

@@ -1,10 +1,10 @@
 """Transient growth of perturbations of an orbit: singular values of the physical variational flow.
 
 A stable orbit of a nonreciprocal chain can amplify a perturbation by about r^((N-1)/2) before it stays bounded: the
-flow is far from normal in physical coordinates (Trefethen and Embree 2005, chapter 14). X = D Y D^-1, D = diag(rho, rho),
-with Y the flow in the gauge. Entries of Y far from the diagonal are tiny and are computed to a relative accuracy by the
-explicit splitting, so that D Y D^-1 keeps its digits; it is scaled by its largest entry in logarithms, so that nothing
-overflows.
+flow is far from normal in physical coordinates (Trefethen and Embree 2005, chapter 14). X = D Y D^-1, D = diag(rho,
+rho), with Y the flow in the gauge. Entries of Y far from the diagonal are tiny and are computed to a relative accuracy
+by the explicit splitting, so that D Y D^-1 keeps its digits; it is scaled by its largest entry in logarithms, so that
+nothing overflows.
 """
 
 from __future__ import annotations
@@ -56,11 +56,13 @@ def transient_growth(
     transition of the splitting flow: others fill far entries with round-off. Raises ValueError for another fraction.
     """
     if transition.fraction != 0.25:
-        raise ValueError(f"transient_growth: given a transition over {transition.fraction} of the period; accepted: 0.25")
+        raise ValueError(
+            f"transient_growth: given a transition over {transition.fraction} of the period; accepted: 0.25"
+        )
     A, B, C, D = transition.blocks()
     identity = np.eye(acceleration.size)
     half = np.block([[identity + 2 * B.T @ C, 2 * B.T @ D], [2 * A.T @ C, identity + 2 * C.T @ B]])
-    flows = [np.eye(2 * acceleration.size)]
+    flows: list[Array] = [np.eye(2 * acceleration.size)]
     for k in range(1, quarters + 1):
         flows.append(transition.matrix @ flows[k - 1] if k % 2 else half @ flows[k - 2])
     bounded, trivial = _subspaces(transition, acceleration, log_rho)
@@ -73,7 +75,7 @@ def transient_growth(
         vectors.append(parts[1][1:])
     table = np.array(gains)
     optimal, response = vectors[int(np.argmax(table[:, 1]))]
-    t = 0.25 * period * np.arange(quarters + 1)
+    t = np.asarray(0.25 * period * np.arange(quarters + 1), dtype=float)
     columns = (table[:, 0], table[:, 1], table[:, 2])
     return TransientGrowth(t, *columns, bounded @ optimal, response, tuple(flows), log_rho)
 

@@ -130,7 +130,7 @@ def _reduced(transition: Transition, acceleration: Array) -> tuple[Floquet, Arra
 
 
 def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Array]:
-    """Velocity of the flow and direction along the family at phase zero, each (positions, velocities) in the gauge, (2n,).
+    """Velocity of the flow and direction along the family at phase zero, (positions, velocities) in the gauge, (2n,).
 
     The second is the right eigenvector of B^T C for the trivial mu: bordered with the left one, the matrix is regular.
     """

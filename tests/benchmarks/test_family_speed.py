@@ -96,8 +96,8 @@ def test_overhead_of_ipopt(unit: float, monkeypatch: pytest.MonkeyPatch) -> None
     total = time.perf_counter() - started
     inside, ours, iterations = (sum(column) for column in zip(*calls, strict=True))
     print(
-        f"family {total / unit:.0f} solves: in Ipopt {inside / unit:.0f} ({len(calls)} calls, {iterations} iterations), of "
-        f"which our functions {ours / unit:.0f}, Ipopt and MUMPS themselves {(inside - ours) / unit:.0f}"
+        f"family {total / unit:.0f} solves: in Ipopt {inside / unit:.0f} ({len(calls)} calls, {iterations} iterations) "
+        f"of which our functions {ours / unit:.0f}, Ipopt and MUMPS themselves {(inside - ours) / unit:.0f}"
     )
 
 

@@ -80,7 +80,7 @@ def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: P
     with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
         table = rows(tmp_path / "out" / "family.csv")
         np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
-        assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-12)
+        assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-8)
         at_zero = data.coefficients.values.sum(axis=1)
         np.testing.assert_allclose(at_zero, data.profile.values, atol=1e-14)
         assert data.vectors.shape == (2, 12, 12, 2)
@@ -164,7 +164,7 @@ def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: 
     process = start(scene, out)
     wait_for_points(out, 300_000)
     process.kill()
-    process.wait()
+    process.communicate()
     kept = (out / "journal.msgpack").stat().st_size
     assert kept > 0
     with (out / "journal.msgpack").open("ab") as journal:

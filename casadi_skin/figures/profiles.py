@@ -1,0 +1,118 @@
+"""Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.figures.style import (
+    blank,
+    colours,
+    common_chain,
+    finished,
+    number,
+    number_sites,
+    style,
+    title,
+)
+from casadi_skin.models.chain import Chain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from casadi_skin.families.branch import Branch
+    from casadi_skin.families.orbit import Orbit
+
+MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
+MARKED_SITES = 60  # profiles of longer chains are lines without markers, of the sites that move
+
+
+def linear_mode(chain: Chain, mode: int) -> Array:
+    """The linear mode with norm 1, largest displacement positive, shape (sites,)."""
+    u = chain.right_eigenvector(mode)
+    return np.asarray(u / np.linalg.norm(u) * np.sign(u[np.argmax(np.abs(u))]))
+
+
+def _sizes(y: Array) -> Array:
+    """|y_n| with nan for zeros, and for nodes that are zero to round-off beside their neighbours, shape (sites,)."""
+    size = np.pad(np.abs(y), 1)
+    return np.where(size[1:-1] > 1e-13 * np.maximum(size[:-2], size[2:]), size[1:-1], np.nan)
+
+
+def moving(profiles: Array) -> tuple[int, int]:
+    """First and last site where profiles, shape (some, sites), exceed 1e-3 of their largest; all of a short chain."""
+    largest = np.max(np.abs(profiles), axis=1, keepdims=True)
+    seen = np.flatnonzero(np.any(np.abs(profiles) > 1e-3 * largest, axis=0)) + 1
+    sites = profiles.shape[1]
+    return (int(seen[0]), int(seen[-1])) if sites > MARKED_SITES else (1, sites)
+
+
+def requested(branch: Branch, at_most: int) -> dict[tuple[float, int], Orbit]:
+    """Requested orbits by S and the number of times that S was passed before, evenly picked where there are more."""
+    orbits = [orbit for orbit in branch.orbits if orbit.point.requested]
+    keys = [(orbit.S, sum(before.S == orbit.S for before in orbits[:i])) for i, orbit in enumerate(orbits)]
+    picked = [round(i) for i in np.linspace(0, len(orbits) - 1, min(at_most, len(orbits)))]
+    return {keys[i]: orbits[i] for i in picked}
+
+
+def _looks(keys: Sequence[tuple[float, int]], marked: bool) -> dict[tuple[float, int], dict[str, Any]]:
+    """How profiles at each S are drawn: markers, which shrink so that those of coinciding profiles show, or dashes."""
+    looks: dict[tuple[float, int], dict[str, Any]] = {}
+    for k, (key, colour) in enumerate(zip(keys, colours(len(keys)), strict=True)):
+        passage = f" (passage {key[1] + 1})" if key[1] else ""
+        marker = {"marker": MARKERS[k % len(MARKERS)], "ms": 5.0 - 2.0 * k / len(keys), "mfc": "white"}
+        dashes = marker if marked else {"ls": LINES[k % len(LINES)]}
+        looks[key] = {"color": colour, "lw": 0.9, "label": f"$S = {number(key[0])}${passage}", **dashes}
+    return looks
+
+
+def _draw_profiles(
+    panels: Sequence[Axes], branch: Branch, orbits: dict[tuple[float, int], Orbit], looks: dict[Any, dict[str, Any]]
+) -> None:
+    """Profiles over the linear mode: as they are in the first panel, sizes in the second, if there is one."""
+    mode = linear_mode(branch.tools.request.chain, branch.tools.request.mode)
+    n, dot = np.arange(1, mode.size + 1), "o" if mode.size == 1 else None
+    profiles = {key: orbit.profile / np.sqrt(orbit.S) for key, orbit in orbits.items()}
+    for axes, as_sizes in zip(panels, (False, True), strict=False):
+        axes.plot(n, _sizes(mode) if as_sizes else mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
+        for key, y in profiles.items():
+            signed = y * (np.sign(y @ mode) or 1.0)
+            axes.plot(n, _sizes(y) if as_sizes else signed, **looks[key])
+    panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
+    panels[0].set_title(f"$j = {branch.tools.request.mode}$", loc="left")
+    panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
+    for axes in panels[1:]:
+        axes.set(yscale="log", ylabel=r"$|y_n(0)|\,/\,\Vert y\Vert$")
+
+
+def profile_figure(branches: Sequence[Branch]) -> Figure | None:
+    """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode; None where nothing was requested.
+
+    A row a family, at most six orbits each, with the sign that overlaps with the linear mode; of a long chain the sites
+    that move. Where a profile spans more than 3 decades, sizes at all sites stand beside them on a logarithmic scale.
+    Raises ValueError for no branch, and for branches of different chains.
+    """
+    chain = common_chain(branches)
+    chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
+    if not chosen:
+        return None
+    profiles = np.array([orbit.profile for _, orbits in chosen for orbit in orbits.values()])
+    sizes = np.apply_along_axis(_sizes, 1, profiles)
+    steep = bool(np.any(np.nanmax(sizes, axis=1) > 1e3 * np.nanmin(sizes, axis=1)))
+    keys = sorted({key for _, orbits in chosen for key in orbits})
+    rows, columns = len(chosen), 2 if steep else 1
+    with style():
+        looks = _looks(keys, chain.sites <= MARKED_SITES)
+        figure = blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
+        panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
+        for row, (branch, orbits) in zip(panels, chosen, strict=True):
+            _draw_profiles(row, branch, orbits, looks)
+        for axes, ends in zip(panels[-1], (moving(profiles), (1, chain.sites)), strict=False):
+            number_sites(axes, *ends, "site $n$")
+        figure.suptitle(title(chain))
+        figure.align_ylabels()
+        return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3))

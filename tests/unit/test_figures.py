@@ -1,0 +1,287 @@
+"""Pictures: what they draw, where lines change their look, and files that are the same bytes every time."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
+from casadi_skin.theory import multiple_scales
+
+SOFT = Chain(8, 1.0, 0.25, -1.0)
+
+
+@pytest.fixture(scope="module")
+def soft() -> Branch:
+    """A family of the end mode with located changes of stability."""
+    branch = follow_family(SOFT, 1, 3.0, at=[0.2, 1.0, 2.0, 3.0], stability=True, tolerance=1e-6)
+    assert branch.changes
+    return branch
+
+
+@pytest.fixture(scope="module")
+def plain() -> Branch:
+    """A family followed without stability, with nothing requested."""
+    return follow_family(SOFT, 3, 1.0, tolerance=1e-4)
+
+
+def lines(axes: Axes, label: str) -> list[Line2D]:
+    return [line for line in axes.get_lines() if line.get_label() == label]
+
+
+def points(line: Line2D) -> np.ndarray:
+    return np.asarray(line.get_xydata())
+
+
+def family_lines(axes: Axes) -> list[Line2D]:
+    return [line for line in axes.get_lines() if line.get_label() in ("stable", "unstable", "stability not computed")]
+
+
+def legend_labels(figure: Figure) -> set[str]:
+    return {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+# Frequencies --------------------------------------------------------------------------------------------------------
+
+
+def test_stretches_alternate_and_meet_at_the_located_changes(soft: Branch) -> None:
+    drawn = family_lines(frequency_figure([soft]).axes[0])
+    assert len(drawn) == len(soft.changes) + 1
+    for before, after, change in zip(drawn, drawn[1:], soft.changes, strict=False):
+        joint = (change.S, change.Omega)
+        assert tuple(points(before)[-1]) == joint == tuple(points(after)[0])
+        assert (before.get_label() == "stable") == change.stable_before
+        assert (after.get_label() == "stable") == change.stable_after
+    for line in drawn:
+        assert (line.get_linestyle() == "-") == (line.get_label() == "stable")
+
+
+def test_stretches_meet_midway_where_changes_were_not_located(soft: Branch) -> None:
+    drawn = family_lines(frequency_figure([dataclasses.replace(soft, changes=())]).axes[0])
+    flip = int(np.flatnonzero(np.diff(soft.stable))[0])
+    middle = [soft.S[flip : flip + 2].mean(), soft.Omega[flip : flip + 2].mean()]
+    assert points(drawn[0])[-1] == pytest.approx(middle)
+    assert points(drawn[1])[0] == pytest.approx(middle)
+
+
+def test_stretches_together_are_the_branch_in_its_order(soft: Branch) -> None:
+    # The same orbits there and back, as on a branch with a fold: nothing is sorted or lost.
+    folded = dataclasses.replace(soft, orbits=soft.orbits + soft.orbits[-2::-1], with_stability=False)
+    (line,) = family_lines(frequency_figure([folded]).axes[0])
+    assert np.array_equal(points(line)[1:], np.column_stack([folded.S, folded.Omega]))
+    drawn = np.concatenate([points(line) for line in family_lines(frequency_figure([soft]).axes[0])])
+    joints = {(change.S, change.Omega) for change in soft.changes}
+    rest = np.array([row for row in drawn if tuple(row) not in joints])
+    assert np.array_equal(rest[1:], np.column_stack([soft.S, soft.Omega]))
+    assert tuple(rest[0]) == (0.0, soft.start.Omega)
+
+
+def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) -> None:
+    figure = frequency_figure([soft, plain])
+    axes = figure.axes[0]
+    theory = lines(axes, "multiple scales, first order in $S$")
+    assert len(theory) == 2
+    S, Omega = points(theory[0]).T
+    assert Omega == pytest.approx(multiple_scales.frequency(8, 1.0, 0.25, -1.0, 1, S), rel=1e-14)
+    (requested,) = lines(axes, "requested")
+    assert np.array_equal(points(requested)[:, 0], [0.2, 1.0, 2.0, 3.0])
+    (band,) = [patch for patch in axes.patches if patch.get_label() == "linear band"]
+    omegas = SOFT.linear_frequencies()
+    low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
+    assert (low, high) == pytest.approx((omegas[0], omegas[-1]))
+    assert {text.get_text() for text in axes.texts} == {"$j = 1$", "$j = 3$"}
+    assert {"stable", "unstable", "stability not computed", "change of stability"} <= legend_labels(figure)
+    assert "N = 8" in axes.get_title()
+    assert "dimensionless" in axes.get_title()
+
+
+def test_labels_of_many_families_stay_apart_and_inside() -> None:
+    chain = Chain(12, 1.0, 0.6, 1.0)
+    branches = [follow_family(chain, j, 0.1, tolerance=1e-3, corrector="newton") for j in range(1, 13)]
+    figure = frequency_figure(branches)
+    heights = sorted(text.xyann[1] for text in figure.axes[0].texts)
+    assert len(heights) == 12
+    assert min(np.diff(heights)) >= 0.048 - 1e-12
+    assert heights[0] > -0.02
+    assert heights[-1] <= 1.0
+    colours = [tuple(line.get_color()) for line in family_lines(figure.axes[0])]
+    grey = [float(np.dot(colour[:3], [0.299, 0.587, 0.114])) for colour in colours]
+    assert np.all(np.diff(grey) > 0)
+
+
+def test_a_family_that_hardly_moves_shows_its_shift() -> None:
+    branch = follow_family(SOFT, 1, 1e-14, at=[1e-14], stability=True)
+    figure = frequency_figure([branch])
+    axes = figure.axes[0]
+    assert r"\Omega - \omega_{1}" in axes.get_ylabel()
+    (line,) = family_lines(axes)
+    slope = multiple_scales.frequency_slope(8, 1.0, 0.25, -1.0, 1)
+    assert points(line)[-1] == pytest.approx([1e-14, 1e-14 * slope], rel=1e-6, abs=0.0)
+    figure.draw_without_rendering()
+    assert "10^{\N{MINUS SIGN}15}" in axes.xaxis.get_offset_text().get_text()
+    assert all(len(re.sub(r"[^0-9.]", "", label.get_text())) <= 4 for label in axes.get_yticklabels())
+
+
+def test_branches_that_ended_early_say_so(plain: Branch) -> None:
+    assert "ended early" not in legend_labels(frequency_figure([plain]))
+    for kept in (1, 0):
+        short = dataclasses.replace(plain, orbits=plain.orbits[:kept], end=None)
+        figure = frequency_figure([short])
+        assert "ended early" in legend_labels(figure)
+        assert np.all(np.isfinite(points(family_lines(figure.axes[0])[0])))
+
+
+def test_branches_must_be_of_one_chain(plain: Branch) -> None:
+    other = follow_family(Chain(8, 1.0, 0.25, 1.0), 1, 0.1, tolerance=1e-3)
+    for draw in (frequency_figure, profile_figure):
+        with pytest.raises(ValueError, match="0 chains"):
+            draw([])
+        with pytest.raises(ValueError, match="2 chains"):
+            draw([plain, other])
+
+
+# Profiles -----------------------------------------------------------------------------------------------------------
+
+
+def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, plain: Branch) -> None:
+    figure = profile_figure([soft, plain])
+    assert figure is not None
+    panel = figure.axes[0]
+    assert panel.get_title(loc="left") == "$j = 1$"
+    mode = points(lines(panel, "linear mode")[0])[:, 1]
+    assert np.linalg.norm(mode) == pytest.approx(1.0)
+    for orbit in soft.orbits:
+        if orbit.point.requested:
+            (line,) = lines(panel, f"$S = {orbit.S:g}$")
+            y = points(line)[:, 1]
+            assert np.abs(y) == pytest.approx(np.abs(orbit.profile) / np.sqrt(orbit.S))
+            assert y @ mode > 0
+    assert "$j = 3$" not in [axes.get_title(loc="left") for axes in figure.axes]  # nothing was requested of it
+
+
+def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
+    branch = follow_family(Chain(4, 1.0, 0.1, 1.0), 1, 0.1, at=[0.1], tolerance=1e-3, corrector="newton")
+    figure = profile_figure([branch])
+    assert figure is not None
+    assert [axes.get_yscale() for axes in figure.axes] == ["linear"]
+
+
+def test_long_chains_are_lines_without_markers() -> None:
+    branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), 1000, 1e-3, at=[1e-3], tolerance=1e-2, corrector="newton")
+    figure = profile_figure([branch])
+    assert figure is not None
+    assert [axes.get_yscale() for axes in figure.axes] == ["linear", "log"]
+    assert {line.get_marker() for axes in figure.axes for line in axes.get_lines()} == {"None"}
+    assert figure.axes[0].get_xlim()[0] > 800  # the sites that move; all of them on the logarithmic scale
+    assert figure.axes[1].get_xlim() == (0.5, 1000.5)
+
+
+def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
+    requested = tuple(orbit for orbit in soft.orbits if orbit.point.requested)
+    figure = profile_figure([dataclasses.replace(soft, orbits=(requested[0], requested[0]))])
+    assert figure is not None
+    assert {"$S = 0.2$", "$S = 0.2$ (passage 2)"} <= legend_labels(figure)
+
+
+# Multipliers --------------------------------------------------------------------------------------------------------
+
+
+def test_multipliers_leave_the_circle_at_the_changes(soft: Branch) -> None:
+    figure = multiplier_figure(soft)
+    assert figure is not None
+    moduli, *planes = figure.axes
+    (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
+    assert {(change.S, 1.0) for change in soft.changes} <= {tuple(point) for point in points(largest)}
+    vertical = [line.get_xdata()[0] for line in moduli.get_lines() if "change of" in str(line.get_label())]
+    assert vertical == [change.S for change in soft.changes]
+    assert [axes.get_title(loc="left").split("$")[1] for axes in planes] == ["S = 0.2", "S = 2", "S = 3"]
+    kinds = ("on the unit circle", "real, off the circle", "complex, off the circle")
+    for axes in planes:
+        assert axes.get_aspect() == 1.0
+        drawn = sum(len(points(line)) for kind in kinds for line in lines(axes, kind))
+        outside = [text.get_text().split()[0] for text in axes.texts]
+        assert drawn + sum(map(int, outside)) == 2 * SOFT.sites - 2
+
+
+def test_there_is_nothing_to_draw_without_stability_or_requests(plain: Branch, soft: Branch) -> None:
+    assert multiplier_figure(plain) is None
+    assert multiplier_figure(dataclasses.replace(soft, orbits=())) is None
+    assert profile_figure([plain]) is None
+
+
+# Special chains -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sites", "gamma", "mode"), [(1, 0.3, 1), (4, -1.0, 4)])
+def test_chains_without_a_band(sites: int, gamma: float, mode: int) -> None:
+    branch = follow_family(Chain(sites, 1.0, gamma, 1.0), mode, 1.0, at=[1.0], stability=True, tolerance=1e-4)
+    figure = frequency_figure([branch])
+    assert "linear frequency" in legend_labels(figure)
+    theory = points(lines(figure.axes[0], "multiple scales, first order in $S$")[0])
+    assert theory[1, 1] - theory[0, 1] == pytest.approx(3.0 / (8.0 * np.sqrt(3.0)))  # the site alone
+    assert profile_figure([branch]) is not None
+    assert multiplier_figure(branch) is not None
+
+
+@pytest.mark.parametrize("chain", [Chain(1, 1.0, 0.0, 1.0), Chain(1000, 1.0, 0.25, 1.0), Chain(5, 1.0, 1.0, 1.0)])
+def test_spectrum(chain: Chain) -> None:
+    axes, *modes = spectrum_figure(chain).axes
+    drawn = points(axes.get_lines()[0])
+    assert drawn[:, 1] == pytest.approx(chain.linear_frequencies())
+    assert len(axes.texts) == 2
+    assert [panel.get_ylabel() for panel in modes] == [f"$u_{{{j},n}}$" for j in dict.fromkeys([chain.sites, 1])]
+
+
+def test_spectrum_leaves_out_modes_that_do_not_oscillate() -> None:
+    chain = Chain(24, -1.0, 0.1, 1.0)
+    squares = chain.diagonalise()[0]
+    drawn = points(spectrum_figure(chain).axes[0].get_lines()[0])[:, 1]
+    assert np.array_equal(np.isfinite(drawn), squares > 0)
+
+
+# Files --------------------------------------------------------------------------------------------------------------
+
+
+def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path) -> None:
+    one = Chain(1, 1.0, 0.0, 1.0)
+    before = dict(matplotlib.rcParams)
+    figure = spectrum_figure(one)
+    first = save(figure, tmp_path / "spectrum.v1")
+    assert dict(matplotlib.rcParams) == before
+    assert [path.name for path in first] == ["spectrum.v1.png", "spectrum.v1.svg"]
+    contents = [path.read_bytes() for path in first]
+    with matplotlib.rc_context({"font.size": 20.0, "xtick.direction": "out", "savefig.bbox": "tight"}):
+        other = save(spectrum_figure(one), tmp_path / "other")
+    assert [path.read_bytes() for path in other] == contents
+    assert [path.read_bytes() for path in save(figure, tmp_path / "other")] == contents  # replaced, by one drawn before
+    assert len(list(tmp_path.iterdir())) == 4
+    assert first[0].read_bytes().startswith(b"\x89PNG")
+    assert b"<dc:date>" not in first[1].read_bytes()
+
+
+def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "f.png").write_bytes(b"old")
+
+    def fail(self: Figure, path: Path, **options: object) -> None:
+        Path(path).write_bytes(b"half")
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(OSError, match="no space"):
+        save(Figure(), tmp_path / "f")
+    assert [path.name for path in tmp_path.iterdir()] == ["f.png"]
+    assert (tmp_path / "f.png").read_bytes() == b"old"
+
+
+def test_import_is_cheap() -> None:
+    code = "import sys, casadi_skin.figures; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
