@@ -52,6 +52,8 @@ class GaussProblem(OrbitProblem):
     def __init__(self, model: OdeModel, intervals: int, symmetry: SymmetryClass, degree: int = 5) -> None:
         if model.parameters.numel() != 1 or model.normalisation is None:
             raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
+        if symmetry is SymmetryClass.FULL and model.order == 1 and model.hamiltonian is None:
+            raise ValueError(f"{model.name}: the full period unfolds a conserved quantity; declare its hamiltonian")
         self.model, self.resolution, self.symmetry, self.degree = model, intervals, symmetry, degree
         self.pinned = pinned_components(model, symmetry)
         self.columns = intervals * (degree + 1) + 1
@@ -77,8 +79,8 @@ class GaussProblem(OrbitProblem):
             direction = ca.vertcat(ca.SX.zeros(model.size), model.velocity)
         elif model.hamiltonian is not None:
             direction = ca.gradient(model.hamiltonian, model.full_state)
-        else:
-            direction = model.full_rhs
+        else:  # of no use: only the full period unfolds
+            direction = ca.SX(model.full_size, 1)
         x, parameters = model.full_state, ca.vertcat(model.parameters, damping)
         field = model.full_rhs + damping * direction
         results = [field, ca.jacobian(field, x), ca.densify(ca.jacobian(field, parameters))]

@@ -19,6 +19,9 @@ from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.bordered import SingularError, Solve
 from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
 
+ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
+BESIDE = 1e-3  # reach of a correction to a value of the parameter that is the point's own but for round-off
+SAME = 1e-12  # relative difference below which a point walked is the one asked for
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 
 
@@ -128,10 +131,11 @@ class Walk:
         """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
 
         `held` tells that `row` holds the parameter. Where most of the error is what the corrector left over, a Newton
-        step and the corrector once more take it away; what stays after that is round-off, and the point is kept with
-        its estimate. Raises SingularError.
+        step and the corrector once more take it away; what stays after that, or what a finer rung does not lessen, is
+        round-off, and the point is kept with its estimate. Raises SingularError.
         """
         z, iterations, polished = correction.z, correction.iterations, False
+        coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
         while True:
             solve = self._factor(problem, z, row)
             tangent = self._tangent(problem, z, solve)
@@ -139,16 +143,18 @@ class Walk:
             relative = error.relative(float(z[problem.Omega_index]))
             left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
             algebraic = step_error(problem, z, left_over).relative(float(z[problem.Omega_index]))
-            at_round_off = polished and algebraic > 0.25 * relative
-            if relative <= self.settings.tolerance or at_round_off:
-                return Point(problem, z, tangent, error, self.settings.first_step, iterations)
+            point = Point(problem, z, tangent, error, self.settings.first_step, iterations)
+            if relative <= self.settings.tolerance or (polished and algebraic > 0.25 * relative):
+                return point
+            if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
+                return coarser[1]  # no better for its finer rung, whose round-off is larger
             if algebraic > 0.25 * relative:
                 polished, target, guess = True, problem, z - left_over
             else:
                 finer = self.ladder.finer(problem)
                 if finer is None or self.ladder.finer(finer) is None:
                     return None
-                polished, target, guess = False, finer, problem.prolong(z, finer)
+                polished, target, guess, coarser = False, finer, problem.prolong(z, finer), (relative, point)
                 if held:
                     row = finer.parameter_row() * row[problem.parameter_index]
                 else:
@@ -168,11 +174,10 @@ class Walk:
             if following is None:
                 return
             yield from self._requested(current, following)
-            if sign * following.parameter >= abs(self.settings.parameter_max):
-                self.end = End.REACHED
+            if self.end is End.REACHED:
                 return
             self.history = (current, following)
-            yield following
+            yield self._snapped(following, self.settings.at)
             if sign * following.parameter <= 0:
                 self.end = End.RETURNED
                 return
@@ -230,20 +235,43 @@ class Walk:
         allowed = self.settings.max_parameter_step * abs(self.settings.parameter_max)
         return allowed / slope if slope > 0 else np.inf
 
+    @staticmethod
+    def is_any(parameter: float, values: tuple[float, ...]) -> bool:
+        return any(abs(parameter - value) <= SAME * abs(value) for value in values)
+
+    def _snapped(self, point: Point, values: tuple[float, ...]) -> Point:
+        """The point, with the parameter exactly at that one of `values` that it has but for round-off, and requested."""
+        for value in values:
+            if self.is_any(point.parameter, (value,)):
+                z = point.z.copy()
+                z[point.problem.parameter_index] = value
+                return replace(point, z=z, requested=True)
+        return point
+
     def _requested(self, current: Point, following: Point) -> Iterator[Point]:
-        """Points asked for between two points walked, the walk's end among them, in arclength order."""
-        settings = self.settings
+        """Points asked for between two points walked, the walk's end among them, in arclength order.
+
+        Sets `end` where the stretch passes the walk's end, also where it folds back before it closes.
+        """
+        settings, last = self.settings, self.settings.parameter_max
         wanted = dict.fromkeys(settings.at, True)
-        wanted.setdefault(settings.parameter_max, False)
+        wanted.setdefault(last, False)
         if current.parameter == 0.0:
             wanted.setdefault(START_FRACTION * following.parameter, False)
-        for value, point in self.between(current, following, tuple(wanted)):
+        ends = (current.parameter, following.parameter)
+        inside = tuple(v for v in wanted if not any(self.is_any(end, (v,)) for end in ends))
+        for value, point in self.between(current, following, inside):
             if point is None:
                 self.missed.append(value)
             else:
                 yield replace(point, requested=wanted[value])
-            if value == settings.parameter_max:
+            if value == last:
+                self.end = End.REACHED
                 return
+        if self.is_any(following.parameter, (last,)):  # the step itself ended there
+            self.end = End.REACHED
+            end = self._snapped(following, (last,))
+            yield replace(end, requested=wanted[last], walked=False)
 
     def between(
         self, current: Point, following: Point, values: tuple[float, ...]
@@ -257,6 +285,10 @@ class Walk:
         places = sorted((s, v) for v in values for s in curve.crossings(index, v, length))
         for sigma, value in places:
             yield value, self._exactly(following.problem, curve, sigma, value, length)
+
+    def beside(self, point: Point, value: float) -> Point | None:
+        """The point with the free parameter at `value`, which is next to that of `point`; None where none is found."""
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, value, BESIDE)
 
     def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
         """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""

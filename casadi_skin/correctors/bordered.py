@@ -15,6 +15,8 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices, OrbitProblem
 
+SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+
 
 class SingularError(ArithmeticError):
     """The bordered matrix cannot be solved to any useful accuracy."""
@@ -49,6 +51,7 @@ class BorderedSolver:
     def __init__(self, problem: OrbitProblem) -> None:
         self.problem = problem
         self._band = _Band.of(problem)
+        self._general = np.append(np.cos(np.arange(problem.size - 1) ** 2 % 6.25), 0.0)
 
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
@@ -67,11 +70,15 @@ class BorderedSolver:
         return solve
 
     def _accurate(self, solve: Solve, nonzeros: Array, row: Array) -> bool:
-        """Whether a solve reproduces its right-hand side, tested on (0, ..., 0, 1), the one that gives the tangent."""
-        unit = np.zeros(self.problem.size)
-        unit[-1] = 1.0
-        x = solve(unit)
-        if not np.all(np.isfinite(x)):
+        """Whether a solve reproduces its right-hand side and the matrix is not singular.
+
+        Tested on (0, ..., 0, 1), which gives the tangent, and on residuals in general position, whose solution is
+        huge where the matrix is singular.
+        """
+        both = np.zeros((self.problem.size, 2))
+        both[-1, 0], both[:, 1] = 1.0, self._general
+        x, general = solve(both).T
+        if not (np.all(np.isfinite(x)) and np.max(np.abs(general)) < SINGULAR):
             return False
         rows, columns = self.problem.pattern
         terms = nonzeros * x[columns]

@@ -12,6 +12,7 @@ from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.bordered import BorderedSolver
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+FOLD = 1e-4  # tangents that change the parameter by less than this part of it are those of a fold
 
 
 @dataclass(frozen=True)
@@ -77,16 +78,21 @@ class Ladder:
         """Error of z: one Newton step on the next finer rung, from z prolonged.
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
-        and the round-off of the residual as well. The free parameter is held, or the component along `tangent`
-        where one is given. Infinite at the top of the ladder. Raises SingularError.
+        and the round-off of the residual as well. The free parameter is held; with `tangent` (unit in the metric) the
+        step is taken across it and then brought back to the parameter along it, but for the neighbourhood of a fold.
+        Infinite at the top of the ladder. Raises SingularError.
         """
         finer = self.finer(problem)
         if finer is None:
             return ErrorEstimate(np.inf, np.inf)
         long_z = problem.prolong(z, finer)
         row = finer.parameter_row()
-        if tangent is not None:
-            row = finer.metric(long_z, 1.0) * problem.prolong(tangent, finer)
+        along = None if tangent is None else problem.prolong(tangent, finer)
+        if along is not None:
+            row = finer.metric(long_z, 1.0) * along
         residual, nonzeros = finer.evaluate(long_z)
         step = self.solver(finer).factor(long_z, nonzeros, row)(np.append(residual, 0.0))
+        index = finer.parameter_index
+        if along is not None and abs(along[index]) > FOLD * abs(long_z[index]):
+            step = step - along * (step[index] / along[index])
         return step_error(finer, long_z, step)

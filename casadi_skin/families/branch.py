@@ -94,13 +94,17 @@ class Branch:
 
         Raises ValueError where the branch does not pass S that often, ArithmeticError where no orbit is found there.
         """
+        if which < 0:
+            raise ValueError(f"which: given {which}; accepted: a whole number from 0 on")
         kappa = self.tools.request.chain.g * S
         walk = Walk(self.tools.ladder, self.tools.request.walk_settings(), ())
         passage, before = 0, self.start
         for orbit in self.orbits:
             if orbit.S == S:
                 found: list[Point | None] = [orbit.point]
-            elif before.parameter == kappa:
+            elif walk.is_any(orbit.point.parameter, (kappa,)):
+                found = [walk.beside(orbit.point, kappa)]
+            elif walk.is_any(before.parameter, (kappa,)):
                 found = []
             else:
                 found = [point for _, point in walk.between(before, orbit.point, (kappa,))]
@@ -111,7 +115,7 @@ class Branch:
                     continue
                 if point is None:
                     raise ArithmeticError(f"at: no orbit was found at S = {S:g}, which the branch passes")
-                return orbit if point is orbit.point else Orbit(self.tools, point)
+                return orbit if point is orbit.point else Orbit(self.tools, point, asked_S=S)
         covered = f"{self.S.min():g} to {self.S.max():g}" if self.orbits else "no point"
         raise ValueError(
             f"at: given S = {S!r}, which = {which}; the branch covers {covered} and passes S {passage} times"

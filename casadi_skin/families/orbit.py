@@ -17,6 +17,8 @@ from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.multipliers import ComplexArray, Floquet, floquet, floquet_vectors
 from casadi_skin.theory.linear import standing_wave
 
+TIE = 1e-10  # relative difference of displacements that count as equal
+
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
@@ -25,6 +27,7 @@ class Orbit:
     tools: FamilyTools
     point: Point
     known_floquet: Floquet | None = None  # computed before, as in a run that is resumed
+    asked_S: float | None = None  # the S that the orbit was asked for at, which kappa/g need not give back exactly
 
     @property
     def chain(self) -> Chain:
@@ -34,7 +37,7 @@ class Orbit:
     @property
     def S(self) -> float:
         """Total amplitude ||y||^2, the sum of y_n^2 at t = 0."""
-        return self.tools.request.S_of(self.point.parameter)
+        return self.tools.request.S_of(self.point.parameter) if self.asked_S is None else self.asked_S
 
     @property
     def Omega(self) -> float:
@@ -72,14 +75,19 @@ class Orbit:
         return self._physical(self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float))))
 
     @cached_property
-    def _sign(self) -> float:
-        """The sign that makes the largest displacement at t = 0 positive; along a family that site can change."""
+    def _scale(self) -> float:
+        """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
+
+        Of sites that tie, as in a reciprocal chain, the last one decides. What the corrector left of the normalisation
+        sum_n w_n q_n(0)^2 = 1 is divided out, so that ||y||^2 is S to round-off.
+        """
         start = self.tools.core.rho * self._gauge(np.zeros(1))[0]
-        return float(np.sign(start[np.argmax(np.abs(start))]))
+        tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE) * np.max(np.abs(start)))
+        return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / np.linalg.norm(start))
 
     def _physical(self, gauge: Array) -> Array:
         """Displacements of scaled gauge positions, shape (rows, core sites) -> (rows, sites)."""
-        core = self._sign * np.sqrt(self.S) * self.tools.core.rho * gauge
+        core = self._scale * self.tools.core.rho * gauge
         if core.shape[1] == self.chain.sites:
             return np.asarray(core, dtype=float)
         everywhere = np.zeros((core.shape[0], self.chain.sites))

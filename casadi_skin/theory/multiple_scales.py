@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.theory.linear import Array, log_envelope, right_eigenvector, squared_frequency, standing_wave
+from casadi_skin.theory.linear import (
+    Array,
+    gauge_coupling,
+    log_envelope,
+    right_eigenvector,
+    squared_frequency,
+    standing_wave,
+)
 
 
 def frequency_slope(sites: int, alpha: float, gamma: float, g: float, mode: int) -> float:
@@ -34,3 +41,15 @@ def sensitivity(sites: int, alpha: float, gamma: float, g: float, mode: int) -> 
     """Sensitivity factor |d((Omega - omega_j)/omega_j)/dS| (paper, equation for the sensitivity)."""
     omega = np.sqrt(squared_frequency(sites, alpha, gamma, mode))
     return abs(frequency_slope(sites, alpha, gamma, g, mode)) / float(omega)
+
+
+def sensitivity_limit(alpha: float, gamma: float, g: float, mode: int) -> float:
+    """Limit of (N+1)^3 times the sensitivity factor of a fixed mode as N grows, 0 < |gamma| < 1.
+
+    Near the edge the sines become m j pi/(N+1), and the sums of m^4 r^-m and m^2 r^-m are polylogarithms, of orders -4
+    and -2. Raises ValueError for another gamma.
+    """
+    if not 0.0 < abs(gamma) < 1.0:
+        raise ValueError(f"gamma: given {gamma!r}; accepted: 0 < |gamma| < 1")
+    lowest = alpha + 2.0 * gamma**2 / (1.0 + gauge_coupling(gamma))
+    return float(0.75 * abs(g) * (np.pi * mode / gamma) ** 2 * (3.0 - 2.0 * gamma**2) / lowest)

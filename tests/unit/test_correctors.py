@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -111,7 +113,7 @@ def test_a_guess_far_off_is_a_named_failure(make: Make, sites: int) -> None:
     guess = 100.0 * linear_mode(problem, chain, 1)
     correction = make(problem).correct(guess, problem.parameter_row(), -0.3)
     assert not correction.converged
-    assert correction.status in (Status.DIVERGED, Status.TOO_MANY_ITERATIONS, Status.INFEASIBLE)
+    assert correction.status in set(Status) - {Status.CONVERGED}
 
 
 @pytest.mark.parametrize("make", CORRECTORS)
@@ -153,7 +155,6 @@ def test_a_guess_that_is_no_number_is_a_named_failure(make: Make) -> None:
     assert not make(problem).correct(np.full(problem.size, np.nan), problem.parameter_row(), -0.4).converged
 
 
-@pytest.mark.xfail(strict=True, raises=RuntimeWarning, reason="Newton's metric divides by the frequency of the guess")
 def test_a_guess_of_frequency_zero_is_a_named_failure() -> None:
     chain = Chain(1, 1.0, 0.25, -1.0)
     problem = problem_of(chain, "trigonometric")
@@ -224,7 +225,7 @@ def test_the_largest_entry_may_be_anywhere(sites: int, position: float) -> None:
 
 
 @pytest.mark.usefixtures("only_the_band")
-@pytest.mark.parametrize(("sites", "mode"), [(4, 1), (24, 1), (24, 13), (24, 24), (60, 2)])
+@pytest.mark.parametrize(("sites", "mode"), [(4, 1), (5, 3), (23, 12), (24, 13), (24, 24), (60, 2)])
 def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites: int, mode: int) -> None:
     chain = Chain(sites, 1.0, 0.25, 1.0)
     problem = TrigonometricProblem(chain.gauge_model(), 5)
@@ -239,6 +240,19 @@ def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites:
     found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_allclose(matrix @ found, b, rtol=0, atol=1e-10 * np.abs(matrix).max() * np.abs(found).max())
+
+
+@pytest.mark.usefixtures("only_the_band")
+def test_the_band_of_a_model_whose_couplings_are_not_symmetric_is_not_transposed() -> None:
+    model = Chain(6, 1.0, 0.5, 1.0).physical_model()
+    problem = TrigonometricProblem(replace(model, normalisation=ca.dot(model.state, model.state) - 1), 4)
+    random = np.random.default_rng(3)
+    z, row, b = (random.normal(size=problem.size) for _ in range(3))
+    z[problem.Omega_index] = 1.4
+    _, nonzeros = problem.evaluate(z)
+    expected = np.linalg.solve(dense(problem, nonzeros, row), b)
+    found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -261,10 +275,13 @@ def test_an_inaccurate_band_is_given_up_for_superlu(monkeypatch: pytest.MonkeyPa
     z, row, b = (random.normal(size=problem.size) for _ in range(3))
     z[problem.Omega_index] = 1.4
     _, nonzeros = problem.evaluate(z)
-    expected = np.linalg.solve(dense(problem, nonzeros, row), b)
-    for wrong in (lambda b: np.full(b.shape, np.nan), lambda b: 1.001 * expected if b[-1] != 1 else 1.001 * b):
-        monkeypatch.setattr(BorderedSolver, "_factor_band", lambda *_, w=wrong: w)
+    matrix = dense(problem, nonzeros, row)
+    for spoil in (np.nan, 1.001):  # no result at all, or one of three digits
+        monkeypatch.setattr(
+            BorderedSolver, "_factor_band", lambda *_, f=spoil: lambda right: f * np.linalg.solve(matrix, right)
+        )
         found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
+        expected = np.linalg.solve(matrix, b)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
@@ -280,7 +297,6 @@ def test_a_row_that_repeats_an_equation_is_singular(sites: int) -> None:
             BorderedSolver(problem).factor(z, nonzeros, held)
 
 
-@pytest.mark.xfail(strict=True, reason="only one right-hand side is checked, and the null vectors do not show in it")
 @pytest.mark.parametrize("sites", [2, 6])
 def test_a_linear_mode_where_all_frequencies_meet_is_singular(sites: int) -> None:
     """At |gamma| = 1 the gauge uncouples the sites: the Jacobian's null space has one dimension a site."""

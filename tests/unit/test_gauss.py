@@ -241,7 +241,6 @@ def test_a_conservative_model_of_first_order_without_reversal_is_solved_on_the_f
     np.testing.assert_allclose(states, path.y.T, atol=1e-6)
 
 
-@pytest.mark.xfail(strict=True, reason="the direction of unfolding is the field itself, the same column as Omega's")
 def test_a_first_order_model_without_a_declared_energy_is_refused_or_regular() -> None:
     try:
         problem = GaussProblem(predator_and_prey(hamiltonian=None), 4, FULL, degree=2)
