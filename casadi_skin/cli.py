@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import signal
 import sys
@@ -12,7 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.rundir import DirectoryError, Existing, prepare
+from casadi_skin.rundir import DirectoryError, Existing, prepare, prepare_study
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
 
 if TYPE_CHECKING:
@@ -63,6 +64,17 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     spectrum.set_defaults(act=_spectrum)
+
+    again = commands.add_parser(
+        "reproduce",
+        help="the paper's figures and claims, recomputed",
+        description="Recompute the figures of arXiv:2512.17483, fig1 to fig7, and check its claims.",
+    )
+    again.add_argument("targets", nargs="*", metavar="TARGET", help="fig1 ... fig7, claims (default: all)")
+    again.add_argument("--out", type=Path, metavar="DIR", help="directory of the results (default: results/paper)")
+    again.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the targets")
+    again.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+    again.set_defaults(act=_reproduce)
     return parser
 
 
@@ -97,6 +109,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for branch in run.branches:
         if not branch.complete:
             print(f"{arguments.scene}: mode {branch.tools.request.mode}: {branch.reason}", file=sys.stderr)
+    if run.evolution_failure:
+        print(f"{arguments.scene}: [dynamics]: {run.evolution_failure}", file=sys.stderr)
     return DONE if complete else FAILED
 
 
@@ -125,6 +139,37 @@ def _spectrum(arguments: argparse.Namespace) -> int:
         from casadi_skin.run import write_spectrum
 
         write_spectrum(chain, arguments.out)
+    return DONE
+
+
+def _reproduce(arguments: argparse.Namespace) -> int:
+    from casadi_skin.studies.reproduce import TARGETS, reproduce
+
+    for name in arguments.targets:
+        if name not in TARGETS:
+            near = next(iter(difflib.get_close_matches(name[:40].lower(), TARGETS, n=1)), None)
+            hint = f"did you mean {near}? " if near else ""
+            raise InputError(f"reproduce: given {name[:40]!r}; {hint}accepted: {', '.join(TARGETS)}")
+    directory = arguments.out or Path("results") / "paper"
+    prepare_study(directory, arguments.overwrite)
+
+    from casadi_skin.progress import Progress
+
+    with Progress(arguments.quiet) as progress:
+        try:
+            made = reproduce(arguments.targets, directory, progress.say)
+        except KeyboardInterrupt:
+            progress.__exit__(None, None, None)
+            print(f"interrupted; what was computed is in {directory}", file=sys.stderr)
+            return INTERRUPTED
+        except ArithmeticError as error:
+            progress.__exit__(None, None, None)
+            print(f"casadi-skin: {error}; what was computed is in {directory}", file=sys.stderr)
+            return FAILED
+    if made.claims:
+        counts = ", ".join(f"{verdict}: {count}" for verdict, count in made.verdicts.items())
+        print(f"{len(made.claims)} claims; {counts}")
+    print(f"{len(made.files)} files in {directory}")
     return DONE
 
 
@@ -171,6 +216,8 @@ def _summary(run: Run) -> None:
             cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
         table.add_row(*cells, f"{seconds:.2f}")
     Console().print(table)
+    if run.evolution is not None:
+        print(f"dynamics: {run.evolution.status}")
     print(f"results in {run.directory}")
 
 

@@ -9,7 +9,7 @@ from casadi_skin.continuation.arclength import Walk
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
-from casadi_skin.scene import Scene
+from casadi_skin.scene import DynamicsTable, Scene
 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
@@ -49,9 +49,22 @@ def plan_lines(scene: Scene) -> list[tuple[str, str]]:
     requests = scene_requests(scene)
     if requests:
         lines += _family_lines(scene, requests)
+        if scene.dynamics is not None:
+            lines.append(("dynamics", _dynamics(scene.dynamics, requests[0].mode)))
     else:
         lines.append(("not built", "any boundary-value problem: the scene asks for no family"))
     return lines
+
+
+def _dynamics(table: DynamicsTable, only_mode: int) -> str:
+    """What of which orbit is followed in time, and how."""
+    kicks = {"site": f"at site {table.site}", "vector": "along a vector", "seed": f"at random, seed {table.seed}"}
+    kicked = [words for name, words in kicks.items() if getattr(table, name) is not None]
+    start = f", perturbed by {table.size:g} {kicked[0]}" if kicked else ""
+    end = f"t = {table.duration:g}" if table.duration is not None else f"{table.periods:g} periods"
+    samples = f"{table.samples} times" if table.samples is not None else "20 times a period, 401 to 4001 in all"
+    orbit = f"the orbit j = {table.mode or only_mode}, S = {table.S:g}"
+    return f"{orbit}{start}, to {end}; {samples}; {table.method}, tolerance {table.tolerance:g}"
 
 
 def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str, str]]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import casadi_skin.figures as figures
 from casadi_skin.families.branch import Branch
@@ -30,6 +31,9 @@ from casadi_skin.results.tables import EVENT_COLUMNS, Cell, event_row, orbit_row
 from casadi_skin.rundir import JOURNAL
 from casadi_skin.scene import Scene
 
+if TYPE_CHECKING:
+    from casadi_skin.dynamics import Evolution
+
 TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
 
 
@@ -38,7 +42,8 @@ class Run:
     """One run of a scene into a directory that is ready for it (see rundir).
 
     `branches` and `seconds` fill as families end; an exception or an interruption leaves what was computed in the
-    files and in the journal.
+    files and in the journal. `evolution` is the time evolution where the scene asks for one, as far as it could be
+    followed; `evolution_failure` tells in one line why that is not to its end.
     """
 
     scene: Scene
@@ -47,6 +52,8 @@ class Run:
     progress: Progress
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    evolution: Evolution | None = None
+    evolution_failure: str = ""
     _rows: list[dict[str, Cell]] = field(default_factory=list)
     _written: float = 0.0
 
@@ -55,12 +62,13 @@ class Run:
         return self.scene.stability is not None
 
     def execute(self) -> bool:
-        """Compute, write, and tell whether every family is complete."""
+        """Compute, write, and tell whether every family is complete and the time evolution, if any, was followed."""
         try:
             self._follow_all()
         finally:
             self._write_results()
-        complete = all(branch.complete for branch in self.branches)
+        self._evolve()
+        complete = all(branch.complete for branch in self.branches) and not self.evolution_failure
         if complete:
             (self.directory / JOURNAL).unlink(missing_ok=True)
         return complete
@@ -105,6 +113,25 @@ class Run:
             self.branches.append(branch)
         journal.append(EndRecord(request.mode, branch.end, branch.detail, branch.missed))
 
+    def _evolve(self) -> None:
+        """The time evolution with its files, where the scene asks for one; nothing of it is imported elsewhere."""
+        if self.scene.dynamics is None:
+            return
+        from casadi_skin.dynamics import EvolutionError
+        from casadi_skin.rundynamics import evolve_scene, scene_orbit, write_dynamics
+
+        self.progress.say("time evolution")
+        try:
+            orbit = scene_orbit(self.scene, self.branches)
+            self.evolution = evolve_scene(self.scene, orbit)
+        except EvolutionError as error:
+            self.evolution, self.evolution_failure = error.evolution, str(error)
+        except (ValueError, ArithmeticError) as error:
+            self.evolution_failure = str(error)
+        if self.evolution is not None:
+            self.progress.say("writing the time evolution")
+            write_dynamics(self.scene, self.scene_text, orbit, self.evolution, self.directory)
+
     # Writing --------------------------------------------------------------------------------------------------------
 
     def _keep(self, orbits: Sequence[Orbit]) -> None:
@@ -142,6 +169,18 @@ class Run:
             multipliers = figures.multiplier_figure(branch)
             if multipliers is not None:
                 figures.save(multipliers, self.directory / f"multipliers_j{branch.tools.request.mode}")
+        if self.scene.family is not None and self.scene.family.film:
+            self._write_films(branches)
+
+    def _write_films(self, branches: Sequence[Branch]) -> None:
+        """A film of each family's mode, at the last requested point or at the end."""
+        from casadi_skin.animation import animate
+
+        for branch in branches:
+            mode = branch.tools.request.mode
+            self.progress.say(f"film of j = {mode}")
+            asked = [orbit for orbit in branch.orbits if orbit.point.requested]
+            animate((asked or branch.orbits)[-1], self.directory / f"film_j{mode}.gif")
 
 
 def write_spectrum(chain: Chain, directory: Path) -> None:

@@ -11,8 +11,8 @@ from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
-WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", SCENE, JOURNAL)
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*")
+WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", "dynamics.csv", "dynamics.nc", SCENE, JOURNAL)
+PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics")
 
 
 class DirectoryError(ValueError):
@@ -32,25 +32,38 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    _check_writable(directory)
-    held = sorted(path.name for path in directory.iterdir()) if directory.exists() else []
-    if held and existing is Existing.REFUSE:
-        raise DirectoryError(
-            f"{directory}: holds {held[0]}{' and more' if len(held) > 1 else ''}; accepted: an empty or new directory, "
-            "--resume or --overwrite"
-        )
+    held = _check_free(directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite")
     if held and existing is Existing.RESUME:
         _check_same(directory, scene)
         if not (directory / JOURNAL).exists() and (directory / "family.nc").exists():
             return False
     if existing is Existing.OVERWRITE:
-        for name in (*WRITTEN, *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg"))):
+        for name in (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg"))):
             for path in directory.glob(name):
                 path.unlink()
     directory.mkdir(parents=True, exist_ok=True)
     with replacing(directory / SCENE) as temporary:
         temporary.write_text(scene_text, encoding="utf-8")
     return True
+
+
+def prepare_study(directory: Path, overwrite: bool) -> None:
+    """Make `directory` ready for the results of a study, which replace those of the same name.
+
+    Raises DirectoryError where the directory may not be used; nothing is written then.
+    """
+    _check_free(directory, overwrite, "an empty or new directory, or --overwrite")
+    directory.mkdir(parents=True, exist_ok=True)
+
+
+def _check_free(directory: Path, may_hold: bool, accepted: str) -> bool:
+    """Whether the directory holds anything; raises DirectoryError where it may not, or cannot be written."""
+    _check_writable(directory)
+    held = sorted(path.name for path in directory.iterdir()) if directory.exists() else []
+    if held and not may_hold:
+        more = " and more" if len(held) > 1 else ""
+        raise DirectoryError(f"{directory}: holds {held[0]}{more}; accepted: {accepted}")
+    return bool(held)
 
 
 def _check_writable(directory: Path) -> None:

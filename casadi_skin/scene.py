@@ -24,16 +24,20 @@ Transcription = Literal["trigonometric", "gauss"]
 Corrector = Literal["ipopt", "newton"]
 Walker = Literal["arclength"]
 Flow = Literal["splitting", "cvodes"]
+Evolver = Literal["cvodes", "dop853", "symplectic"]
 
 PRESETS: tuple[str, ...] = get_args(Preset)
 TRANSCRIPTIONS: tuple[str, ...] = get_args(Transcription)
 CORRECTORS: tuple[str, ...] = get_args(Corrector)
 WALKERS: tuple[str, ...] = get_args(Walker)
 FLOWS: tuple[str, ...] = get_args(Flow)
+EVOLVERS: tuple[str, ...] = get_args(Evolver)
 PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
 _LONGEST = 60  # characters of a given value or name that a message shows
 _MAX_SITES = 10_000_000
+_MAX_SAMPLES = 1_000_000
+_LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 
 
 def _one_of(names: Iterable[str]) -> str:
@@ -78,6 +82,10 @@ class FamilyTable(_Table, frozen=True):
         tuple[_Positive, ...],
         Meta(title="Points at these S", description="a list of numbers > 0, ascending up to amplitude_max"),
     ] = ()
+    film: Annotated[
+        bool,
+        Meta(title="Film (GIF) of the mode at the last point of `at`, or else at the end", description="true or false"),
+    ] = False
 
     @property
     def modes(self) -> tuple[int, ...]:
@@ -92,6 +100,47 @@ class StabilityTable(_Table, frozen=True):
     vectors: Annotated[
         bool, Meta(title="Keep the Floquet vectors at the points of `at`", description="true or false")
     ] = False
+
+
+class DynamicsTable(_Table, frozen=True):
+    """The time evolution of one orbit, perturbed or not, from the phase where all velocities vanish."""
+
+    S: Annotated[_Positive, Meta(title="S of the orbit", description="a finite number > 0, up to amplitude_max")]
+    mode: Annotated[
+        _Mode | None,
+        Meta(title="Mode of its family", description="one of the modes of [family]; required where these are several"),
+    ] = None
+    duration: Annotated[_Positive | None, Meta(title="Time to its end", description="a finite number > 0")] = None
+    periods: Annotated[
+        _Positive | None, Meta(title="Periods of the orbit to its end", description="a finite number > 0")
+    ] = None
+    samples: Annotated[
+        Annotated[int, Meta(ge=2, le=_MAX_SAMPLES)] | None,
+        Meta(
+            title="Number of times written, first and last included",
+            description=f"a whole number >= 2 and <= {_MAX_SAMPLES} (left out: 20 a period, 401 to 4001 in all)",
+        ),
+    ] = None
+    method: Annotated[Evolver, Meta(title="Integrator", description=_one_of(EVOLVERS))] = "cvodes"
+    tolerance: Annotated[
+        _Tolerance, Meta(title="Relative tolerance of one step", description="a number >= 1e-13 and <= 1e-2")
+    ] = 1e-11
+    size: Annotated[
+        _Positive | None,
+        Meta(title="Norm of the perturbation", description="a finite number > 0, with one of site, vector, seed"),
+    ] = None
+    site: Annotated[_Mode | None, Meta(title="Displaced site", description="a site from 1 to sites")] = None
+    vector: Annotated[
+        Annotated[tuple[_Finite, ...], Meta(min_length=1)] | None,
+        Meta(
+            title="Direction of the perturbation",
+            description="a list of numbers: a displacement a site, or these and a velocity a site",
+        ),
+    ] = None
+    seed: Annotated[
+        Annotated[int, Meta(ge=0, le=2**63 - 1)] | None,
+        Meta(title="Seed of random displacements", description="a whole number >= 0 and < 2^63"),
+    ] = None
 
 
 class AccuracyTable(_Table, frozen=True):
@@ -126,6 +175,7 @@ class Scene(_Table, frozen=True):
     spectrum: SpectrumTable | None = None
     family: FamilyTable | None = None
     stability: StabilityTable | None = None
+    dynamics: DynamicsTable | None = None
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
@@ -141,6 +191,7 @@ _TABLES: Mapping[str, type[_Table]] = MappingProxyType(
         "spectrum": SpectrumTable,
         "family": FamilyTable,
         "stability": StabilityTable,
+        "dynamics": DynamicsTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,
     }
@@ -180,6 +231,7 @@ def parse_scene(text: str, source: str = "scene") -> Scene:
         scene = _convert(raw)
         _check_accuracy(scene.accuracy)
         _check_family(scene)
+        _check_dynamics(scene)
     except SceneError as fault:
         raise SceneError(f"{source}: {fault}") from None
     return scene
@@ -317,6 +369,62 @@ def _check_at(family: FamilyTable) -> None:
         if item > 1 and value <= family.at[item - 2]:
             given = f"{value!r} as item {item} after {family.at[item - 2]!r}"
             raise _refusal("[family] at", given, "numbers in strictly ascending order")
+
+
+def _check_dynamics(scene: Scene) -> None:
+    family, dynamics = scene.family, scene.dynamics
+    if dynamics is None:
+        return
+    if family is None:
+        raise _refusal("[dynamics]", "without [family]", "beside a [family], one of whose orbits it follows in time")
+    modes = f"one of the modes of [family], {_shown(list(family.modes))}"
+    if dynamics.mode is None and len(family.modes) > 1:
+        raise SceneError(f"[dynamics] mode: missing; accepted: {modes}")
+    if dynamics.mode is not None and dynamics.mode not in family.modes:
+        raise _refusal("[dynamics] mode", _shown(dynamics.mode), modes)
+    if family.amplitude_max < dynamics.S:
+        raise _refusal("[dynamics] S", repr(dynamics.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
+    if (dynamics.duration is None) == (dynamics.periods is None):
+        given = "neither duration nor periods" if dynamics.duration is None else "duration and periods"
+        raise _refusal("[dynamics]", given, "duration or periods, one of them")
+    _check_envelope(scene.chain)
+    _check_perturbation(scene.chain, dynamics)
+
+
+def _check_envelope(chain: ChainTable) -> None:
+    """Refuse chains whose displacements at the far end are below the smallest double."""
+    if abs(chain.gamma) < 1 and (chain.sites - 1) * math.atanh(abs(chain.gamma)) > _LONGEST_ENVELOPE:
+        given = f"with sites = {chain.sites} and gamma = {chain.gamma!r}, whose far end is below the smallest double"
+        raise _refusal("[dynamics]", given, f"(sites - 1) artanh|gamma| <= {_LONGEST_ENVELOPE:g}")
+
+
+def _check_perturbation(chain: ChainTable, dynamics: DynamicsTable) -> None:
+    kinds = [name for name in ("site", "vector", "seed") if getattr(dynamics, name) is not None]
+    if len(kinds) > 1:
+        raise _refusal("[dynamics]", " and ".join(kinds), "site, vector or seed, one of them or none")
+    if kinds and dynamics.size is None:
+        raise SceneError(f"[dynamics] size: missing; accepted: beside {kinds[0]} a finite number > 0")
+    if dynamics.size is not None and not kinds:
+        raise _refusal("[dynamics] size", repr(dynamics.size), "beside one of site, vector, seed")
+    if dynamics.site is not None and not 1 <= dynamics.site <= chain.sites:
+        raise _refusal("[dynamics] site", _shown(dynamics.site), f"whole numbers from 1 to {chain.sites} (sites)")
+    if dynamics.vector is not None:
+        if len(dynamics.vector) not in (chain.sites, 2 * chain.sites):
+            accepted = f"{chain.sites} displacements, or these and {chain.sites} velocities"
+            raise _refusal("[dynamics] vector", f"a list of {len(dynamics.vector)}", accepted)
+        if not any(dynamics.vector):
+            raise _refusal("[dynamics] vector", "zeros", "a vector with a direction")
+    edge = chain.sites if chain.gamma > 0 else 1
+    if abs(chain.gamma) == 1 and kinds and not _moves_alone(dynamics, edge, chain.sites):
+        reason = "at |gamma| = 1 displacements off the edge have no image in the gauge"
+        raise _refusal(f"[dynamics] {kinds[0]}", f"with gamma = {chain.gamma!r}", f"site {edge} alone ({reason})")
+
+
+def _moves_alone(dynamics: DynamicsTable, edge: int, sites: int) -> bool:
+    """Whether the perturbation moves the edge site alone; random displacements of several sites do not."""
+    if dynamics.vector is not None:
+        return not any(value for i, value in enumerate(dynamics.vector) if i % sites != edge - 1)
+    return dynamics.site == edge or sites == 1
 
 
 def _refusal(place: str, given: str, accepted: str) -> SceneError:

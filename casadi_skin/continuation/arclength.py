@@ -240,7 +240,7 @@ class Walk:
         return any(abs(parameter - value) <= SAME * abs(value) for value in values)
 
     def _snapped(self, point: Point, values: tuple[float, ...]) -> Point:
-        """The point, with the parameter exactly at that one of `values` that it has but for round-off, and requested."""
+        """The point, requested and with its parameter exact where that is one of `values` but for round-off."""
         for value in values:
             if self.is_any(point.parameter, (value,)):
                 z = point.z.copy()

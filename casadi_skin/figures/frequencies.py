@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 LABELS = 24  # as many as fit one above the other beside the frequencies
 
 
-def _path(branch: Branch, shift: bool) -> Array:
+def family_path(branch: Branch, shift: bool) -> Array:
     """S and Omega (or Omega - omega_j) from the linear mode on in arclength order, shape (points + 1, 2)."""
     values = [orbit.Omega_shift if shift else orbit.Omega for orbit in branch.orbits]
     return np.column_stack([np.append(0.0, branch.S), np.append(0.0 if shift else branch.start.Omega, values)])
 
 
-def _pieces(branch: Branch, path: Array, shift: bool) -> list[tuple[bool | None, Array]]:
+def stability_pieces(branch: Branch, path: Array, shift: bool) -> list[tuple[bool | None, Array]]:
     """Stretches of the path with one stability each (None: not computed), neighbours sharing the change between them.
 
     Changes that were not located are placed midway between the two points.
@@ -65,7 +65,7 @@ def _draw_family(axes: Axes, branch: Branch, path: Array, shift: bool, colour: A
         False: {"label": "unstable", "lw": 2.0, "ls": (0, (3.0, 1.6))},
         None: {"label": "stability not computed", "lw": 0.9},
     }
-    pieces = _pieces(branch, path, shift)
+    pieces = stability_pieces(branch, path, shift)
     for stable, piece in pieces:
         axes.plot(*piece.T, color=colour, zorder=3, **looks[stable])
     if len(pieces) > 1:
@@ -84,7 +84,7 @@ def _draw_family(axes: Axes, branch: Branch, path: Array, shift: bool, colour: A
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)
 
 
-def _draw_band(axes: Axes, chain: Chain, offset: float) -> None:
+def draw_band(axes: Axes, chain: Chain, offset: float = 0.0) -> None:
     """From omega_1 to omega_N of the finite chain, a line where they are the same; less `offset`."""
     squares = linear.squared_frequency(chain.sites, chain.alpha, chain.gamma, np.array([1, chain.sites]))
     low, high = np.sqrt(np.maximum(squares, 0.0)) - offset
@@ -93,7 +93,7 @@ def _draw_band(axes: Axes, chain: Chain, offset: float) -> None:
     axes.axhspan(low, high, fc="0.9", ec="0.75", lw=width, label=label, zorder=0)
 
 
-def _label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
+def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
     """Write each family's mode where its line ends; of those at the right outside the frame, apart from each other."""
     (low, high), right = axes.get_ylim(), axes.get_xlim()[1]
     heights = (ends[:, 1] - low) / (high - low)
@@ -125,18 +125,18 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
     with style():
         figure = blank(6.0, 4.6)
         axes = figure.add_subplot()
-        paths = [_path(branch, False) for branch in branches]
+        paths = [family_path(branch, False) for branch in branches]
         shift = len(branches) == 1 and bool(np.ptp(paths[0][:, 1]) < 1e-4 * paths[0][0, 1])
         if shift:
-            paths = [_path(branches[0], True)]
-        _draw_band(axes, chain, branches[0].start.Omega if shift else 0.0)
+            paths = [family_path(branches[0], True)]
+        draw_band(axes, chain, branches[0].start.Omega if shift else 0.0)
         for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
             _draw_family(axes, branch, path, shift, colour)
         points = np.concatenate(paths)
         low, high = points[:, 1].min(), points[:, 1].max()
         margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
         axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin), title=title(chain))
-        _label_ends(axes, branches, np.array([path[-1] for path in paths]))
+        label_ends(axes, branches, np.array([path[-1] for path in paths]))
         mode = branches[0].tools.request.mode
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=AMPLITUDE, ylabel=label)

@@ -54,7 +54,7 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     axes.set_box_aspect(1)
 
 
-def _draw_plane(axes: Axes, orbit: Orbit) -> None:
+def draw_plane(axes: Axes, orbit: Orbit) -> None:
     """Multipliers of one orbit in the complex plane, marked by kind."""
     from matplotlib.ticker import MaxNLocator
 
@@ -95,7 +95,7 @@ def multiplier_figure(branch: Branch) -> Figure | None:
         _draw_moduli(panels["a"], branch)
         panels["a"].set_title("(a)", loc="left")
         for letter, orbit in zip("bcd", orbits, strict=False):
-            _draw_plane(panels[letter], orbit)
+            draw_plane(panels[letter], orbit)
             largest = orbit.floquet().max_abs_multiplier
             words = rf"$S = {number(orbit.S)}$, max $\left|\lambda\right| = {number(largest, 4)}$"
             panels[letter].set_title(f"({letter})  {words}", loc="left")

@@ -57,6 +57,9 @@ def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: boo
     if engine is not None:  # once and for all: laying out is slow, and makes the ticks while the style is set
         engine.execute(figure)
     figure.set_layout_engine("none")
+    for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
+        box = np.round(axes.get_position(original=True).bounds, 9)
+        axes.set_position((float(box[0]), float(box[1]), float(box[2]), float(box[3])))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""family.nc: everything that a run computed, in netCDF 3 (64-bit offsets), readable by xarray, MATLAB and Julia."""
+"""family.nc, dynamics.nc: all that a run computed, in netCDF 3 (64-bit offsets) for xarray, MATLAB and Julia."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from casadi_skin._version import __version__
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.models.chain import Chain
 from casadi_skin.results.files import replacing
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file
+
+    from casadi_skin.dynamics import Evolution
 
 PARTS = ("real", "imaginary")
 
@@ -39,7 +42,7 @@ def _put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDAr
     if np.iscomplexobj(data):
         dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
     if not np.all(np.isfinite(data)):
-        raise ArithmeticError(f"{name} holds a value that is not finite: family.nc is not written")
+        raise ArithmeticError(f"{name} holds a value that is not finite: it is not written")
     kind = "i4" if data.dtype.kind in "bi" else "f8"
     variable = file.createVariable(name, kind, dimensions)
     variable[:] = data.astype(kind)
@@ -59,10 +62,7 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
         return
     chain = orbits[0].chain
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        for name, value in {"title": title, "scene": scene_text, **_versions()}.items():
-            setattr(file, name, value or "untitled")
-        for name in ("sites", "alpha", "gamma", "g"):
-            setattr(file, name, getattr(chain, name))
+        _write_origin(file, chain, scene_text, title)
         file.createDimension("point", len(orbits))
         file.createDimension("site", chain.sites)
         file.createDimension("part", 2)
@@ -71,6 +71,35 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
             _write_stability(file, orbits)
             if vectors:
                 _write_vectors(file, orbits)
+
+
+def write_evolution(path: Path, evolution: Evolution, orbit: Orbit, scene_text: str, title: str) -> None:
+    """Write a time evolution that starts at an orbit or near it; dimensionless.
+
+    Raises ArithmeticError on a value that is not finite.
+    """
+    from scipy.io import netcdf_file
+
+    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
+        _write_origin(file, orbit.chain, scene_text, title)
+        how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
+        start = {"orbit_mode": orbit.tools.request.mode, "orbit_S": orbit.S, "orbit_Omega": orbit.Omega}
+        for name, value in {**how, "step": evolution.step or 0.0, **start}.items():
+            setattr(file, name, value)
+        file.createDimension("time", evolution.t.size)
+        file.createDimension("site", orbit.chain.sites)
+        _put(file, "t", ("time",), evolution.t, "time")
+        _put(file, "energy", ("time",), evolution.energy, "Hamiltonian of the gauge with rho = 1 at the favoured edge")
+        _put(file, "displacements", ("time", "site"), evolution.displacements, "displacements y_n")
+        _put(file, "velocities", ("time", "site"), evolution.velocities, "velocities of y_n")
+
+
+def _write_origin(file: netcdf_file, chain: Chain, scene_text: str, title: str) -> None:
+    """What was asked for, of which chain, and what computed it."""
+    for name, value in {"title": title, "scene": scene_text, **_versions()}.items():
+        setattr(file, name, value or "untitled")
+    for name in ("sites", "alpha", "gamma", "g"):
+        setattr(file, name, getattr(chain, name))
 
 
 def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:

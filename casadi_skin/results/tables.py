@@ -1,16 +1,20 @@
-"""CSV tables of a run: family.csv, events.csv, spectrum.csv; 17 significant digits, no NaN."""
+"""CSV tables of a run: family.csv, events.csv, dynamics.csv, spectrum.csv; 17 significant digits, no NaN."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from casadi_skin.families.events import StabilityChange
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.models.chain import Chain
 from casadi_skin.results.files import replacing
+
+if TYPE_CHECKING:
+    from casadi_skin.dynamics import Evolution
 
 Cell = float | int | str
 EVENT_COLUMNS = ("mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width")
@@ -56,6 +60,18 @@ def event_row(mode: int, change: StabilityChange) -> dict[str, Cell]:
         change.S_width,
     )
     return dict(zip(EVENT_COLUMNS, values, strict=True))
+
+
+def evolution_columns(sites: int) -> list[str]:
+    """Columns of dynamics.csv: t, energy and a displacement y_n a site."""
+    return ["t", "energy", *(f"y_{n}" for n in range(1, sites + 1))]
+
+
+def evolution_rows(evolution: Evolution) -> Iterator[dict[str, Cell]]:
+    """Rows of dynamics.csv, one a time."""
+    columns = evolution_columns(evolution.chain.sites)
+    for t, energy, y in zip(evolution.t, evolution.energy, evolution.displacements, strict=True):
+        yield dict(zip(columns, map(float, (t, energy, *y)), strict=True))
 
 
 def spectrum_rows(chain: Chain) -> list[dict[str, Cell]]:

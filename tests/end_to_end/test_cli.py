@@ -32,7 +32,10 @@ def status(arguments: list[str]) -> int:
         return int(stop.code or 0)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"], ["spectrum", "--help"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["run", "--help"], ["check", "--help"], ["spectrum", "--help"], ["reproduce", "--help"]],
+)
 def test_help_is_there(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert status(arguments) == 0
     assert "usage: casadi-skin" in capsys.readouterr().out

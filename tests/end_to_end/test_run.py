@@ -73,6 +73,17 @@ def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.Ca
     assert "results in" in capsys.readouterr().out
 
 
+def test_a_film_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
+    scene = tmp_path / "film.toml"
+    text = CHAIN.format(sites=3, g=1.0) + FAMILY.format(mode="[1, 3]", end=0.5, at="[0.2]") + "film = true\n"
+    scene.write_text(text, encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert sorted(p.name for p in out.glob("*.gif")) == ["film_j1.gif", "film_j3.gif"]
+    assert main(["run", str(write_scene(tmp_path / "a.toml")), "--out", str(out), "--overwrite"]) == 0
+    assert not list(out.glob("*.gif"))
+
+
 def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     scene = write_scene(tmp_path / "small.toml", rest="[stability]\nvectors = true\n")

@@ -22,9 +22,11 @@ VALID: dict[str, Any] = {
     "spectrum": {},
     "family": {"mode": [1, 2], "amplitude_max": 3.0, "at": [0.2, 1.0]},
     "stability": {"events": True},
+    "dynamics": {"S": 0.2, "mode": 2, "periods": 5.0, "samples": 100, "method": "dop853", "tolerance": 1e-9,
+                 "size": 0.005, "vector": [1.0] * 24},
     "accuracy": {"preset": "standard"},
     "method": {"transcription": "gauss", "corrector": "newton", "walker": "arclength", "flow": "cvodes"},
-}
+}  # fmt: skip
 PLACES = [(name, key) for name, table in VALID.items() if isinstance(table, dict) for key in [None, *table]]
 KEYS = sorted({key for _, key in PLACES if key} | {name for name, _ in PLACES} | {"preset", "tolerance", "title"})
 
@@ -120,6 +122,7 @@ def test_mutated_scenes(tables: dict[str, Any]) -> None:
         assert 1e-13 <= scene.accuracy.relative_tolerance <= 1e-2
         if scene.family is None:
             assert scene.stability is None
+            assert scene.dynamics is None
         else:
             assert all(1 <= mode <= scene.chain.sites for mode in scene.family.modes)
 

@@ -14,6 +14,7 @@ from casadi_skin.scene import (
     PRESETS,
     AccuracyTable,
     ChainTable,
+    DynamicsTable,
     FamilyTable,
     MethodTable,
     SceneError,
@@ -26,7 +27,7 @@ from casadi_skin.scene import (
 
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
-TABLES = "accepted: [chain], [spectrum], [family], [stability], [accuracy], [method], title"
+TABLES = "accepted: [chain], [spectrum], [family], [stability], [dynamics], [accuracy], [method], title"
 
 
 def chain(**changes: str) -> str:
@@ -37,6 +38,11 @@ def chain(**changes: str) -> str:
 def family(**changes: str) -> str:
     keys = {"mode": "1", "amplitude_max": "3.0"} | changes
     return "[family]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items())
+
+
+def dynamics(**changes: str) -> str:
+    keys = {"S": "0.2", "duration": "40"} | changes
+    return "[dynamics]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items() if value)
 
 
 def fault_of(text: str) -> str:
@@ -58,6 +64,7 @@ def test_a_chain_alone_asks_for_nothing_else() -> None:
     scene = parse_scene(CHAIN)
     assert scene.chain == ChainTable(sites=24, alpha=1.0, gamma=0.25, g=-1.0)
     assert (scene.title, scene.spectrum, scene.family, scene.stability) == (None, None, None, None)
+    assert scene.dynamics is None
     assert scene.accuracy.relative_tolerance == 1e-8
     assert scene.method == MethodTable(
         transcription="trigonometric", corrector="ipopt", walker="arclength", flow="splitting"
@@ -174,7 +181,7 @@ def test_same_request_ignores_the_title_alone() -> None:
         (CHAIN + "[spectrum]\nmodes = 3", "[spectrum] modes: unknown key; accepted: no keys"),
         (
             CHAIN + family(amplitude="2.0"),
-            "[family] amplitude: unknown key; did you mean 'amplitude_max'? (accepted: mode, amplitude_max, at)",
+            "[family] amplitude: unknown key; did you mean 'amplitude_max'? (accepted: mode, amplitude_max, at, film)",
         ),
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g"),
@@ -335,6 +342,95 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
 )
 def test_stability_accuracy_and_method_values(tables: str, message: str) -> None:
     assert fault_of(CHAIN + tables) == message
+
+
+# Refused: time evolution ----------------------------------------------------------------------------------
+
+
+def test_dynamics_values_and_defaults() -> None:
+    asked = parse_scene(CHAIN + FAMILY + dynamics()).dynamics
+    assert asked == DynamicsTable(S=0.2, duration=40.0, method="cvodes", tolerance=1e-11)
+    kick = {"size": "0.005", "vector": str([1.0] * 48)}
+    several = {"mode": "3", "duration": "", "periods": "7", "samples": "100", "method": "'symplectic'"}
+    asked = parse_scene(CHAIN + family(mode="[1, 3]") + dynamics(**several, **kick)).dynamics
+    assert asked is not None
+    assert (asked.mode, asked.periods, asked.samples, asked.vector) == (3, 7.0, 100, (1.0,) * 48)
+
+
+MODE = "accepted: one of the modes of [family]"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"S": ""}, "[dynamics] S: missing; accepted: a finite number > 0, up to amplitude_max"),
+        ({"S": "3.5"}, "[dynamics] S: given 3.5; accepted: a number <= amplitude_max = 3.0"),
+        ({"S": "nan"}, "[dynamics] S: given nan; accepted: a finite number > 0, up to amplitude_max"),
+        ({"mode": "3"}, f"[dynamics] mode: given 3; {MODE}, [1, 2]"),
+        ({"mode": ""}, f"[dynamics] mode: missing; {MODE}, [1, 2]"),
+        ({"mode": "[1]"}, f"[dynamics] mode: given [1] (an array); {MODE}; required where these are several"),
+        (
+            {"duration": ""},
+            "[dynamics]: given neither duration nor periods; accepted: duration or periods, one of them",
+        ),
+        ({"periods": "2"}, "[dynamics]: given duration and periods; accepted: duration or periods, one of them"),
+        ({"duration": "-1"}, "[dynamics] duration: given -1; accepted: a finite number > 0"),
+        ({"duration": "inf"}, "[dynamics] duration: given inf; accepted: a finite number > 0"),
+        (
+            {"samples": "1"},
+            "[dynamics] samples: given 1; accepted: a whole number >= 2 and <= 1000000 "
+            "(left out: 20 a period, 401 to 4001 in all)",
+        ),
+        (
+            {"method": "'dop85'"},
+            '[dynamics] method: given "dop85"; did you mean "dop853"? (accepted: "cvodes", "dop853", "symplectic")',
+        ),
+        ({"tolerance": "1e-14"}, "[dynamics] tolerance: given 1e-14; accepted: a number >= 1e-13 and <= 1e-2"),
+        ({"site": "1"}, "[dynamics] size: missing; accepted: beside site a finite number > 0"),
+        ({"size": "0.005"}, "[dynamics] size: given 0.005; accepted: beside one of site, vector, seed"),
+        (
+            {"size": "0.0", "site": "1"},
+            "[dynamics] size: given 0.0; accepted: a finite number > 0, with one of site, vector, seed",
+        ),
+        ({"size": "1", "site": "25"}, "[dynamics] site: given 25; accepted: whole numbers from 1 to 24 (sites)"),
+        (
+            {"size": "1", "site": "1", "seed": "1"},
+            "[dynamics]: given site and seed; accepted: site, vector or seed, one of them or none",
+        ),
+        (
+            {"size": "1", "vector": "[1.0]"},
+            "[dynamics] vector: given a list of 1; accepted: 24 displacements, or these and 24 velocities",
+        ),
+        ({"size": "1", "vector": str([0] * 24)}, "[dynamics] vector: given zeros; accepted: a vector with a direction"),
+        ({"size": "1", "seed": "-1"}, "[dynamics] seed: given -1; accepted: a whole number >= 0 and < 2^63"),
+        (
+            {"period": "2"},
+            "[dynamics] period: unknown key; did you mean 'periods'? (accepted: S, mode, duration, periods, samples, "
+            "method, tolerance, size, site, vector, seed)",
+        ),
+    ],
+)
+def test_wrong_dynamics(changes: dict[str, str], message: str) -> None:
+    assert fault_of(CHAIN + family(mode="[1, 2]") + dynamics(**({"mode": "1"} | changes))) == message
+
+
+def test_dynamics_needs_a_family() -> None:
+    message = "[dynamics]: given without [family]; accepted: beside a [family], one of whose orbits it follows in time"
+    assert fault_of(CHAIN + dynamics()) == message
+
+
+@pytest.mark.parametrize("kick", [{"site": "23"}, {"seed": "1"}, {"vector": str([0] * 22 + [1] * 2)}])
+def test_at_the_exceptional_point_the_edge_alone_is_kicked(kick: dict[str, str]) -> None:
+    one_way = chain(gamma="1.0")
+    for accepted in (dynamics(), dynamics(size="1", site="24"), dynamics(size="1", vector=str([0] * 23 + [1]))):
+        parse_scene(one_way + FAMILY + accepted)
+    message = fault_of(one_way + FAMILY + dynamics(size="1", **kick))
+    assert message.startswith(f"[dynamics] {next(iter(kick))}: given with gamma = 1.0; accepted: site 24 alone (at ")
+
+
+def test_dynamics_of_a_chain_whose_far_end_underflows() -> None:
+    message = fault_of(chain(sites="1000", gamma="-0.7") + FAMILY + dynamics())
+    assert message.endswith("whose far end is below the smallest double; accepted: (sites - 1) artanh|gamma| <= 700")
 
 
 def test_a_walker_that_is_not_there_yet_is_refused() -> None:

@@ -1,0 +1,1 @@
+"""Studies: collections of scenes and what they show together."""

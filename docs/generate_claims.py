@@ -1,0 +1,50 @@
+"""Writes docs/paper_claims.md: every claim of the paper beside what this program computes.
+
+Run: python docs/generate_claims.py
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from casadi_skin.studies.claims import COLUMNS, Claim, Verdict, all_claims
+from casadi_skin.studies.paper_data import PaperData
+
+PAGE = Path(__file__).with_name("paper_claims.md")
+HEADINGS = {"number": "", "ours": "computed"}
+
+
+def page(claims: Sequence[Claim]) -> str:
+    """The page: a count of verdicts, then what does not agree and what agrees, each in the order of the paper."""
+    counts = Counter(claim.verdict for claim in claims)
+    parts = [
+        "# Claims of the paper",
+        f"Written by `python docs/generate_claims.py` from {len(claims)} claims, in the order of the paper. "
+        "How the check is done, and what the verdicts mean: [the paper checked](paper_checked.md).",
+        "| verdict | claims |\n| --- | --- |\n"
+        + "\n".join(f"| {verdict.value} | {counts[verdict.value]} |" for verdict in Verdict),
+    ]
+    agreed = [claim for claim in claims if claim.verdict == Verdict.AGREES.value]
+    others = [claim for claim in claims if claim.verdict != Verdict.AGREES.value]
+    parts += ["## What does not simply agree", _table(others), "## What agrees", _table(agreed)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(claims: Sequence[Claim]) -> str:
+    lines = ["| " + " | ".join(HEADINGS.get(name, name) for name in COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
+    lines += ["| " + " | ".join(_cell(str(getattr(claim, name))) for name in COLUMNS) + " |" for claim in claims]
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    """Text that Markdown shows as it is, in one cell."""
+    for special in "\\`*_{}[]<>|":
+        text = text.replace(special, {"<": "&lt;", ">": "&gt;"}.get(special, "\\" + special))
+    return " ".join(text.split())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(all_claims(PaperData(lambda words: print(words, file=sys.stderr)))), encoding="utf-8")

@@ -1,0 +1,65 @@
+"""MkDocs hook: writes the scene reference from the schema of a scene, so that it cannot be out of date."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from casadi_skin.scene import scene_schema
+
+MARK = "<!-- tables from the schema -->"
+SCHEMA_MARK = "<!-- the schema -->"
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put the generated tables in place of the marks."""
+    if MARK not in markdown:
+        return markdown
+    schema = scene_schema()
+    text = json.dumps(schema, indent=2)
+    return markdown.replace(MARK, scene_tables(schema)).replace(SCHEMA_MARK, f"```json\n{text}\n```")
+
+
+def scene_tables(schema: dict[str, Any]) -> str:
+    """A section for each table of a scene, a row for each key."""
+    definitions = schema["$defs"]
+    scene = definitions["Scene"]
+    keys = {name: value for name, value in scene["properties"].items() if _table(value) is None}
+    parts = ["## Outside of any table", _rows(keys, scene["required"])]
+    for name, value in scene["properties"].items():
+        table = _table(value)
+        if table is None:
+            continue
+        definition = definitions[table]
+        needed = "Required." if name in scene["required"] else "Optional."
+        parts += [f"## `[{name}]`", f"{_first_line(definition['description'])} {needed}"]
+        if definition["properties"]:
+            parts.append(_rows(definition["properties"], definition["required"]))
+    return "\n\n".join(parts)
+
+
+def _table(value: dict[str, Any]) -> str | None:
+    """The definition that a key of the scene refers to, if it is a table."""
+    for choice in (value, *value.get("anyOf", [])):
+        if "$ref" in choice:
+            return str(choice["$ref"]).rpartition("/")[2]
+    return None
+
+
+def _rows(properties: dict[str, Any], required: list[str]) -> str:
+    lines = ["| key | what it is | accepted | default |", "| --- | --- | --- | --- |"]
+    for name, value in properties.items():
+        cells = [f"`{name}`", value.get("title", ""), value.get("description", ""), _default(name, value, required)]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def _default(name: str, value: dict[str, Any], required: list[str]) -> str:
+    if name in required:
+        return "required"
+    default = value.get("default")
+    return "not set" if default is None else f"`{json.dumps(default)}`"
+
+
+def _first_line(text: str) -> str:
+    return text.strip().splitlines()[0]

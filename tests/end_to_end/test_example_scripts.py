@@ -1,0 +1,140 @@
+"""The example scripts, each against a number computed independently or an exact identity; all draw their pictures."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from casadi_skin import Chain, Orbit
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
+Load = Callable[[str], ModuleType]
+
+
+@pytest.fixture
+def load() -> Load:
+    def by_name(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return by_name
+
+
+def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
+    """Perturbations (2N, columns) after `time`: Eq. 1 and its linearisation, written out here, by Dormand-Prince."""
+    chain = orbit.chain
+    N, columns = chain.sites, perturbations.shape[1]
+    coupling = np.diag(np.full(N - 1, 1 + chain.gamma), -1) + np.diag(np.full(N - 1, 1 - chain.gamma), 1)
+    matrix = coupling - (2 + chain.alpha) * np.eye(N)
+
+    def field(_: float, x: np.ndarray) -> np.ndarray:
+        y, v, z = x[:N], x[N : 2 * N], x[2 * N :].reshape(2 * N, columns)
+        stiffness = matrix - np.diag(3 * chain.g * y**2)
+        return np.concatenate([v, matrix @ y - chain.g * y**3, z[N:].ravel(), (stiffness @ z[:N]).ravel()])
+
+    start = np.concatenate([orbit.profile, np.zeros(N), perturbations.ravel()])
+    end = solve_ivp(field, (0.0, time), start, "DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
+    return end[2 * N :].reshape(2 * N, columns)
+
+
+def drawn(path: Path) -> bool:
+    return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
+
+
+def test_follow_one_family(load: Load, tmp_path: Path) -> None:
+    branch = load("follow_one_family").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    reference = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # independent codes
+    for S, Omega in reference.items():
+        assert abs(branch.at(S=S).Omega / Omega - 1) < 1e-9
+    # dH/dS vanishes where real instability begins: central difference of the energy at the located change
+    first, h = branch.changes[0], 0.002
+    slope = (branch.at(S=first.S + h).energy - branch.at(S=first.S - h).energy) / (2 * h)
+    elsewhere = (branch.at(S=0.3 + h).energy - branch.at(S=0.3 - h).energy) / (2 * h)
+    assert first.kind == "real"
+    assert abs(slope) < 1e-4 * abs(elsewhere)
+
+
+def test_floquet_vectors(load: Load, tmp_path: Path) -> None:
+    orbit, multipliers, vectors = load("floquet_vectors").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert abs(np.abs(multipliers).max() - 1.1712757348) < 1e-9  # independent code
+    chosen = [2, 3, 10, 25, int(np.argmax(np.abs(multipliers)))]
+    parts = np.hstack([vectors[:, chosen].real, vectors[:, chosen].imag])
+    moved = physical_flow(orbit, parts, orbit.period)
+    image = moved[:, : len(chosen)] + 1j * moved[:, len(chosen) :]
+    np.testing.assert_allclose(image, vectors[:, chosen] * multipliers[chosen], rtol=0, atol=1e-6)
+
+
+def test_kick_from_the_far_end(load: Load, tmp_path: Path) -> None:
+    example = load("kick_from_the_far_end")
+    orbit, growth = example.main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    kicks = np.stack([example.unit_displacement(1), example.unit_displacement(24), growth.optimal], axis=1)
+    k = int(np.argmax(growth.log10_bounded))
+    norms = np.linalg.norm(physical_flow(orbit, kicks, growth.t[k]), axis=0)
+    found = [growth.of(kick)[k] for kick in kicks.T]
+    np.testing.assert_allclose(found, np.log10(norms), rtol=0, atol=1e-6)
+    assert abs(found[2] - growth.log10_bounded[k]) < 1e-9
+    assert found[0] > 2 > 0 > found[1]
+
+
+def test_thousand_sites(load: Load, tmp_path: Path) -> None:
+    example = load("thousand_sites")
+    extended, breather = example.main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    # Harmonic balance of the last 120 sites with 5 harmonics and Newton's method in numpy: the rest is at rest.
+    assert abs(breather.Omega / 2.227581383482702 - 1) < 1e-11
+    # The tail in closed form, from site to site, down to 1e-180.
+    tail, n = breather.coefficients(16)[0], slice(1, 950)
+    ratio = -example.linear_tail(breather)[:-1] / example.linear_tail(breather)[1:]
+    np.testing.assert_allclose((tail[:-1] / tail[1:])[n], ratio[n], rtol=1e-6)
+    # The equations of motion at instants that are not nodes, relative to the terms at each site.
+    for orbit in (extended, breather):
+        assert residual(orbit) < 1e-6
+    assert abs(extended.profile).min() < 1e-112
+
+
+def residual(orbit: Orbit) -> float:
+    """Largest residual of Eq. 1 relative to the largest term at the same site, from the Fourier coefficients alone."""
+    chain, odd = orbit.chain, 2 * np.arange(16) + 1
+    cosine = np.cos(np.outer(np.array([0.1, 0.4, 0.9]), odd))
+    c = orbit.coefficients(16)
+    y, acceleration = cosine @ c, -(cosine * (odd * orbit.Omega) ** 2) @ c
+    padded = np.pad(y, ((0, 0), (1, 1)))
+    terms = np.stack(
+        [acceleration, -(1 + chain.gamma) * padded[:, :-2], -(1 - chain.gamma) * padded[:, 2:],
+         (2 + chain.alpha) * y, chain.g * y**3]
+    )  # fmt: skip
+    return float(np.max(np.abs(terms.sum(axis=0)).max(axis=0) / np.abs(terms).max(axis=(0, 1))))
+
+
+def test_duffing_check(load: Load, tmp_path: Path) -> None:
+    example = load("duffing_check")
+    errors = example.main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    mpmath = pytest.importorskip("mpmath")
+    with mpmath.workdps(30):  # the closed form that the example compares with, S = 2, g = -1, omega^2 = 3
+        exact = mpmath.pi * mpmath.sqrt(1) / (2 * mpmath.ellipk(mpmath.mpf(-1)))
+    assert abs(example.duffing_frequency(3.0, -1.0, np.sqrt(2.0)) / float(exact) - 1) < 1e-15
+    for true, estimated in errors.values():
+        assert np.all(true <= np.maximum(example.TOLERANCES, 1e-15))
+        assert np.all(true <= np.maximum(estimated, 1e-15))
+    assert errors["trigonometric"].true[-1] < 1e-14
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
+    assert (PICTURES / f"{path.stem}.png").stat().st_size < 150_000
+    assert Chain.__name__ in path.read_text(encoding="utf-8")

@@ -1,0 +1,132 @@
+"""Scenes with [dynamics]: files, failures, what is built, and what the plan says."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadi_skin.cli import main
+from casadi_skin.rundynamics import sample_times
+from casadi_skin.scene import DynamicsTable
+
+CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
+FAMILY = "[family]\nmode = {mode}\namplitude_max = 0.5\n"
+KICK = "[dynamics]\nmode = 1\nS = 0.2\nduration = 10.0\nsite = 6\nsize = 0.01\n"
+
+
+def write_scene(path: Path, dynamics: str, sites: int = 6, mode: str = "1") -> Path:
+    path.write_text(CHAIN.format(sites=sites) + FAMILY.format(mode=mode) + dynamics, encoding="utf-8")
+    return path
+
+
+def table(path: Path) -> tuple[list[str], np.ndarray]:
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *lines = csv.reader(file)
+    return header, np.array(lines, dtype=float)
+
+
+def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    xarray = pytest.importorskip("xarray")
+    out = tmp_path / "out"
+    scene = write_scene(tmp_path / "kick.toml", KICK + 'samples = 51\nmethod = "dop853"\n', mode="[2, 1]")
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert "dynamics: dop853 in gauge coordinates, tolerance 1e-11: t = 10 reached" in capsys.readouterr().out
+    assert {"dynamics.csv", "dynamics.nc", "dynamics.png", "dynamics.svg"} <= {path.name for path in out.iterdir()}
+    header, values = table(out / "dynamics.csv")
+    assert header == ["t", "energy", *(f"y_{n}" for n in range(1, 7))]
+    np.testing.assert_allclose(values[:, 0], np.linspace(0.0, 10.0, 51), atol=1e-15)
+    assert np.ptp(values[:, 1]) < 1e-9 * values[0, 1]
+    profile = values[0, 2:] - [0, 0, 0, 0, 0, 0.01]
+    assert profile @ profile == pytest.approx(0.2, rel=1e-7)
+    assert np.all(profile > 0)  # of mode 1, not of mode 2, whose profile has a node
+    with xarray.open_dataset(out / "dynamics.nc", engine="scipy") as data:
+        np.testing.assert_array_equal(data.displacements.values, values[:, 2:])
+        np.testing.assert_array_equal(data.energy.values, values[:, 1])
+        np.testing.assert_array_equal(data.t.values, values[:, 0])
+        assert not np.any(data.velocities.values[0])
+        numerical = np.gradient(values[:, 2:], values[:, 0], axis=0)[1:-1]
+        np.testing.assert_allclose(data.velocities.values[1:-1], numerical, atol=0.02)
+        assert (data.attrs["method"], data.attrs["orbit_mode"], data.attrs["orbit_S"]) == ("dop853", 1, 0.2)
+        assert "size = 0.01" in data.attrs["scene"]
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
+    assert "complete run already" in capsys.readouterr().out
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+
+
+def test_an_unperturbed_orbit_repeats_itself(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "s.toml", "[dynamics]\nS = 0.5\nperiods = 3\nsamples = 4\n")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    _, values = table(tmp_path / "out" / "dynamics.csv")
+    np.testing.assert_allclose(values[1:, 2:], values[[0, 0, 0], 2:], rtol=0, atol=1e-8)
+
+
+def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    dynamics = KICK.replace("size = 0.01", "size = 3.0").replace("10.0", "50.0")
+    scene = write_scene(tmp_path / "far.toml", dynamics)
+    for flags in ([], ["--resume"]):
+        assert main(["run", str(scene), "--out", str(out), *flags]) == 1
+        told = capsys.readouterr().err
+        assert told.startswith(f"{scene}: [dynamics]: cvodes: the state was followed to t = ")
+        assert "leaves the well" in told
+        assert told.count("\n") == 1
+        _, values = table(out / "dynamics.csv")
+        assert 1 < len(values) < 401
+        assert np.all(np.isfinite(values))
+        assert (out / "family.nc").exists()
+        assert (out / "journal.msgpack").exists()
+
+
+def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "s.toml"
+    text = CHAIN.format(sites=1) + FAMILY.format(mode=1).replace("0.5", "5.0")
+    scene.write_text(text + "[dynamics]\nS = 4.0\nperiods = 1\n[accuracy]\npreset = 'draft'\n", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
+    family, dynamics = capsys.readouterr().err.splitlines()
+    assert "does not exist at S = 5" in family
+    assert "[dynamics]: at: given S = 4.0, which = 0; the branch covers" in dynamics
+    assert (tmp_path / "out" / "family.csv").exists()
+    assert not (tmp_path / "out" / "dynamics.csv").exists()
+
+
+def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "kick.toml", KICK)
+    assert main(["check", str(scene)]) == 0
+    plan = capsys.readouterr().out
+    assert "dynamics      the orbit j = 1, S = 0.2, perturbed by 0.01 at site 6, to t = 10; 20 times a period" in plan
+    assert "cvodes, tolerance 1e-11" in plan
+    assert main(["check", str(write_scene(tmp_path / "plain.toml", ""))]) == 0
+    assert "dynamics" not in capsys.readouterr().out
+
+
+def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "plain.toml", "")
+    modules = ("casadi_skin.dynamics", "casadi_skin.integrators", "casadi_skin.rundynamics", "casadi_skin.spacetime")
+    code = (
+        "import sys; from casadi_skin.cli import main; "
+        f"assert main(['run', {str(scene)!r}, '--out', {str(tmp_path / 'out')!r}, '--quiet']) == 0; "
+        f"print('loaded:', [m for m in {modules!r} if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "loaded: []"
+    assert not (tmp_path / "out" / "dynamics.csv").exists()
+
+
+@pytest.mark.parametrize(("periods", "samples"), [(1.0, 401), (60.5, 1211), (200.0, 4001)])
+def test_default_samples_resolve_the_period(periods: float, samples: int) -> None:
+    t = sample_times(DynamicsTable(S=0.2, periods=periods), 6.0)
+    assert t.size == samples
+    assert t[-1] == pytest.approx(6.0 * periods)
+
+
+@pytest.mark.parametrize("periods", [400.0, 1000.0, 10_000.0, 12_345.6])
+def test_default_samples_of_long_runs_fall_on_all_phases(periods: float) -> None:
+    t = sample_times(DynamicsTable(S=0.2, duration=6.0 * periods), 6.0)
+    assert 3600 < t.size <= 4001
+    phases = np.sort((t[:20] / 6.0) % 0.5)  # of twenty samples, in half periods, where |y| repeats
+    assert np.diff(np.append(phases, phases[0] + 0.5)).max() < 0.1
