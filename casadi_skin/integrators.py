@@ -98,7 +98,7 @@ def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance
     dae = {"x": first.state, "p": first.parameters, "ode": first.rhs}
     integrator = ca.integrator("evolution", "cvodes", dae, 0.0, list(grid), options)
     try:
-        with interrupts_deferred():
+        with interrupts_deferred(end_solver=True):
             states = np.array(integrator(x0=start, p=parameters)["xf"]).T
     except RuntimeError as error:
         reason = str(error).rpartition("CVode returned ")[2].partition(".")[0].strip('"')

@@ -14,16 +14,31 @@ from types import FrameType
 
 
 @contextmanager
-def interrupts_deferred() -> Iterator[None]:
-    """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends."""
+def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
+    """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends.
+
+    With `end_solver` a signal makes the callback that hears it fail, so that a long integration ends at once. What the
+    solver raises after a signal is raised only where the signal's own handler returns.
+    """
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
         yield
         return
     received: list[tuple[int, FrameType | None]] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = {n: signal.signal(n, lambda number, frame: received.append((number, frame))) for n in numbers}
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        received.append((number, frame))
+        if end_solver:
+            raise KeyboardInterrupt
+
+    heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    handlers = {n: signal.signal(n, hear) for n in heeded}
+    failure: BaseException | None = None
     try:
         yield
+    except (RuntimeError, KeyboardInterrupt) as error:
+        if not received:
+            raise
+        failure = error
     finally:
         for n, handler in handlers.items():
             signal.signal(n, handler if handler is not None else signal.SIG_DFL)
@@ -34,3 +49,5 @@ def interrupts_deferred() -> Iterator[None]:
             handler(number, frame)
         elif handler is signal.SIG_DFL:
             signal.raise_signal(number)
+    if failure is not None:
+        raise failure

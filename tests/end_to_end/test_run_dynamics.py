@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +57,8 @@ def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.Capt
         assert "size = 0.01" in data.attrs["scene"]
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
     assert "complete run already" in capsys.readouterr().out
-    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+    assert main(["run", str(write_scene(scene, "")), "--out", str(out), "--overwrite"]) == 0
+    assert not any(path.name.startswith("dynamics") for path in out.iterdir())
 
 
 def test_an_unperturbed_orbit_repeats_itself(tmp_path: Path) -> None:
@@ -82,6 +85,7 @@ def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: 
         assert (out / "journal.msgpack").exists()
 
 
+@pytest.mark.slow
 def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = tmp_path / "s.toml"
     text = CHAIN.format(sites=1) + FAMILY.format(mode=1).replace("0.5", "5.0")
@@ -92,6 +96,35 @@ def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.
     assert "[dynamics]: at: given S = 4.0, which = 0; the branch covers" in dynamics
     assert (tmp_path / "out" / "family.csv").exists()
     assert not (tmp_path / "out" / "dynamics.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("method", "number"),
+    [
+        ("cvodes", signal.SIGINT),
+        pytest.param("cvodes", signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param("dop853", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("symplectic", signal.SIGTERM, marks=pytest.mark.slow),
+    ],
+)
+def test_an_interruption_is_heard_at_once(tmp_path: Path, method: str, number: signal.Signals) -> None:
+    out = tmp_path / "out"
+    scene = write_scene(tmp_path / "long.toml", f'[dynamics]\nS = 0.2\nperiods = 1000000\nmethod = "{method}"\n')
+    command = [sys.executable, "-m", "casadi_skin.cli", "run", str(scene), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (out / "frequency.svg").exists():  # the last file of the family
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.7)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=5)
+    assert process.returncode == 130, told
+    assert "go on with --resume" in told
+    assert "Traceback" not in told
+    assert (out / "family.nc").exists()
+    assert (out / "journal.msgpack").exists()
+    assert not (out / "dynamics.csv").exists()
 
 
 def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

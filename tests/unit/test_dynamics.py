@@ -102,7 +102,7 @@ def test_errors_are_proportional_to_the_tolerance(method: str, orbit: Orbit, fin
         found = simulate_orbit(orbit, fine[:, 0], KICK, site=1, method=method, tolerance=tolerance)
         errors.append(np.abs(found.displacements / orbit.chain.rho - fine[:, 1:]).max() / np.abs(fine[:, 1:]).max())
     ratios = np.array(errors) / tolerances
-    assert np.all(ratios < (5.0 if method == "cvodes" else 30.0))
+    assert np.all(ratios < (2.5 if method == "cvodes" else 30.0))
     assert np.all(ratios > 0.02)
     slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
     assert 0.75 < slope < 1.1
