@@ -139,7 +139,12 @@ def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "plain.toml", "")
-    modules = ("casadi_skin.dynamics", "casadi_skin.integrators", "casadi_skin.rundynamics", "casadi_skin.spacetime")
+    modules = (
+        "casadi_skin.dynamics",
+        "casadi_skin.integrators",
+        "casadi_skin.rundynamics",
+        "casadi_skin.figures.spacetime",
+    )
     code = (
         "import sys; from casadi_skin.cli import main; "
         f"assert main(['run', {str(scene)!r}, '--out', {str(tmp_path / 'out')!r}, '--quiet']) == 0; "

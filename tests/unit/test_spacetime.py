@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from casadi_skin import Chain
 from casadi_skin.dynamics import Evolution, evolve
 from casadi_skin.figures import save
-from casadi_skin.spacetime import COLOURS, spacetime_figure
+from casadi_skin.figures.spacetime import COLOURS, spacetime_figure
 
 CHAIN = Chain(6, 1.0, 0.3, 1.0)
 

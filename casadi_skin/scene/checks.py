@@ -1,0 +1,128 @@
+"""What ties one key of a scene to another; bounds of single keys are in the tables."""
+
+import math
+
+from casadi_skin.scene.faults import SceneError, refusal, shown
+from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, Scene
+
+LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
+
+
+def check_accuracy(accuracy: AccuracyTable) -> None:
+    if accuracy.preset is not None and accuracy.tolerance is not None:
+        given = f'preset = "{accuracy.preset}" and tolerance = {accuracy.tolerance!r}'
+        raise refusal("[accuracy]", given, "preset or tolerance, one of them or neither")
+
+
+def check_family(scene: Scene) -> None:
+    chain, family = scene.chain, scene.family
+    if family is None:
+        if scene.stability is not None:
+            raise refusal("[stability]", "without [family]", "beside a [family], whose stability it asks for")
+        return
+    _check_modes(chain, family.modes)
+    if chain.g == 0:
+        reason = "the family would be the linear mode at every amplitude"
+        raise refusal("[chain] g", repr(chain.g), f"with a [family] a finite number other than 0 ({reason})")
+    for mode in family.modes:
+        _check_gauge(chain, mode)
+        _check_frequency(chain, mode)
+    _check_at(family)
+
+
+def _check_modes(chain: ChainTable, modes: tuple[int, ...]) -> None:
+    seen: set[int] = set()
+    for mode in modes:
+        if not 1 <= mode <= chain.sites:
+            raise refusal("[family] mode", shown(mode), f"whole numbers from 1 to {chain.sites} (sites)")
+        if mode in seen:
+            raise refusal("[family] mode", f"{mode} more than once", "each mode once")
+        seen.add(mode)
+
+
+def _check_gauge(chain: ChainTable, mode: int) -> None:
+    """Refuse the modes that have no family at |gamma| = 1, where every coupling acts one way only."""
+    only = chain.sites if chain.g > 0 else 1
+    if abs(chain.gamma) == 1 and mode != only:
+        reason = (
+            "at |gamma| = 1 all frequencies meet and only mode N (g > 0) or mode 1 (g < 0), "
+            "in which the edge site alone moves, can be followed"
+        )
+        raise refusal("[family] mode", f"mode {mode} with gamma = {chain.gamma!r}", f"mode {only} ({reason})")
+
+
+def _check_frequency(chain: ChainTable, mode: int) -> None:
+    """Refuse a mode that does not oscillate: omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)) <= 0."""
+    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
+    # 2 - 2 s cos(q) without subtracting equal numbers: 1 - s = gamma^2/(1 + s), 1 - cos(q) = 2 sin^2(q/2)
+    stiffness = 2 * chain.gamma**2 / (1 + s) + 4 * s * math.sin(mode * math.pi / (2 * chain.sites + 2)) ** 2
+    if chain.alpha + stiffness <= 0:
+        given = f"mode {mode}, which has omega^2 = {chain.alpha + stiffness:.6g} at alpha = {chain.alpha!r}"
+        accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-stiffness:.12g}"
+        raise refusal("[family] mode", given, accepted)
+
+
+def _check_at(family: FamilyTable) -> None:
+    for item, value in enumerate(family.at, start=1):
+        if value > family.amplitude_max:
+            accepted = f"numbers <= amplitude_max = {family.amplitude_max!r}"
+            raise refusal("[family] at", f"{value!r} as item {item}", accepted)
+        if item > 1 and value <= family.at[item - 2]:
+            given = f"{value!r} as item {item} after {family.at[item - 2]!r}"
+            raise refusal("[family] at", given, "numbers in strictly ascending order")
+
+
+def check_dynamics(scene: Scene) -> None:
+    family, dynamics = scene.family, scene.dynamics
+    if dynamics is None:
+        return
+    if family is None:
+        raise refusal("[dynamics]", "without [family]", "beside a [family], one of whose orbits it follows in time")
+    modes = f"one of the modes of [family], {shown(list(family.modes))}"
+    if dynamics.mode is None and len(family.modes) > 1:
+        raise SceneError(f"[dynamics] mode: missing; accepted: {modes}")
+    if dynamics.mode is not None and dynamics.mode not in family.modes:
+        raise refusal("[dynamics] mode", shown(dynamics.mode), modes)
+    if family.amplitude_max < dynamics.S:
+        raise refusal("[dynamics] S", repr(dynamics.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
+    if (dynamics.duration is None) == (dynamics.periods is None):
+        given = "neither duration nor periods" if dynamics.duration is None else "duration and periods"
+        raise refusal("[dynamics]", given, "duration or periods, one of them")
+    _check_envelope(scene.chain)
+    _check_perturbation(scene.chain, dynamics)
+
+
+def _check_envelope(chain: ChainTable) -> None:
+    """Refuse chains whose displacements at the far end are below the smallest double."""
+    if abs(chain.gamma) < 1 and (chain.sites - 1) * math.atanh(abs(chain.gamma)) > LONGEST_ENVELOPE:
+        given = f"with sites = {chain.sites} and gamma = {chain.gamma!r}, whose far end is below the smallest double"
+        raise refusal("[dynamics]", given, f"(sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}")
+
+
+def _check_perturbation(chain: ChainTable, dynamics: DynamicsTable) -> None:
+    kinds = [name for name in ("site", "vector", "seed") if getattr(dynamics, name) is not None]
+    if len(kinds) > 1:
+        raise refusal("[dynamics]", " and ".join(kinds), "site, vector or seed, one of them or none")
+    if kinds and dynamics.size is None:
+        raise SceneError(f"[dynamics] size: missing; accepted: beside {kinds[0]} a finite number > 0")
+    if dynamics.size is not None and not kinds:
+        raise refusal("[dynamics] size", repr(dynamics.size), "beside one of site, vector, seed")
+    if dynamics.site is not None and not 1 <= dynamics.site <= chain.sites:
+        raise refusal("[dynamics] site", shown(dynamics.site), f"whole numbers from 1 to {chain.sites} (sites)")
+    if dynamics.vector is not None:
+        if len(dynamics.vector) not in (chain.sites, 2 * chain.sites):
+            accepted = f"{chain.sites} displacements, or these and {chain.sites} velocities"
+            raise refusal("[dynamics] vector", f"a list of {len(dynamics.vector)}", accepted)
+        if not any(dynamics.vector):
+            raise refusal("[dynamics] vector", "zeros", "a vector with a direction")
+    edge = chain.sites if chain.gamma > 0 else 1
+    if abs(chain.gamma) == 1 and kinds and not _moves_alone(dynamics, edge, chain.sites):
+        reason = "at |gamma| = 1 displacements off the edge have no image in the gauge"
+        raise refusal(f"[dynamics] {kinds[0]}", f"with gamma = {chain.gamma!r}", f"site {edge} alone ({reason})")
+
+
+def _moves_alone(dynamics: DynamicsTable, edge: int, sites: int) -> bool:
+    """Whether the perturbation moves the edge site alone; random displacements of several sites do not."""
+    if dynamics.vector is not None:
+        return not any(value for i, value in enumerate(dynamics.vector) if i % sites != edge - 1)
+    return dynamics.site == edge or sites == 1

@@ -1,0 +1,67 @@
+"""How a fault of a scene is told: one line with the place, what was given and what is accepted."""
+
+import difflib
+import json
+from collections.abc import Iterable
+from typing import get_type_hints
+
+from msgspec import Meta
+
+from casadi_skin.scene.tables import Table
+
+LONGEST = 60  # characters of a given value or name that a message shows
+
+
+class SceneError(ValueError):
+    """A scene that cannot be used: one line with file, table and key, what was given and is accepted."""
+
+    def __init__(self, message: str) -> None:
+        # Names and values come from a file and may hold any character: escaped, the message stays one line.
+        super().__init__("".join(char if char.isprintable() else ascii(char)[1:-1] for char in message))
+
+
+def refusal(place: str, given: str, accepted: str) -> SceneError:
+    return SceneError(f"{place}: given {given}; accepted: {accepted}")
+
+
+def did_you_mean(near: str | None, accepted: str) -> str:
+    return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    return next(iter(difflib.get_close_matches(name[:LONGEST].lower(), list(known), n=1)), None)
+
+
+def accepted_words(table: type[Table], key: str) -> str:
+    meta: Meta = get_type_hints(table, include_extras=True)[key].__metadata__[-1]
+    return meta.description or ""
+
+
+def is_table(value: object) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
+
+
+def cut(text: str) -> str:
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
+def shown(value: object, depth: int = 3) -> str:
+    """A value as TOML would write it, cut where it is long, nested or huge."""
+    if isinstance(value, str):
+        return cut(json.dumps(value[:LONGEST], ensure_ascii=False))
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):  # beyond some hundred digits Python may refuse to write decimals, never hex
+        return cut(str(value) if value.bit_length() < 2000 else hex(value))
+    if isinstance(value, list):
+        items = [shown(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
+        return cut(f"[{', '.join(items)}]")
+    return "a table" if isinstance(value, dict) else str(value)
+
+
+def with_kind(value: object) -> str:
+    """A value with the name of its TOML type, for where the type is the fault."""
+    if is_table(value):
+        return "a table" if isinstance(value, dict) else "an array of tables"
+    kinds = {bool: "a boolean", int: "a whole number", float: "a float", str: "a string", list: "an array"}
+    return f"{shown(value)} ({kinds.get(type(value), 'a date or time')})"

@@ -1,0 +1,125 @@
+"""Reading a scene from TOML: names first, then types and bounds by msgspec, then what ties keys together."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from casadi_skin.scene.checks import check_accuracy, check_dynamics, check_family
+from casadi_skin.scene.faults import (
+    LONGEST,
+    SceneError,
+    accepted_words,
+    cut,
+    did_you_mean,
+    is_table,
+    nearest,
+    refusal,
+    shown,
+    with_kind,
+)
+from casadi_skin.scene.tables import TABLES, ChainTable, Scene, Table
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read the scene in a TOML file; raises SceneError where the file is missing, unreadable or wrong."""
+    return parse_scene(read_text(path), str(path) or ".")
+
+
+def read_text(path: str | Path) -> str:
+    """Read the text of a scene file; raises SceneError where the file is missing or unreadable."""
+    source = str(path) or "."
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{source}: not UTF-8 at byte {error.start}; accepted: TOML in UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{source}: cannot be read: {reason}; accepted: a file in TOML") from None
+
+
+def parse_scene(text: str, source: str = "scene") -> Scene:
+    """Read a scene from TOML text; raises SceneError whose message begins with the source."""
+    try:
+        raw = _parse_toml(text)
+        _check_names(raw)
+        scene = _convert(raw)
+        check_accuracy(scene.accuracy)
+        check_family(scene)
+        check_dynamics(scene)
+    except SceneError as fault:
+        raise SceneError(f"{source}: {fault}") from None
+    return scene
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON schema of a scene, for editors that complete and check TOML."""
+    return msgspec.json.schema(Scene)
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    try:
+        text.encode()  # refuses half a surrogate pair, which tomllib would let through
+        return tomllib.loads(text)
+    except RecursionError:
+        reason = "nested too deeply"
+    except ValueError as error:  # with line and column, but for an integer of thousands of digits
+        reason = str(error).partition("; use sys.")[0]
+        if len(reason) > 2 * LONGEST:  # a long name inside; line and column stand at the end
+            reason = f"{reason[:LONGEST]}...{reason[-LONGEST:]}"
+    raise SceneError(f"not TOML: {reason}")
+
+
+def _check_names(raw: dict[str, Any]) -> None:
+    """Refuse unknown tables and keys, values in place of tables, and what is required but missing."""
+    places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
+    for name, value in raw.items():
+        if name not in places:
+            fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
+            near = nearest(name, places)
+            raise SceneError(fault + did_you_mean(near and places[near], ", ".join(places.values())))
+    for name, table in TABLES.items():
+        if name in raw:
+            _check_keys(name, table, raw[name])
+    if "chain" not in raw:
+        raise SceneError(f"[chain]: missing; accepted: a table with {', '.join(ChainTable.__struct_fields__)}")
+
+
+def _check_keys(name: str, table: type[Table], given: object) -> None:
+    if not isinstance(given, dict):
+        raise refusal(f"[{name}]", with_kind(given), f"one table [{name}]")
+    known = table.__struct_fields__
+    for key, value in given.items():
+        if key not in known:
+            near = nearest(key, known)
+            hint = did_you_mean(near and f"'{near}'", ", ".join(known) or "no keys")
+            raise SceneError(f"[{name}] {cut(key)}: unknown key{hint}")
+        for number in value if isinstance(value, list) else [value]:
+            # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
+            if isinstance(number, int) and abs(number) > sys.float_info.max:
+                raise refusal(f"[{name}] {key}", shown(number), accepted_words(table, key))
+    for field in msgspec.structs.fields(table):
+        if field.required and field.name not in given:
+            raise SceneError(f"[{name}] {field.name}: missing; accepted: {accepted_words(table, field.name)}")
+
+
+def _convert(raw: dict[str, Any]) -> Scene:
+    """Let msgspec check types and bounds; the path in its message becomes our place."""
+    try:
+        return msgspec.convert(raw, Scene)
+    except msgspec.ValidationError as error:
+        message = str(error)
+    path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
+    if path is None:  # none is known; its own words are better than a wrong place
+        raise SceneError(message)
+    name, key, item = path.groups()
+    value = raw[name][key] if key else raw[name]
+    accepted = accepted_words(TABLES[name], key) if key else accepted_words(Scene, name)
+    value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
+    given = with_kind(value) if ", got `" in message else shown(value)
+    near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
+    place = f"[{name}] {key}" if key else name
+    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and shown(near), accepted)}")

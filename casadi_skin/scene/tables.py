@@ -1,0 +1,189 @@
+"""What a scene may ask for, as frozen objects: the tables of its TOML file.
+
+In each `Meta` the title says what a key is, the description what it accepts: messages, the JSON schema and the
+documentation quote it. The model is dimensionless.
+"""
+
+import sys
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Annotated, Literal, get_args
+
+import msgspec
+from msgspec import Meta, Struct
+
+Preset = Literal["draft", "standard", "reference"]
+Transcription = Literal["trigonometric", "gauss"]
+Corrector = Literal["ipopt", "newton"]
+Walker = Literal["arclength"]
+Flow = Literal["splitting", "cvodes"]
+Evolver = Literal["cvodes", "dop853", "symplectic"]
+
+PRESETS: tuple[str, ...] = get_args(Preset)
+TRANSCRIPTIONS: tuple[str, ...] = get_args(Transcription)
+CORRECTORS: tuple[str, ...] = get_args(Corrector)
+WALKERS: tuple[str, ...] = get_args(Walker)
+FLOWS: tuple[str, ...] = get_args(Flow)
+EVOLVERS: tuple[str, ...] = get_args(Evolver)
+PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
+
+_MAX_SITES = 10_000_000
+_MAX_SAMPLES = 1_000_000
+
+
+def _one_of(names: Iterable[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
+
+
+# A bound at the largest float is how msgspec is made to refuse inf; nan fails every comparison.
+_Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+_Positive = Annotated[float, Meta(gt=0, le=sys.float_info.max)]
+_Sites = Annotated[int, Meta(ge=1, le=_MAX_SITES)]
+_Mode = Annotated[int, Meta(extra_json_schema={"minimum": 1})]  # checked below, where sites is known
+_Modes = Annotated[tuple[_Mode, ...], Meta(min_length=1)]
+_Tolerance = Annotated[float, Meta(ge=1e-13, le=1e-2)]
+
+
+class Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of a scene: immutable, every key by name, no other key."""
+
+
+class ChainTable(Table, frozen=True):
+    """The chain: its length, stiffness, nonreciprocity and nonlinearity."""
+
+    sites: Annotated[_Sites, Meta(title="Sites N", description=f"a whole number >= 1 and <= {_MAX_SITES}")]
+    alpha: Annotated[_Finite, Meta(title="On-site stiffness", description="a finite number")]
+    gamma: Annotated[float, Meta(ge=-1, le=1, title="Nonreciprocity", description="a number >= -1 and <= 1")]
+    g: Annotated[_Finite, Meta(title="Cubic on-site coefficient", description="a finite number")]
+
+
+class SpectrumTable(Table, frozen=True):
+    """Linear frequencies and modes are asked for; there is nothing to set."""
+
+
+class FamilyTable(Table, frozen=True):
+    """The families to follow, each from the linear mode that it grows from."""
+
+    mode: Annotated[
+        _Mode | _Modes,
+        Meta(title="Linear modes", description="a mode from 1 to sites, or a list of such modes"),
+    ]
+    amplitude_max: Annotated[_Positive, Meta(title="Largest S = ||y||^2", description="a finite number > 0")]
+    at: Annotated[
+        tuple[_Positive, ...],
+        Meta(title="Points at these S", description="a list of numbers > 0, ascending up to amplitude_max"),
+    ] = ()
+    film: Annotated[
+        bool,
+        Meta(title="Film (GIF) of the mode at the last point of `at`, or else at the end", description="true or false"),
+    ] = False
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """The modes asked for, as a tuple also where one number was given."""
+        return (self.mode,) if isinstance(self.mode, int) else self.mode
+
+
+class StabilityTable(Table, frozen=True):
+    """Floquet multipliers along the families are asked for."""
+
+    events: Annotated[bool, Meta(title="Locate changes of stability", description="true or false")] = True
+    vectors: Annotated[
+        bool, Meta(title="Keep the Floquet vectors at the points of `at`", description="true or false")
+    ] = False
+
+
+class DynamicsTable(Table, frozen=True):
+    """The time evolution of one orbit, perturbed or not, from the phase where all velocities vanish."""
+
+    S: Annotated[_Positive, Meta(title="S of the orbit", description="a finite number > 0, up to amplitude_max")]
+    mode: Annotated[
+        _Mode | None,
+        Meta(title="Mode of its family", description="one of the modes of [family]; required where these are several"),
+    ] = None
+    duration: Annotated[_Positive | None, Meta(title="Time to its end", description="a finite number > 0")] = None
+    periods: Annotated[
+        _Positive | None, Meta(title="Periods of the orbit to its end", description="a finite number > 0")
+    ] = None
+    samples: Annotated[
+        Annotated[int, Meta(ge=2, le=_MAX_SAMPLES)] | None,
+        Meta(
+            title="Number of times written, first and last included",
+            description=f"a whole number >= 2 and <= {_MAX_SAMPLES} (left out: 20 a period, 401 to 4001 in all)",
+        ),
+    ] = None
+    method: Annotated[Evolver, Meta(title="Integrator", description=_one_of(EVOLVERS))] = "cvodes"
+    tolerance: Annotated[
+        _Tolerance, Meta(title="Relative tolerance of one step", description="a number >= 1e-13 and <= 1e-2")
+    ] = 1e-11
+    size: Annotated[
+        _Positive | None,
+        Meta(title="Norm of the perturbation", description="a finite number > 0, with one of site, vector, seed"),
+    ] = None
+    site: Annotated[_Mode | None, Meta(title="Displaced site", description="a site from 1 to sites")] = None
+    vector: Annotated[
+        Annotated[tuple[_Finite, ...], Meta(min_length=1)] | None,
+        Meta(
+            title="Direction of the perturbation",
+            description="a list of numbers: a displacement a site, or these and a velocity a site",
+        ),
+    ] = None
+    seed: Annotated[
+        Annotated[int, Meta(ge=0, le=2**63 - 1)] | None,
+        Meta(title="Seed of random displacements", description="a whole number >= 0 and < 2^63"),
+    ] = None
+
+
+class AccuracyTable(Table, frozen=True):
+    """The relative error allowed in the results, by a preset or as a number."""
+
+    preset: Annotated[Preset | None, Meta(title="Named tolerance", description=_one_of(PRESETS))] = None
+    tolerance: Annotated[
+        _Tolerance | None, Meta(title="Relative tolerance", description="a number >= 1e-13 and <= 1e-2")
+    ] = None
+
+    @property
+    def relative_tolerance(self) -> float:
+        """The tolerance that holds: the number, else that of the preset, else that of "standard"."""
+        return PRESET_TOLERANCES[self.preset or "standard"] if self.tolerance is None else self.tolerance
+
+
+class MethodTable(Table, frozen=True):
+    """The interchangeable methods, by name."""
+
+    transcription: Annotated[Transcription, Meta(title="Discretisation", description=_one_of(TRANSCRIPTIONS))] = (
+        "trigonometric"
+    )
+    corrector: Annotated[Corrector, Meta(title="Solver of a point", description=_one_of(CORRECTORS))] = "ipopt"
+    walker: Annotated[Walker, Meta(title="Way along a family", description=_one_of(WALKERS))] = "arclength"
+    flow: Annotated[Flow, Meta(title="Flow map of stability", description=_one_of(FLOWS))] = "splitting"
+
+
+class Scene(Table, frozen=True):
+    """All that one run is asked for; what is None is neither built nor computed."""
+
+    chain: ChainTable
+    spectrum: SpectrumTable | None = None
+    family: FamilyTable | None = None
+    stability: StabilityTable | None = None
+    dynamics: DynamicsTable | None = None
+    accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
+    method: MethodTable = msgspec.field(default_factory=MethodTable)
+    title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
+
+    def same_request(self, other: "Scene") -> bool:
+        """Whether the other scene is equal but for the title."""
+        return msgspec.structs.replace(self, title=None) == msgspec.structs.replace(other, title=None)
+
+
+TABLES: Mapping[str, type[Table]] = MappingProxyType(
+    {
+        "chain": ChainTable,
+        "spectrum": SpectrumTable,
+        "family": FamilyTable,
+        "stability": StabilityTable,
+        "dynamics": DynamicsTable,
+        "accuracy": AccuracyTable,
+        "method": MethodTable,
+    }
+)
