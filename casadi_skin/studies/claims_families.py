@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from casadi_skin.families.branch import Branch
-from casadi_skin.studies.claims import Claim, Verdict, claim, holds, rounds_to
+from casadi_skin.studies.claim import Claim, Verdict, claim, holds, rounds_to
 from casadi_skin.studies.paper_data import ALPHA, GAMMA, MODES, REPRESENTATIVE_S, SITES, TOLERANCE, PaperData
 from casadi_skin.theory import linear, multiple_scales
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.chain import Chain
-from casadi_skin.studies.claims import Claim, Verdict, claim, holds, rounds_to
+from casadi_skin.studies.claim import Claim, Verdict, claim, holds, rounds_to
 from casadi_skin.studies.paper_data import ALPHA, GAMMA, SITES, PaperData
 
 ROUND_OFF = 1e-12

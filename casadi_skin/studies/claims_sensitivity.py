@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.studies.claims import Claim, Verdict, claim, holds
+from casadi_skin.studies.claim import Claim, Verdict, claim, holds
 from casadi_skin.studies.paper_data import ALPHA, GAMMA, GAMMA_SIZES, SITES, SIZE_GAMMAS, PaperData
 from casadi_skin.theory import multiple_scales
 

@@ -9,7 +9,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import distance_from_orbit
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.studies.claims import Claim, Verdict, claim, holds
+from casadi_skin.studies.claim import Claim, Verdict, claim, holds
 from casadi_skin.studies.paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
 
 

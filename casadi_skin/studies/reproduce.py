@@ -13,7 +13,7 @@ from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.paper_data import PaperData
 
 if TYPE_CHECKING:
-    from casadi_skin.studies.claims import Claim
+    from casadi_skin.studies.claim import Claim
 
 FIGURES = {  # name: module and function, imported when asked for
     "fig1": ("figures_model", "chain_figure"),

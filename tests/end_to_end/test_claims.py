@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from casadi_skin.studies.claims import Claim, Verdict, all_claims, rounds_to
+from casadi_skin.studies.claim import Claim, Verdict, rounds_to
+from casadi_skin.studies.claims import all_claims
 from casadi_skin.studies.claims_sensitivity import LARGE, decay_rate, power_of_r
 from casadi_skin.studies.paper_data import PaperData
 from casadi_skin.theory import multiple_scales
