@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from casadi_skin import Chain, Orbit, follow_family, scene
+from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.dynamics import (
     LONGEST_ENVELOPE,
     METHODS,
@@ -19,6 +19,7 @@ from casadi_skin.dynamics import (
     perturbed,
     simulate_orbit,
 )
+from casadi_skin.scene import checks
 from casadi_skin.theory.duffing import duffing_displacement
 from casadi_skin.theory.linear import Array
 
@@ -350,7 +351,7 @@ def test_wrong_perturbations_are_named_in_one_line(arguments: dict[str, object],
 
 
 def test_a_far_end_below_the_smallest_double_is_refused() -> None:
-    assert LONGEST_ENVELOPE == scene._LONGEST_ENVELOPE
+    assert LONGEST_ENVELOPE == checks.LONGEST_ENVELOPE
     with pytest.raises(ValueError, match=r"envelope spans exp\(-866.4\); accepted: \(N - 1\) artanh"):
         evolve(Chain(1000, 1.0, 0.7, -1.0), np.zeros(1000), None, [1.0])
 
