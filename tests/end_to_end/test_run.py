@@ -91,7 +91,7 @@ def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: P
     with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
         table = rows(tmp_path / "out" / "family.csv")
         np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
-        assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-8)
+        assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-12)
         at_zero = data.coefficients.values.sum(axis=1)
         np.testing.assert_allclose(at_zero, data.profile.values, atol=1e-14)
         assert data.vectors.shape == (2, 12, 12, 2)
