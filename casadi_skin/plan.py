@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 from casadi_skin.bvp.problem import OrbitProblem
-from casadi_skin.continuation.arclength import Walk
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
@@ -102,8 +101,7 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
 
 def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
     """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
-    walk = Walk(tools.ladder, tools.request.walk_settings(), ())
-    start = walk.start(tools.mode_positions, tools.core.linear_frequency(tools.core_mode))
+    start = tools.start
     problem, z = start.problem, start.z + start.step * start.tangent
     while True:
         row = problem.parameter_row()
@@ -123,8 +121,7 @@ def _transcription(request: FamilyRequest, problem: OrbitProblem) -> str:
 
 def _cost(scene: Scene, tools: FamilyTools, problem: OrbitProblem, families: int, building: float) -> str:
     """Cost from one measured solve (and one transition matrix), times the usual number of points."""
-    walk = Walk(tools.ladder, tools.request.walk_settings(), ())
-    start = walk.start(tools.mode_positions, tools.core.linear_frequency(tools.core_mode))
+    start = tools.start
     z = start.problem.prolong(start.z + start.step * start.tangent, problem)
     row = problem.parameter_row()
     started = time.perf_counter()

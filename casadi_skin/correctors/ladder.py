@@ -27,6 +27,14 @@ class ErrorEstimate:
         return max(self.Omega / Omega, self.profile)
 
 
+@dataclass(frozen=True)
+class Refinement:
+    """An orbit on the next finer rung, one Newton step from the orbit prolonged: better by the error estimated."""
+
+    problem: OrbitProblem
+    z: Array
+
+
 def step_error(problem: OrbitProblem, z: Array, step: Array) -> ErrorEstimate:
     """The error that a step from z to the better point makes up for."""
     state = np.max(np.abs(step[: problem.states])) / np.max(np.abs(z[: problem.states]))
@@ -75,16 +83,22 @@ class Ladder:
         return self.problem(above[0]) if above else None
 
     def error(self, problem: OrbitProblem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
-        """Error of z: one Newton step on the next finer rung, from z prolonged.
+        """Error of z, from `refined`; infinite at the top of the ladder. Raises SingularError."""
+        return self.refined(problem, z, tangent)[0]
+
+    def refined(
+        self, problem: OrbitProblem, z: Array, tangent: Array | None = None
+    ) -> tuple[ErrorEstimate, Refinement | None]:
+        """Error of z and the better orbit that shows it: one Newton step on the next finer rung, from z prolonged.
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
         and the round-off of the residual as well. The free parameter is held; with `tangent` (unit in the metric) the
         step is taken across it and then brought back to the parameter along it, but for the neighbourhood of a fold.
-        Infinite at the top of the ladder. Raises SingularError.
+        Infinite and None at the top of the ladder. Raises SingularError.
         """
         finer = self.finer(problem)
         if finer is None:
-            return ErrorEstimate(np.inf, np.inf)
+            return ErrorEstimate(np.inf, np.inf), None
         long_z = problem.prolong(z, finer)
         row = finer.parameter_row()
         along = None if tangent is None else problem.prolong(tangent, finer)
@@ -95,4 +109,4 @@ class Ladder:
         index = finer.parameter_index
         if along is not None and abs(along[index]) > FOLD * abs(long_z[index]):
             step = step - along * (step[index] / along[index])
-        return step_error(finer, long_z, step)
+        return step_error(finer, long_z, step), Refinement(finer, long_z - step)

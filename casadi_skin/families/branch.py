@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.continuation.arclength import End, Point, Walk
+from casadi_skin.continuation.points import End, Point, is_any
 from casadi_skin.families.events import StabilityChange
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.request import FamilyTools
@@ -97,17 +97,17 @@ class Branch:
         if which < 0:
             raise ValueError(f"which: given {which}; accepted: a whole number from 0 on")
         kappa = self.tools.request.chain.g * S
-        walk = Walk(self.tools.ladder, self.tools.request.walk_settings(), ())
+        locator = self.tools.locator
         passage, before = 0, self.start
         for orbit in self.orbits:
             if orbit.S == S:
                 found: list[Point | None] = [orbit.point]
-            elif walk.is_any(orbit.point.parameter, (kappa,)):
-                found = [walk.beside(orbit.point, kappa)]
-            elif walk.is_any(before.parameter, (kappa,)):
+            elif is_any(orbit.point.parameter, (kappa,)):
+                found = [locator.beside(orbit.point, kappa)]
+            elif is_any(before.parameter, (kappa,)):
                 found = []
             else:
-                found = [point for _, point in walk.between(before, orbit.point, (kappa,))]
+                found = [point for _, point in locator.between(before, orbit.point, (kappa,))]
             before = orbit.point
             for point in found:
                 if passage < which:

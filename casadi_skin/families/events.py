@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.continuation.arclength import Walk
+from casadi_skin.continuation.locating import Locator
 from casadi_skin.families.orbit import Orbit
 
 WIDTH = 1e-6  # of the bracket in S, or in S relative to the family's largest where that is below 1
@@ -29,7 +29,7 @@ class StabilityChange:
     S_width: float
 
 
-def locate_change(walk: Walk, before: Orbit, after: Orbit) -> StabilityChange:
+def locate_change(locator: Locator, before: Orbit, after: Orbit) -> StabilityChange:
     """Bisect the stretch of branch between two neighbouring orbits of different stability.
 
     Where the corrector fails inside the bracket the change is given with the bracket reached (`S_width`). Raises
@@ -39,7 +39,7 @@ def locate_change(walk: Walk, before: Orbit, after: Orbit) -> StabilityChange:
     first, last, low, high = before, after, 0.0, 1.0
     while abs(last.S - first.S) > width and high - low > 1e-14:
         middle = 0.5 * (low + high)
-        point = walk.along(before.point, after.point, middle)
+        point = locator.along(before.point, after.point, middle)
         if point is None:
             break
         orbit = Orbit(before.tools, point)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.arclength import End, Point, Walk
+from casadi_skin.continuation.points import End
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.events import StabilityChange, locate_change
 from casadi_skin.families.orbit import Orbit
@@ -31,10 +31,7 @@ class FamilyWalk:
     ) -> None:
         self.tools, self.stability, self.events = tools, stability, events and stability
         self.orbits, self.changes = list(orbits), list(changes)
-        self._walk = Walk(tools.ladder, tools.request.walk_settings(), ())
-        omega = tools.core.linear_frequency(tools.core_mode)
-        self.start: Point = self._walk.start(tools.mode_positions, omega)
-        self._walk.history = (self.start, *(o.point for o in self.orbits if o.point.walked))[-2:]
+        self._walk = tools.walk((tools.start, *(o.point for o in self.orbits if o.point.walked)))
         self._end: End | None = None
         self._detail = ""
 
@@ -45,7 +42,7 @@ class FamilyWalk:
                 if self.stability:
                     orbit.floquet()
                 if self.events and self.orbits and self.orbits[-1].floquet().stable != orbit.floquet().stable:
-                    change = locate_change(self._walk, self.orbits[-1], orbit)
+                    change = locate_change(self.tools.locator, self.orbits[-1], orbit)
                     self.changes.append(change)
                     yield change
             except FlowError as error:
@@ -65,7 +62,7 @@ class FamilyWalk:
     def finished(self, end: End | None, detail: str, missed: tuple[float, ...]) -> Branch:
         """The branch of what has been computed, with a known end."""
         orbits, changes = tuple(self.orbits), tuple(self.changes)
-        return Branch(self.tools, self.start, orbits, changes, self.stability, end, detail, missed)
+        return Branch(self.tools, self.tools.start, orbits, changes, self.stability, end, detail, missed)
 
 
 def follow_family(

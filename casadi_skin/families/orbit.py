@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.continuation.arclength import Point
+from casadi_skin.continuation.points import Point
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.growth import TransientGrowth, transient_growth

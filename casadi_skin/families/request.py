@@ -13,7 +13,9 @@ from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.arclength import WalkSettings
+from casadi_skin.continuation.arclength import ArclengthWalk
+from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.points import Point, Walk, WalkSettings
 from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
@@ -145,6 +147,20 @@ class FamilyTools:
             return Ladder(self._problem, self._corrector, INTERVALS)
         fits = [H for H in HARMONICS if self.core.sites * H**2 <= LARGEST]
         return Ladder(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
+
+    @cached_property
+    def locator(self) -> Locator:
+        """What makes points of the family at its tolerance."""
+        return Locator(self.ladder, self.request.walk_settings())
+
+    @cached_property
+    def start(self) -> Point:
+        """The linear mode at S = 0 with the tangent of the family."""
+        return self.locator.start(self.mode_positions, self.core.linear_frequency(self.core_mode))
+
+    def walk(self, history: tuple[Point, ...]) -> Walk:
+        """The way along the family from the last points walked, or from `start`."""
+        return ArclengthWalk(self.locator, history)
 
     def _problem(self, resolution: int) -> OrbitProblem:
         if self.request.transcription == "trigonometric":

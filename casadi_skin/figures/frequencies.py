@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.continuation.arclength import End
+from casadi_skin.continuation.points import End
 from casadi_skin.figures.style import (
     AMPLITUDE,
     blank,

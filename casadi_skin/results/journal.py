@@ -13,7 +13,7 @@ from typing import BinaryIO
 import msgspec
 import numpy as np
 
-from casadi_skin.continuation.arclength import End, Point
+from casadi_skin.continuation.points import End, Point
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.events import StabilityChange

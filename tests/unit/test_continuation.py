@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.continuation.arclength import End, Point, Walk
+from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.points import End, Point
 from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk
@@ -146,11 +148,12 @@ def test_a_long_chain_stays_on_its_family_where_others_lie_close() -> None:
         assert cosine > 0.9
 
 
-def walked_with(chain: Chain, mode: int, amplitude_max: float, **changes: float) -> tuple[Walk, list[Point]]:
+def walked_with(chain: Chain, mode: int, amplitude_max: float, **changes: float) -> tuple[ArclengthWalk, list[Point]]:
     """A walk with changed settings and its points."""
     tools = FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
-    walk = Walk(tools.ladder, replace(tools.request.walk_settings(), **changes), ())  # type: ignore[arg-type]
-    walk.history = (walk.start(tools.mode_positions, tools.core.linear_frequency(mode)),)
+    locator = Locator(tools.ladder, replace(tools.request.walk_settings(), **changes))  # type: ignore[arg-type]
+    start = locator.start(tools.mode_positions, tools.core.linear_frequency(mode))
+    walk = ArclengthWalk(locator, (start,))
     return walk, list(walk)
 
 
@@ -340,8 +343,7 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     """Two rungs only: what a stronger nonlinearity needs is not there."""
     tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
     tools.ladder.rungs = (4, 6)
-    walk = Walk(tools.ladder, tools.request.walk_settings(), ())
-    walk.history = (walk.start(tools.mode_positions, tools.core.linear_frequency(1)),)
+    walk = ArclengthWalk(tools.locator, (tools.start,))
     points = list(walk)
     assert walk.end is End.RESOLUTION
     assert 0 < len(points) < 40

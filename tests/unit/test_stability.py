@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.arclength import End
+from casadi_skin.continuation.points import End
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.stability import splitting

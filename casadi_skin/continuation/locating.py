@@ -1,0 +1,156 @@
+"""Corrected points of a branch: near a guess, at a value of the parameter, between two points already known.
+
+The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.continuation.points import Point, WalkSettings
+from casadi_skin.correctors.base import Correction
+from casadi_skin.correctors.bordered import SingularError, Solve
+from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
+
+ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
+BESIDE = 1e-3  # reach of a correction to a value of the parameter that is the point's own but for round-off
+
+
+class Locator:
+    """Makes points of one branch on a ladder of resolutions, to the tolerance of the settings."""
+
+    def __init__(self, ladder: Ladder, settings: WalkSettings) -> None:
+        self.ladder, self.settings = ladder, settings
+
+    # Geometry -------------------------------------------------------------------------------------------------------
+
+    def metric(self, problem: OrbitProblem, z: Array) -> Array:
+        return problem.metric(z, abs(self.settings.parameter_max))
+
+    def factor(self, problem: OrbitProblem, z: Array, row: Array) -> Solve:
+        """Solver of the Jacobian at z closed by `row`; raises SingularError."""
+        return self.ladder.solver(problem).factor(z, problem.evaluate(z)[1], row)
+
+    def tangent(self, problem: OrbitProblem, z: Array, solve: Solve) -> Array:
+        """Unit tangent at z with row . t > 0, by the solver closed by that row."""
+        unit = np.zeros(problem.size)
+        unit[-1] = 1.0
+        t = solve(unit)
+        return np.asarray(t / np.sqrt(np.sum(self.metric(problem, z) * t**2)))
+
+    def start(self, positions: Array, Omega: float) -> Point:
+        """The linear mode at zero amplitude with the tangent of its family, at the coarsest resolution; not walked."""
+        problem = self.ladder.problem(self.ladder.rungs[0])
+        z = problem.pack(positions, Omega, 0.0)
+        direction = float(np.sign(self.settings.parameter_max))
+        tangent = self.tangent(problem, z, self.factor(problem, z, direction * problem.parameter_row()))
+        return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
+
+    # Correcting -----------------------------------------------------------------------------------------------------
+
+    def correct(self, problem: OrbitProblem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
+        """Corrected point within the guard's fraction of `reach` of the guess, or None."""
+        correction = self.ladder.corrector(problem).correct(guess, row, value)
+        if not correction.converged or correction.z[problem.Omega_index] <= 0:
+            return None
+        distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
+        return correction if distance <= self.settings.guard_distance * reach else None
+
+    def refined(self, problem: OrbitProblem, correction: Correction, row: Array, held: bool) -> Point | None:
+        """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
+
+        `held` tells that `row` holds the parameter. Where most of the error is what the corrector left over, a Newton
+        step and the corrector once more take it away; what stays after that, or what a finer rung does not lessen, is
+        round-off, and the point is kept with its estimate. Raises SingularError.
+        """
+        z, iterations, polished = correction.z, correction.iterations, False
+        coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
+        while True:
+            solve = self.factor(problem, z, row)
+            tangent = self.tangent(problem, z, solve)
+            error, better = self.ladder.refined(problem, z, None if held else tangent)
+            relative = error.relative(float(z[problem.Omega_index]))
+            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
+            algebraic = step_error(problem, z, left_over).relative(float(z[problem.Omega_index]))
+            point = Point(problem, z, tangent, error, self.settings.first_step, iterations, better=better)
+            if relative <= self.settings.tolerance or (polished and algebraic > 0.25 * relative):
+                return point
+            if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
+                return coarser[1]  # no better for its finer rung, whose round-off is larger
+            if algebraic > 0.25 * relative:
+                polished, target, guess = True, problem, z - left_over
+            else:
+                finer = self.ladder.finer(problem)
+                if finer is None or self.ladder.finer(finer) is None:
+                    return None
+                polished, target, guess, coarser = False, finer, problem.prolong(z, finer), (relative, point)
+                if held:
+                    row = finer.parameter_row() * row[problem.parameter_index]
+                else:
+                    row = self.metric(finer, guess) * problem.prolong(tangent, finer)
+            correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
+            if not correction.converged:
+                raise SingularError(f"{correction.status.value} {correction.message}".strip())
+            problem, z, iterations = target, correction.z, iterations + correction.iterations
+
+    # At a value of the parameter, between two points -----------------------------------------------------------------
+
+    def between(
+        self, current: Point, following: Point, values: tuple[float, ...]
+    ) -> Iterator[tuple[float, Point | None]]:
+        """Points with the free parameter at any of `values` between two points of the branch, in arclength order.
+
+        Yields (value, point), and (value, None) where the corrector does not find the point that the branch passes.
+        """
+        curve, length = self.curve(current, following)
+        index = following.problem.parameter_index
+        places = sorted((s, v) for v in values for s in curve.crossings(index, v, length))
+        for sigma, value in places:
+            yield value, self._exactly(following.problem, curve, sigma, value, length)
+
+    def beside(self, point: Point, value: float) -> Point | None:
+        """The point with the free parameter at `value`, which is next to that of `point`; None where none is found."""
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, value, BESIDE)
+
+    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
+        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+        problem = following.problem
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        row = self.metric(problem, z) * t
+        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
+        return curve, float(row @ (following.z - z))
+
+    def along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """A corrected point at a fraction of the way between two points of the branch, or None."""
+        problem = following.problem
+        curve, length = self.curve(current, following)
+        guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
+        row = self.metric(problem, guess) * slope
+        correction = self.correct(problem, guess, row, float(row @ guess), length)
+        try:
+            point = None if correction is None else self.refined(problem, correction, row, held=False)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
+
+    def _exactly(
+        self, problem: OrbitProblem, curve: LocalCurve, sigma: float, value: float, length: float
+    ) -> Point | None:
+        """The point with the free parameter at `value`, near curve(sigma); None where none is found there."""
+        guess = curve.at(sigma)
+        direction = float(np.sign(curve.slope(sigma)[problem.parameter_index]))
+        row = problem.parameter_row() * direction
+        correction = self.correct(problem, guess, row, value * direction, length)
+        if correction is None:
+            return None
+        correction.z[problem.parameter_index] = value  # equal but for round-off of the held row
+        try:
+            point = self.refined(problem, correction, row, held=True)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
