@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
@@ -34,6 +35,8 @@ def scene_requests(scene: Scene) -> list[FamilyRequest]:
             transcription=method.transcription,
             corrector=method.corrector,
             flow=method.flow,
+            walker=method.walker,
+            degree=method.degree,
         )
         for mode in family.modes
     ]
@@ -108,7 +111,8 @@ def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
         correction = tools.ladder.corrector(problem).correct(z, row, float(row @ z))
         error = tools.ladder.error(problem, correction.z)
         finer = tools.ladder.finer(problem)
-        if finer is None or error.relative(float(z[problem.Omega_index])) <= tools.request.tolerance:
+        at_top = finer is None or tools.ladder.finer(finer) is None  # the last rung has no error to show
+        if finer is None or at_top or error.relative(float(z[problem.Omega_index])) <= tools.request.tolerance:
             return problem, error
         problem, z = finer, problem.prolong(correction.z, finer)
 
@@ -116,7 +120,11 @@ def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
 def _transcription(request: FamilyRequest, problem: OrbitProblem) -> str:
     if request.transcription == "trigonometric":
         return f"trigonometric: positions only, {problem.resolution} odd cosines at the start"
-    return f"gauss: positions and velocities, {problem.resolution} intervals of Gauss-Legendre elements at the start"
+    if isinstance(problem, ShootingProblem):
+        words = f"shooting: positions and velocities, {problem.segments} segments integrated by CVODES"
+        return f"{words} with a local tolerance of 1e-{problem.resolution} at the start"
+    words = f"{request.transcription}: positions and velocities, {problem.resolution} intervals"
+    return f"{words} with polynomials of degree {request.collocation_degree} at the start"
 
 
 def _cost(scene: Scene, tools: FamilyTools, problem: OrbitProblem, families: int, building: float) -> str:

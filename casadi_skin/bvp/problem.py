@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -15,6 +17,7 @@ from casadi_skin.models.ode import OdeModel
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+EPSILON = float(np.finfo(float).eps)
 FREQUENCY_WEIGHT = 20.0  # a relative change of 5 per cent in Omega counts as much as a wholly new profile
 
 
@@ -26,11 +29,29 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
     return ca.MX(sparsity, values[order.tolist()])
 
 
+class _Buffers:
+    """Calls of a compiled function without conversions: arguments and results live in arrays given to it once."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._arguments = [np.zeros(function.nnz_in(i)) for i in range(2)]
+        self._results = [np.zeros(function.nnz_out(i)) for i in range(2)]
+        self._buffer, self._trigger = function.buffer()
+        for i in range(2):
+            self._buffer.set_arg(i, self._arguments[i].data)
+            self._buffer.set_res(i, self._results[i].data)
+
+    def evaluate(self, z: Array, constants: Array) -> tuple[Array, Array]:
+        self._arguments[0][:], self._arguments[1][:] = z, constants
+        self._trigger()
+        return self._results[0].copy(), self._results[1].copy()
+
+
 class OrbitProblem(ABC):
     """Unknowns z = (state values, Omega, parameter, ...), one more than equations R(z) = 0, and the sparse dR/dz.
 
     Subclasses are transcriptions. State values come first in z; `size` counts unknowns, `size - 1` equations. The
-    one free parameter is that of the model; the last equation is the model's normalisation.
+    one free parameter is that of the model; the last equation is the model's normalisation. `constants` are numbers
+    in the equations, such as interval lengths, that may change without anything being built again.
     """
 
     model: OdeModel
@@ -38,10 +59,11 @@ class OrbitProblem(ABC):
     resolution: int
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
+    constants: Array = np.zeros(0)
 
     @abstractmethod
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """Symbols z, residual R(z), sparse Jacobian dR/dz assembled from its structure."""
+        """Symbols z, residual R(z), sparse Jacobian dR/dz assembled from its structure; see `constants_symbol`."""
 
     @abstractmethod
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
@@ -82,10 +104,16 @@ class OrbitProblem(ABC):
         return self._equations()
 
     @cached_property
+    def constants_symbol(self) -> ca.MX:
+        """Symbol of `constants`, shape (constants, 1)."""
+        return ca.MX.sym("constants", self.constants.size)
+
+    @cached_property
     def function(self) -> ca.Function:
-        """CasADi Function z -> (R, dR/dz)."""
+        """CasADi Function (z, constants) -> (R, dR/dz)."""
         z, residual, jacobian = self.symbols
-        return ca.Function("orbit", [z], [ca.densify(residual), jacobian], ["z"], ["R", "dR_dz"])
+        arguments = [z, self.constants_symbol]
+        return ca.Function("orbit", arguments, [ca.densify(residual), jacobian], ["z", "constants"], ["R", "dR_dz"])
 
     @cached_property
     def pattern(self) -> tuple[Indices, Indices]:
@@ -94,21 +122,57 @@ class OrbitProblem(ABC):
         return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
 
     @cached_property
-    def _buffers(self) -> tuple[ca.FunctionBuffer, object, Array, Array, Array]:
-        z, residual = np.zeros(self.size), np.zeros(self.size - 1)
-        nonzeros = np.zeros(self.function.nnz_out(1))
-        buffer, trigger = self.function.buffer()
-        buffer.set_arg(0, z.data)
-        buffer.set_res(0, residual.data)
-        buffer.set_res(1, nonzeros.data)
-        return buffer, trigger, z, residual, nonzeros
+    def _buffers(self) -> _Buffers:
+        return _Buffers(self.function)
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual, shape (size - 1,), and the non-zeros of the Jacobian in the order of `pattern`."""
-        _, trigger, argument, residual, nonzeros = self._buffers
-        argument[:] = z
-        trigger()  # type: ignore[operator]
-        return residual.copy(), nonzeros.copy()
+        return self._buffers.evaluate(z, self.constants)
+
+    def with_constants(self, constants: Array) -> Self:
+        """The same equations with other constants; the compiled function is shared.
+
+        Raises ValueError where their number differs.
+        """
+        if constants.shape != self.constants.shape:
+            raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
+        _ = self.symbols, self.pattern, self._buffers  # kept by the copy as well
+        other = copy.copy(self)
+        other.constants = constants
+        return other
+
+    # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
+
+    def transferred(self, other: OrbitProblem) -> OrbitProblem:
+        """The problem `other`, of another resolution, with its unknowns placed as they are here."""
+        return other
+
+    def placed(self, z: Array, other: OrbitProblem) -> OrbitProblem:
+        """The problem `other`, of any resolution, with its unknowns placed where the orbit z needs them."""
+        return other
+
+    def imbalance(self, z: Array) -> float:
+        """How unevenly the difficulty of the orbit z is spread over the unknowns, as largest over mean; 1 is best."""
+        return 1.0
+
+    def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
+        """Relative error to expect of the orbit z on `other`, no finer, once placed for z; from its `error` here."""
+        return np.inf
+
+    @property
+    def probe(self) -> Array:
+        """Residuals of size 1 in general position, shape (size - 1,)."""
+        return np.asarray(np.cos(np.arange(self.size - 1) ** 2 % 6.25))
+
+    def rounding(self, z: Array) -> float:
+        """Size of what rounding leaves of the residuals at z."""
+        _, columns = self.pattern
+        return EPSILON * float(np.max(np.abs(self.evaluate(z)[1] * z[columns])))
+
+    @property
+    def round_off(self) -> float:
+        """Relative error of Omega that is left where the equations are solved but for rounding; measured."""
+        return 10.0 * EPSILON
 
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.models.ode import OdeModel
+
+Array = NDArray[np.float64]
 
 
 class SymmetryClass(Enum):
@@ -51,3 +54,24 @@ def pinned_components(model: OdeModel, symmetry: SymmetryClass) -> tuple[list[in
     if len(first) + len(last) != model.full_size:
         raise ValueError(f"{model.name}: the reversal fixes {len(first) + len(last)} of {model.full_size} components")
     return first, last
+
+
+def unfolded_phases(model: OdeModel, symmetry: SymmetryClass, theta: Array) -> tuple[Array, Array]:
+    """Where phases of the whole period lie in the part that is solved for, and the signs that the symmetries give.
+
+    Fractions of the part, shape (len(theta),), and signs of the full state, shape (len(theta), full_size).
+    """
+    turn = np.mod(np.asarray(theta, dtype=float) / (2.0 * np.pi), 1.0)
+    signs = np.ones((turn.size, model.full_size))
+    half_period = np.array(model.half_period if symmetry is SymmetryClass.QUARTER else 1)
+    if symmetry is SymmetryClass.QUARTER:
+        later = turn >= 0.5
+        turn = np.where(later, turn - 0.5, turn)
+        signs[later] *= half_period
+    if symmetry is not SymmetryClass.FULL:
+        # x(-t) = R x(t); with x(t + T/2) = P x(t) it folds the second quarter onto the first.
+        fold = 0.25 if symmetry is SymmetryClass.QUARTER else 0.5
+        back = turn > fold
+        turn = np.where(back, 2 * fold - turn, turn)
+        signs[back] *= np.array(model.reversal) * half_period
+    return turn / symmetry.value, signs

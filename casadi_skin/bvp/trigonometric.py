@@ -7,25 +7,52 @@ See Boyd, Chebyshev and Fourier Spectral Methods (2001), sections 3.1 and 8.
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem, sparse_matrix
+from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, sparse_matrix
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.ode import OdeModel
 
+ALIASED = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
 
+
+@cache
 def cosine_matrix(harmonics: int) -> Array:
     """Symmetric matrix V with V_ik = cos((2k+1) theta_i); V V = (H/2) I, shape (H, H)."""
     i = np.arange(harmonics)
     phase = np.outer(2 * i + 1, 2 * i + 1) % (8 * harmonics)
-    return np.cos(np.pi * phase / (4 * harmonics))
+    matrix = np.cos(np.pi * phase / (4 * harmonics))
+    matrix.flags.writeable = False  # kept and shared
+    return matrix
 
 
+@cache
+def prolongation_matrix(harmonics: int, others: int) -> Array:
+    """Matrix from node values of `harmonics` odd cosines to those of `others`, shape (harmonics, others)."""
+    kept = min(harmonics, others)
+    return (2.0 / harmonics) * cosine_matrix(harmonics)[:, :kept] @ cosine_matrix(others)[:kept]
+
+
+@cache
 def second_derivative_matrix(harmonics: int) -> Array:
-    """Matrix of d^2/dtheta^2 on node values, shape (H, H)."""
-    V = cosine_matrix(harmonics)
-    return -(2.0 / harmonics) * (V * (2.0 * np.arange(harmonics) + 1.0) ** 2) @ V
+    """Matrix of d^2/dtheta^2 on node values, shape (H, H).
+
+    Entries are of size H^2, and what rounding makes of -cos(theta) goes into every frequency. The diagonal is chosen so
+    that the rounded matrix is right for cos(theta) (Baltensperger and Trummer 2003), where long double has more digits.
+    """
+    i = np.arange(harmonics)
+    angle = (np.outer(2 * i + 1, 2 * i + 1) % (8 * harmonics)).astype(np.longdouble) / (4 * harmonics)
+    V = np.cos(np.arccos(np.longdouble(-1.0)) * angle)
+    exact = -((V * (2 * i + 1) ** 2) @ V) * 2 / harmonics
+    rounded = exact.astype(np.float64)
+    fundamental = V[:, 0]
+    missing = -(fundamental + rounded @ fundamental) / fundamental
+    rounded[i, i] = (rounded[i, i] + missing).astype(np.float64)
+    rounded.flags.writeable = False  # kept and shared
+    return np.asarray(rounded)
 
 
 class TrigonometricProblem(OrbitProblem):
@@ -67,7 +94,7 @@ class TrigonometricProblem(OrbitProblem):
             [model.normalisation, ca.densify(ca.jacobian(model.normalisation, model.state))],
         )
         normalisation, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p)
-        residual = ca.vertcat(ca.vec(ca.DM(D2) @ values) - force / Omega**2, normalisation)
+        residual = ca.vertcat(ca.vec(self._second_derivative(values)) - force / Omega**2, normalisation)
 
         rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
         node = np.repeat(np.arange(H), rows.size)
@@ -91,6 +118,16 @@ class TrigonometricProblem(OrbitProblem):
         )
         return z, residual, derivative + stiffness + borders
 
+    def _second_derivative(self, values: ca.MX) -> ca.MX:
+        """Second derivatives at the nodes, shape (harmonics, sites).
+
+        Sums over entries of size H^2 are left to what is beyond cos(theta): their rounding would show in Omega.
+        """
+        H = self.resolution
+        cosine = ca.DM(cosine_matrix(H)[:, 0])
+        amplitude = ca.DM(self._to_coefficients[0]).T @ values
+        return ca.DM(second_derivative_matrix(H)) @ (values - cosine @ amplitude) - cosine @ amplitude
+
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
         theta = (np.arange(self.resolution) + 0.5) * np.pi / (2 * self.resolution)
         return np.concatenate([np.outer(positions, np.cos(theta)).ravel(), [Omega, parameter]])
@@ -100,11 +137,23 @@ class TrigonometricProblem(OrbitProblem):
         return z[: self.states].reshape(self.model.size, self.resolution) @ self._to_coefficients
 
     def prolong(self, z: Array, finer: OrbitProblem) -> Array:
-        H = finer.resolution
-        kept = self.coefficients(z)[:, :H]
-        padded = np.zeros((self.model.size, H))
-        padded[:, : kept.shape[1]] = kept
-        return np.concatenate([(padded @ cosine_matrix(H)).ravel(), z[self.states :]])
+        H = self.resolution
+        values = z[: self.states].reshape(self.model.size, H) @ prolongation_matrix(H, finer.resolution)
+        return np.concatenate([values.ravel(), z[self.states :]])
+
+    def rounding(self, z: Array) -> float:
+        beyond = z.copy()
+        values = beyond[: self.states].reshape(self.model.size, self.resolution)
+        values -= np.outer(values @ self._to_coefficients[0], cosine_matrix(self.resolution)[0])
+        return super().rounding(beyond) + EPSILON * float(np.max(np.abs(z[: self.states])))
+
+    @property
+    def round_off(self) -> float:
+        return EPSILON * (10.0 + 0.2 * self.resolution)
+
+    def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
+        lost = np.max(np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1))
+        return error + ALIASED * float(lost / np.max(np.abs(z[: self.states])))
 
     def sample(self, z: Array, theta: Array) -> Array:
         basis = np.cos(np.outer(theta, 2 * np.arange(self.resolution) + 1))

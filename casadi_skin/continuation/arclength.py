@@ -8,7 +8,7 @@ turns too far; so the step shortens before another family can be taken for this 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,23 @@ from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.bordered import SingularError
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
+
+
+@dataclass(frozen=True)
+class _Departure:
+    """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on."""
+
+    problem: OrbitProblem
+    z: Array
+    t: Array
+    weights: Array
+    row: Array
+    curve: LocalCurve
+
+    def angle(self, tangent: Array) -> float:
+        """Angle in degrees between t and another tangent, in the metric at z."""
+        cosine = np.sum(self.row * tangent) / np.sqrt(np.sum(self.weights * tangent**2))
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 class ArclengthWalk:
@@ -52,39 +69,54 @@ class ArclengthWalk:
 
     def _advance(self, current: Point) -> Point | None:
         """The next point of the walk; None with `end` set where there is none."""
-        problem, settings = current.problem, self.settings
-        row = self.locator.metric(problem, current.z) * current.tangent
-        curve = LocalCurve.line(current.z, current.tangent)
-        if len(self.history) == 2:
-            before = self.history[0]
-            z, t = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
-            curve = LocalCurve.through(current.z, current.tangent, z, t, row)
+        lighter = self.locator.lighter(current)
+        departure = self._departure(current, lighter)
         step = min(current.step, self._longest_step(current))
-        while step >= settings.min_step:
-            guess = curve.at(step)
-            correction = self.locator.correct(problem, guess, row, float(row @ current.z) + step, step)
-            if correction is not None:
-                try:
-                    solve = self.locator.factor(problem, correction.z, row)
-                    angle = self._angle(problem, current, self.locator.tangent(problem, correction.z, solve))
-                    if angle <= settings.guard_angle:
-                        point = self.locator.refined(problem, correction, row, held=False)
-                        if point is None:
-                            self.end = End.RESOLUTION
-                            return None
-                        return replace(point, step=self._next_step(problem, guess, correction, step, angle))
-                except SingularError as error:
-                    self.detail = str(error)
+        while step >= self.settings.min_step:
+            try:
+                point = self._stepped(departure, step)
+                if point is not None or self.end is not None:
+                    return point
+            except SingularError as error:
+                self.detail = str(error)
             self.rejected += 1
-            step *= 0.5
+            if departure.problem is current.problem:
+                step *= 0.5
+            else:  # perhaps for what the coarser rung leaves out
+                departure = self._departure(current, current.problem)
         self.end = End.NO_STEP
         return None
 
-    def _angle(self, problem: OrbitProblem, current: Point, tangent: Array) -> float:
-        """Angle in degrees between the tangent at `current` and another, in the metric at `current`."""
-        weights = self.locator.metric(problem, current.z)
-        cosine = np.sum(weights * current.tangent * tangent) / np.sqrt(np.sum(weights * tangent**2))
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    def _departure(self, current: Point, problem: OrbitProblem) -> _Departure:
+        """The current point and the way on from it in the unknowns of `problem`."""
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        weights = self.locator.metric(problem, z)
+        if problem is not current.problem:
+            t = t / np.sqrt(np.sum(weights * t**2))
+        row = weights * t
+        curve = LocalCurve.line(z, t)
+        if len(self.history) == 2:
+            before = self.history[0]
+            z0, t0 = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
+            curve = LocalCurve.through(z, t, z0, t0, row)
+        return _Departure(problem, z, t, weights, row, curve)
+
+    def _stepped(self, departure: _Departure, step: float) -> Point | None:
+        """The point a step away; None where the guard refuses it, or, with `end` set, where no rung is fine enough."""
+        problem, row = departure.problem, departure.row
+        guess = departure.curve.at(step)
+        correction = self.locator.correct(problem, guess, row, float(row @ departure.z) + step, step)
+        if correction is None:
+            return None
+        tangent = self.locator.tangent(problem, correction.z, self.locator.factor(problem, correction.z, row))
+        angle = departure.angle(tangent)
+        if angle > self.settings.guard_angle:
+            return None
+        point = self.locator.near(problem, correction, tangent, row, held=False)
+        if point is None:
+            self.end = End.RESOLUTION
+            return None
+        return replace(point, step=self._next_step(problem, guess, correction, step, angle))
 
     def _next_step(
         self, problem: OrbitProblem, guess: Array, correction: Correction, step: float, angle: float

@@ -18,6 +18,8 @@ from casadi_skin.correctors.bordered import SingularError, Solve
 from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
+COARSEN = 0.25  # of the tolerance: the error expected of a coarser rung; less than 1, or it is left again at once
+START_ERROR = 1e-4  # of the linear mode where a walk starts
 BESIDE = 1e-3  # reach of a correction to a value of the parameter that is the point's own but for round-off
 
 
@@ -44,11 +46,19 @@ class Locator:
         return np.asarray(t / np.sqrt(np.sum(self.metric(problem, z) * t**2)))
 
     def start(self, positions: Array, Omega: float) -> Point:
-        """The linear mode at zero amplitude with the tangent of its family, at the coarsest resolution; not walked."""
-        problem = self.ladder.problem(self.ladder.rungs[0])
-        z = problem.pack(positions, Omega, 0.0)
+        """The linear mode at zero amplitude with the tangent of its family; not walked.
+
+        On the coarsest rung whose own linear mode is this one, but for an error that the guard does not see.
+        """
         direction = float(np.sign(self.settings.parameter_max))
-        tangent = self.tangent(problem, z, self.factor(problem, z, direction * problem.parameter_row()))
+        for resolution in self.ladder.rungs:
+            problem = self.ladder.problem(resolution)
+            z = problem.pack(positions, Omega, 0.0)
+            solve = self.factor(problem, z, direction * problem.parameter_row())
+            own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
+            if own.relative(Omega) <= min(self.settings.tolerance, START_ERROR):
+                break
+        tangent = self.tangent(problem, z, solve)
         return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
 
     # Correcting -----------------------------------------------------------------------------------------------------
@@ -68,35 +78,70 @@ class Locator:
         step and the corrector once more take it away; what stays after that, or what a finer rung does not lessen, is
         round-off, and the point is kept with its estimate. Raises SingularError.
         """
-        z, iterations, polished = correction.z, correction.iterations, False
+        z, iterations, polished, placed = correction.z, correction.iterations, False, False
         coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
         while True:
             solve = self.factor(problem, z, row)
             tangent = self.tangent(problem, z, solve)
-            error, better = self.ladder.refined(problem, z, None if held else tangent)
-            relative = error.relative(float(z[problem.Omega_index]))
-            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
-            algebraic = step_error(problem, z, left_over).relative(float(z[problem.Omega_index]))
-            point = Point(problem, z, tangent, error, self.settings.first_step, iterations, better=better)
-            if relative <= self.settings.tolerance or (polished and algebraic > 0.25 * relative):
+            point, relative = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
+            if point.at_round_off or relative <= self.settings.tolerance:
                 return point
+            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
+            algebraic = step_error(problem, z, left_over).relative(point.Omega)
+            if polished and algebraic > 0.25 * relative:
+                return replace(point, at_round_off=True)
             if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
-                return coarser[1]  # no better for its finer rung, whose round-off is larger
+                return replace(coarser[1], at_round_off=True)  # its finer rung has more round-off, not less error
             if algebraic > 0.25 * relative:
                 polished, target, guess = True, problem, z - left_over
+            elif not placed and problem.expected_error(z, relative, problem) <= self.settings.tolerance:
+                polished, placed, target = False, True, problem.placed(z, problem)
+                guess = problem.prolong(z, target)
             else:
-                finer = self.ladder.finer(problem)
+                finer = self.ladder.finer(problem, z)
                 if finer is None or self.ladder.finer(finer) is None:
                     return None
-                polished, target, guess, coarser = False, finer, problem.prolong(z, finer), (relative, point)
-                if held:
-                    row = finer.parameter_row() * row[problem.parameter_index]
-                else:
-                    row = self.metric(finer, guess) * problem.prolong(tangent, finer)
+                polished, placed, target, coarser = False, False, finer, (relative, point)
+                guess = problem.prolong(z, target)
+            row = self._closing(problem, target, guess, row, tangent, held)
             correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
             if not correction.converged:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
             problem, z, iterations = target, correction.z, iterations + correction.iterations
+
+    def near(
+        self, problem: OrbitProblem, correction: Correction, tangent: Array, row: Array, held: bool
+    ) -> Point | None:
+        """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
+        point, relative = self._measured(problem, correction, tangent, held)
+        finished = point.at_round_off or relative <= self.settings.tolerance
+        return point if finished else self.refined(problem, correction, row, held)
+
+    def _measured(
+        self, problem: OrbitProblem, correction: Correction, tangent: Array, held: bool
+    ) -> tuple[Point, float]:
+        """The point of a correction with its estimated error; and that relative, the larger of both."""
+        error, better = self.ladder.refined(problem, correction.z, None if held else tangent)
+        relative = error.relative(float(correction.z[problem.Omega_index]))
+        at_round_off = self.settings.tolerance < relative <= error.round_off
+        step, iterations = self.settings.first_step, correction.iterations
+        point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
+        return point, relative
+
+    def _closing(
+        self, problem: OrbitProblem, target: OrbitProblem, guess: Array, row: Array, tangent: Array, held: bool
+    ) -> Array:
+        """The row that closes the equations of `target` as `row` closed those of `problem`."""
+        if target is problem:
+            return row
+        if held:
+            return np.asarray(target.parameter_row() * row[problem.parameter_index])
+        return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
+
+    def lighter(self, point: Point) -> OrbitProblem:
+        """Where to try the next step from a point: a coarser rung where that is expected to be accurate enough."""
+        allowed = COARSEN * self.settings.tolerance
+        return self.ladder.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
 
     # At a value of the parameter, between two points -----------------------------------------------------------------
 

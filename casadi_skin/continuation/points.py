@@ -54,6 +54,7 @@ class Point:
     requested: bool = False
     walked: bool = True  # a point of the walk itself; others lie between two of these
     better: Refinement | None = None  # the point one Newton step nearer to the next finer rung
+    at_round_off: bool = False  # the tolerance is below what round-off leaves of the point
 
     @property
     def parameter(self) -> float:

@@ -39,6 +39,10 @@ class Corrector(Protocol):
 
     problem: OrbitProblem
 
+    def on(self, problem: OrbitProblem) -> Corrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        ...
+
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
         ...

@@ -1,9 +1,9 @@
 """Linear solves with the Jacobian of an orbit problem, closed by one more row (a held unknown or an arclength row).
 
 Banded problems are solved by LAPACK's band LU with the dense columns and rows in a border. The band alone is
-singular at a linear mode (its null vector is the mode), so one unknown and one equation, at the largest entry of the
-state, move to the border too; Schur complement of a bordered matrix, Keller (1977), Govaerts (2000) chapter 3.
-Everything else goes to SuperLU.
+singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
+raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
+Govaerts (2000) chapter 3. Everything else goes to SuperLU.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices, OrbitProblem
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
 class SingularError(ArithmeticError):
@@ -26,13 +28,28 @@ Solve = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
+class _Entries:
+    """Non-zeros of the Jacobian that go to places of an array, both as flat indices."""
+
+    source: Indices
+    target: Indices
+
+    def into(self, array: Array, nonzeros: Array) -> None:
+        array.ravel()[self.target] = nonzeros[self.source]
+
+
+@dataclass(frozen=True)
 class _Band:
-    """Where each non-zero of the Jacobian goes in LAPACK's band storage, and which lie in the border."""
+    """Where each non-zero of the Jacobian goes: the band, the columns right of it, the rows below, the corner.
+
+    The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
+    """
 
     width: int
-    inside: Indices
-    place: Indices
-    outside: Indices
+    inside: _Entries
+    right: _Entries
+    below: _Entries
+    corner: _Entries
 
     @classmethod
     def of(cls, problem: OrbitProblem) -> _Band | None:
@@ -40,18 +57,67 @@ class _Band:
         if width is None or 3 * width >= n:
             return None
         rows, columns = problem.pattern
-        inside = np.flatnonzero((rows < n) & (columns < n))
-        place = (2 * width + rows[inside] - columns[inside]) * n + columns[inside]
-        return cls(width, inside, place, np.flatnonzero((rows >= n) | (columns >= n)))
+        edge = problem.size - n + 1
+
+        def entries(chosen: NDArray[np.bool_], target: Indices) -> _Entries:
+            return _Entries(np.flatnonzero(chosen), target[chosen])
+
+        return cls(
+            width,
+            entries((rows < n) & (columns < n), columns * (3 * width + 1) + 2 * width + rows - columns),
+            entries((rows < n) & (columns >= n), (columns - n + 1) * n + rows),
+            entries((rows >= n) & (columns < n), (rows - n + 1) * n + columns),
+            entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
+        )
+
+
+class _BandFactors:
+    """Solves with a factorised band and its border: unknowns are eliminated in the band, then those of the border."""
+
+    def __init__(self, width: int, lu: Array, pivots: Indices, spread: Array, below: Array, border: Array) -> None:
+        from scipy.linalg.lapack import dgbtrs, dgetrf, dgetrs
+
+        self._width, self._lu, self._pivots, self._spread, self._below = width, lu, pivots, spread, below
+        self._band_solve, self._border_solve = dgbtrs, dgetrs
+        self._schur, self._order, info = dgetrf(border - below @ spread)
+        self.regular = info == 0
+
+    def completed(self, inner: Array, outer: Array) -> Array:
+        """Solution, from that of the band alone for the first rows, shape (n, columns), and the remaining rows."""
+        n, edge = inner.shape[0], self._schur.shape[0]
+        right = np.zeros((edge, inner.shape[1]))
+        right[1:] = outer
+        right -= self._below @ inner
+        x, _ = self._border_solve(self._schur, self._order, right)
+        whole = np.empty((n + edge - 1, inner.shape[1]))
+        np.subtract(inner, self._spread @ x, out=whole[:n])
+        whole[n:] = x[1:]
+        return whole
+
+    def __call__(self, b: Array) -> Array:
+        n, columns = self._lu.shape[1], b.reshape(b.shape[0], -1)
+        inner, _ = self._band_solve(self._lu, self._width, self._width, columns[:n], self._pivots)
+        return self.completed(inner, columns[n:]).reshape(b.shape)
 
 
 class BorderedSolver:
     """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
 
     def __init__(self, problem: OrbitProblem) -> None:
+        from scipy.sparse import csc_matrix
+
         self.problem = problem
         self._band = _Band.of(problem)
-        self._general = np.append(np.cos(np.arange(problem.size - 1) ** 2 % 6.25), 0.0)
+        size, (rows, columns) = problem.size, problem.pattern
+        self._probes = np.zeros((size, 2))
+        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
+        ends = np.searchsorted(columns, np.arange(size + 1))
+        self._jacobian = csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
+        # The same with the closing row as the last entry of every column.
+        self._closing = ends[1:] + np.arange(size)
+        self._open = np.delete(np.arange(rows.size + size), self._closing)
+        closed = np.insert(rows, ends[1:], size - 1)
+        self._closed = csc_matrix((np.zeros(closed.size), closed, np.append(0, self._closing + 1)), shape=(size, size))
 
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
@@ -59,100 +125,60 @@ class BorderedSolver:
         Raises SingularError where the matrix is singular to working precision.
         """
         if self._band is not None:
-            solve = self._factor_band(self._band, z, nonzeros, row)
-            if self._accurate(solve, nonzeros, row):
-                return solve
+            factors, probes = self._factor_band(self._band, z, nonzeros, row)
+            if self._accurate(probes, nonzeros, row):
+                return factors
         solve = self._factor_sparse(nonzeros, row)
-        if not self._accurate(solve, nonzeros, row):
+        if not self._accurate(solve(self._probes), nonzeros, row):
             raise SingularError(
                 "the Jacobian with its border is singular: two families meet, or a fold in what is held"
             )
         return solve
 
-    def _accurate(self, solve: Solve, nonzeros: Array, row: Array) -> bool:
-        """Whether a solve reproduces its right-hand side and the matrix is not singular.
+    def _accurate(self, probes: Array, nonzeros: Array, row: Array) -> bool:
+        """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
 
-        Tested on (0, ..., 0, 1), which gives the tangent, and on residuals in general position, whose solution is
-        huge where the matrix is singular.
+        The first, for (0, ..., 0, 1), gives the tangent; the second, for residuals in general position, is huge where
+        the matrix is singular. A NaN in either fails every comparison.
         """
-        both = np.zeros((self.problem.size, 2))
-        both[-1, 0], both[:, 1] = 1.0, self._general
-        x, general = solve(both).T
-        if not (np.all(np.isfinite(x)) and np.max(np.abs(general)) < SINGULAR):
+        x, general = np.ascontiguousarray(probes.T)
+        if not max(general.max(), -general.min()) < SINGULAR:
             return False
-        rows, columns = self.problem.pattern
-        terms = nonzeros * x[columns]
-        defect = np.bincount(rows, terms, minlength=self.problem.size - 1)
-        return bool(np.max(np.abs(defect)) <= 1e-8 * np.max(np.abs(terms)) and abs(row @ x - 1.0) <= 1e-8)
+        largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
+        self._jacobian.data = nonzeros
+        defect = self._jacobian @ x
+        return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
 
-    def _factor_band(self, band: _Band, z: Array, nonzeros: Array, row: Array) -> Solve:
+    def _factor_band(self, band: _Band, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
+        """A solver, and its solutions for `_probes`; not finite where elimination meets a zero."""
         from scipy.linalg.lapack import dgbtrf, dgbtrs
 
-        n, size, width = self.problem.states, self.problem.size, band.width
-        storage = np.zeros((3 * width + 1, n))
-        storage.ravel()[band.place] = nonzeros[band.inside]
+        n, width, edge = self.problem.states, band.width, self.problem.size - self.problem.states + 1
+        storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge + 2, n))
+        below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
+        band.inside.into(storage, nonzeros)
+        band.right.into(right, nonzeros)
+        band.below.into(below, nonzeros)
+        band.corner.into(corner, nonzeros)
+        below[-1], corner[-1, 1:] = row[:n], row[n:]
         pin = int(np.argmax(np.abs(z[:n])))
-        border = [pin, *range(n, size)]
+        raised = float(np.max(np.abs(storage[pin])))
+        storage[pin, 2 * width] += raised
+        right[0, pin], below[0, pin], corner[0, 0] = -raised, -1.0, 1.0
+        right[-1] = self._probes[:n, 1]
 
-        # Rows and columns of the border as dense arrays; the pinned row and column leave the band.
-        rows, columns = (t[band.outside] for t in self.problem.pattern)
-        dense = np.zeros((size, size - n + 1))  # columns of the border
-        right = columns >= n
-        dense[rows[right], columns[right] - n + 1] = nonzeros[band.outside][right]
-        dense[size - 1, 1:] = row[n:]
-        bottom = np.zeros((size - n + 1, n))  # rows of the border, columns of the band
-        below = (rows >= n) & ~right
-        bottom[rows[below] - n + 1, columns[below]] = nonzeros[band.outside][below]
-        bottom[-1] = row[:n]
-        near = np.arange(max(0, pin - width), min(n, pin + width + 1))
-        dense[near, 0] = storage[2 * width + near - pin, pin]
-        bottom[0, near] = storage[2 * width + pin - near, near]
-        dense[n:, 0] = bottom[1:, pin]
-        storage[2 * width + near - pin, pin] = 0.0
-        storage[2 * width + pin - near, near] = 0.0
-        storage[2 * width, pin] = 1.0
-        bottom[:, pin] = 0.0
-        corner = dense[border]
-        dense = dense[:n].copy()
-        dense[pin] = 0.0
-
-        lu, pivots, info = dgbtrf(storage, width, width, overwrite_ab=True)
-        if info != 0:
-            return lambda b: np.full(b.shape, np.nan)
-        spread, _ = dgbtrs(lu, width, width, dense, pivots)
-        schur = corner - bottom @ spread
-
-        def solve(b: Array) -> Array:
-            columns_of_b = b.reshape(size, -1)
-            inner = columns_of_b[:n].copy()
-            inner[pin] = 0.0
-            y, _ = dgbtrs(lu, width, width, inner, pivots)
-            try:
-                edge = np.linalg.solve(schur, columns_of_b[border] - bottom @ y)
-            except np.linalg.LinAlgError:
-                return np.full(b.shape, np.nan)
-            x = np.empty_like(columns_of_b)
-            x[:n] = y - spread @ edge
-            x[border] = edge
-            return x.reshape(b.shape)
-
-        return solve
+        lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
+        inner, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
+        factors = _BandFactors(width, lu, pivots, inner[:, :edge], below, corner)
+        if failed or not factors.regular:
+            return factors, np.full(self._probes.shape, np.nan)
+        return factors, factors.completed(inner[:, edge:], self._probes[n:])
 
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
-        from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
-        size = self.problem.size
-        rows, columns = self.problem.pattern
-        last = np.flatnonzero(row)
-        matrix = csc_matrix(
-            (
-                np.concatenate([nonzeros, row[last]]),
-                (np.concatenate([rows, np.full(last.size, size - 1)]), np.concatenate([columns, last])),
-            ),
-            shape=(size, size),
-        )
+        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
         try:
-            return splu(matrix).solve
+            return splu(self._closed).solve
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,15 +12,21 @@ from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.bordered import BorderedSolver
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+UNEVEN = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
+NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with what rounding does
 FOLD = 1e-4  # tangents that change the parameter by less than this part of it are those of a fold
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component."""
+    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component.
+
+    `round_off` is the part, relative like `relative`, below which no discretisation brings them.
+    """
 
     Omega: float
     profile: float
+    round_off: float = 0.0
 
     def relative(self, Omega: float) -> float:
         """The larger of both, with that of Omega made relative."""
@@ -45,7 +51,7 @@ class Ladder:
     """Problems, linear solvers and correctors by resolution.
 
     `build` makes a problem at a resolution, `correct_with` a corrector for it; `rungs` lists the resolutions that the
-    ladder offers, ascending.
+    ladder offers, ascending. Problems of one resolution that differ in their constants share solver and corrector.
     """
 
     def __init__(
@@ -75,12 +81,32 @@ class Ladder:
         """The corrector of a problem."""
         if problem.resolution not in self._correctors:
             self._correctors[problem.resolution] = self._correct_with(problem)
-        return self._correctors[problem.resolution]
+        return self._correctors[problem.resolution].on(problem)
 
-    def finer(self, problem: OrbitProblem) -> OrbitProblem | None:
-        """The next rung above, or None at the top."""
+    def finer(self, problem: OrbitProblem, z: Array | None = None) -> OrbitProblem | None:
+        """The next rung above, or None at the top.
+
+        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it.
+        """
         above = [r for r in self.rungs if r > problem.resolution]
-        return self.problem(above[0]) if above else None
+        if not above:
+            return None
+        if z is not None and problem.imbalance(z) > UNEVEN:
+            return problem.placed(z, self.problem(above[0]))
+        return problem.transferred(self.problem(above[0]))
+
+    def lighter(self, problem: OrbitProblem, z: Array, error: float, allowed: float) -> OrbitProblem:
+        """The coarsest rung, its unknowns placed for z, whose relative error is expected below `allowed`.
+
+        `error` is that of z on `problem`, which is returned where no coarser rung will do.
+        """
+        found = problem
+        for resolution in reversed([r for r in self.rungs if r < problem.resolution]):
+            coarser = self.problem(resolution)
+            if error > allowed or problem.expected_error(z, error, coarser) > allowed:
+                break
+            found = coarser
+        return problem if found is problem else problem.placed(z, found)
 
     def error(self, problem: OrbitProblem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
         """Error of z, from `refined`; infinite at the top of the ladder. Raises SingularError."""
@@ -105,8 +131,27 @@ class Ladder:
         if along is not None:
             row = finer.metric(long_z, 1.0) * along
         residual, nonzeros = finer.evaluate(long_z)
-        step = self.solver(finer).factor(long_z, nonzeros, row)(np.append(residual, 0.0))
-        index = finer.parameter_index
-        if along is not None and abs(along[index]) > FOLD * abs(long_z[index]):
-            step = step - along * (step[index] / along[index])
-        return step_error(finer, long_z, step), Refinement(finer, long_z - step)
+        solve = self.solver(finer).factor(long_z, nonzeros, row)
+        step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
+        error = step_error(finer, long_z, step)
+        if error.relative(float(z[problem.Omega_index])) < NEAR_ROUND_OFF:
+            noise = problem.rounding(z) * np.append(finer.probe, 0.0)
+            response = _at_parameter(finer, long_z, solve(noise), along)
+            error = _no_better(error, step_error(finer, long_z, response), problem, z)
+        return error, Refinement(finer, long_z - step)
+
+
+def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | None) -> Array:
+    """A step brought back to the parameter of z along a tangent, but for the neighbourhood of a fold."""
+    index = problem.parameter_index
+    if along is None or abs(along[index]) <= FOLD * abs(z[index]):
+        return step
+    return np.asarray(step - along * (step[index] / along[index]))
+
+
+def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
+    """The error, but not below the response to rounding and what rounded constants do to Omega."""
+    Omega = float(z[problem.Omega_index])
+    floor = ErrorEstimate(max(response.Omega, problem.round_off * Omega), response.profile)
+    error = ErrorEstimate(max(error.Omega, floor.Omega), max(error.profile, floor.profile))
+    return replace(error, round_off=floor.relative(Omega))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, OrbitProblem
@@ -16,6 +18,12 @@ class NewtonCorrector:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self._solver = BorderedSolver(problem)
 
+    def on(self, problem: OrbitProblem) -> NewtonCorrector:
+        """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
+        other = copy.copy(self)
+        other.problem = problem
+        return other
+
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
         if guess[self.problem.Omega_index] <= 0:
@@ -23,8 +31,8 @@ class NewtonCorrector:
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
         last = np.inf
         for iteration in range(1, self.max_iterations + 1):
-            residual, nonzeros = self.problem.evaluate(z)
             try:
+                residual, nonzeros = self.problem.evaluate(z)
                 solve = self._solver.factor(z, nonzeros, row)
             except SingularError as error:
                 return Correction(z, Status.SINGULAR, iteration, str(error))

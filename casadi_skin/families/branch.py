@@ -63,6 +63,11 @@ class Branch:
         return np.array([o.floquet().max_abs_multiplier for o in self.orbits])
 
     @property
+    def multiplier_error(self) -> Array:
+        """Estimated absolute error of the multipliers of each orbit, shape (points,); see `Orbit.multiplier_error`."""
+        return np.array([o.multiplier_error for o in self.orbits])
+
+    @property
     def complete(self) -> bool:
         """Whether the family reached what was asked and no requested point is missing."""
         return self.end is End.REACHED and not self.missed
@@ -139,6 +144,7 @@ class Branch:
         if self.with_stability:
             data["stable"] = ("point", self.stable)
             data["max_abs_multiplier"] = ("point", self.max_abs_multiplier)
+            data["multiplier_error"] = ("point", self.multiplier_error)
         request = self.tools.request
         chain = request.chain
         attributes = {"sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.points import End
+from casadi_skin.continuation.points import End, Point
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.events import StabilityChange, locate_change
+from casadi_skin.families.multipliers import floquets_of
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import FlowError
 
+TOGETHER = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
+
 
 class FamilyWalk:
     """Iterates over the orbits of a family and, between two of them, over the changes of stability.
 
-    What has been computed is in `branch()` at any time, so that an interruption loses nothing. `orbits` and `changes`
-    computed earlier may be given: the walk goes on from the last two points walked.
+    What has been computed is in `branch()` at any time, so that an interruption loses no more than the few points whose
+    stability is computed together. `orbits` and `changes` computed earlier may be given: the walk goes on from the last
+    two points walked.
     """
 
     def __init__(
@@ -32,28 +37,52 @@ class FamilyWalk:
         self.tools, self.stability, self.events = tools, stability, events and stability
         self.orbits, self.changes = list(orbits), list(changes)
         self._walk = tools.walk((tools.start, *(o.point for o in self.orbits if o.point.walked)))
+        self._waiting: deque[Point] = deque()  # walked, but not yet among the orbits
         self._end: End | None = None
         self._detail = ""
 
     def __iter__(self) -> Iterator[Orbit | StabilityChange]:
+        together = min(self.tools.flow.batch, TOGETHER) if self.stability else 1
         for point in self._walk:
-            orbit = Orbit(self.tools, point)
-            try:
-                if self.stability:
-                    orbit.floquet()
+            self._waiting.append(point)
+            if len(self._waiting) == together:
+                yield from self._finish_waiting()
+            if self._end is not None:
+                return
+        yield from self._finish_waiting()
+
+    def _finish_waiting(self) -> Iterator[Orbit | StabilityChange]:
+        """The orbits of the points that wait, with their stability and its changes, in order."""
+        try:
+            for orbit in self._with_stability():
                 if self.events and self.orbits and self.orbits[-1].floquet().stable != orbit.floquet().stable:
                     change = locate_change(self.tools.locator, self.orbits[-1], orbit)
                     self.changes.append(change)
                     yield change
-            except FlowError as error:
-                self._end, self._detail = End.FLOW, str(error)
-                return
-            self.orbits.append(orbit)
-            yield orbit
+                self.orbits.append(orbit)
+                self._waiting.popleft()
+                yield orbit
+        except FlowError as error:
+            self._end, self._detail = End.FLOW, str(error)
+            self._waiting.clear()
+
+    def _with_stability(self) -> Iterator[Orbit]:
+        """Orbits of the points that wait; raises FlowError at the first whose stability cannot be computed."""
+        points = list(self._waiting)
+        if not (points and self.stability):
+            yield from (Orbit(self.tools, point) for point in points)
+            return
+        try:
+            known = floquets_of(self.tools, points)
+        except FlowError:  # of one of them: those before it are computed by themselves
+            yield from (Orbit(self.tools, point, floquets_of(self.tools, [point])[0]) for point in points)
+            return
+        yield from (Orbit(self.tools, point, result) for point, result in zip(points, known, strict=True))
 
     def branch(self) -> Branch:
         """What has been computed so far."""
-        request, end = self.tools.request, self._end or self._walk.end
+        request = self.tools.request
+        end = self._end or (None if self._waiting else self._walk.end)
         missed = {request.S_of(kappa) for kappa in self._walk.missed}
         if end is End.REACHED:
             missed |= set(request.at) - {orbit.S for orbit in self.orbits}
@@ -78,6 +107,8 @@ def follow_family(
     corrector: str = "ipopt",
     flow: str = "splitting",
     symmetry: SymmetryClass | None = None,
+    walker: str = "arclength",
+    degree: int | None = None,
     progress: Callable[[Orbit], None] | None = None,
 ) -> Branch:
     """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
@@ -88,7 +119,7 @@ def follow_family(
     continuation in the gauge (paper, Sec. II; Keller 1977).
     """
     wanted = tuple(float(S) for S in at)
-    methods = (transcription, corrector, flow, symmetry)
+    methods = (transcription, corrector, flow, symmetry, walker, degree)
     request = FamilyRequest(chain, mode, float(amplitude_max), wanted, tolerance, *methods)
     walk = FamilyWalk(FamilyTools(request), stability, events)
     for result in walk:

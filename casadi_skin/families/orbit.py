@@ -11,10 +11,13 @@ from numpy.typing import ArrayLike
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
+from casadi_skin.families.multipliers import accelerations, floquets_of, orbit_state
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
-from casadi_skin.stability.multipliers import ComplexArray, Floquet, floquet, floquet_vectors
+from casadi_skin.stability.multipliers import floquet_vectors
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
 from casadi_skin.theory.linear import standing_wave
 
 TIE = 1e-10  # relative difference of displacements that count as equal
@@ -26,7 +29,7 @@ class Orbit:
 
     tools: FamilyTools
     point: Point
-    known_floquet: Floquet | None = None  # computed before, as in a run that is resumed
+    known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
     asked_S: float | None = None  # the S that the orbit was asked for at, which kappa/g need not give back exactly
 
     @property
@@ -58,6 +61,11 @@ class Orbit:
     def profile_error(self) -> float:
         """Estimated error of the state relative to its largest component."""
         return self.point.error.profile
+
+    @property
+    def at_round_off(self) -> bool:
+        """Whether round-off keeps the errors from falling to the tolerance asked for."""
+        return self.point.at_round_off
 
     @cached_property
     def residual(self) -> float:
@@ -141,7 +149,7 @@ class Orbit:
     # Stability ------------------------------------------------------------------------------------------------------
 
     def _acceleration(self) -> Array:
-        return np.array(self.tools.rhs(self._gauge(np.zeros(1))[0], self.point.parameter)[0]).ravel()
+        return np.asarray(accelerations(self.tools, [orbit_state(self.point)])[0])
 
     def floquet(self) -> Floquet:
         """Multipliers and the kind of instability; at |gamma| = 1 without the Jordan block's algebraic growth.
@@ -152,15 +160,12 @@ class Orbit:
 
     @cached_property
     def _floquet(self) -> Floquet:
-        if self.known_floquet is not None:
-            return self.known_floquet
-        result = floquet(self.tools.flow.transition(self.point.problem, self.point.z), self._acceleration())
-        resting = self.chain.sites - self.tools.core.sites
-        if resting == 0:
-            return result
-        # At |gamma| = 1 the other sites are linear oscillators that nothing drives in the gauge.
-        mu = -(np.sin(0.25 * self.period * self.chain.linear_frequency(1)) ** 2)
-        return Floquet(np.full(resting, mu, complex), np.zeros(resting), result.trivial_deviation, result.power)
+        return floquets_of(self.tools, [self.point])[0] if self.known_floquet is None else self.known_floquet
+
+    @property
+    def multiplier_error(self) -> float:
+        """Estimated absolute error of mu and, for an unstable orbit, of the largest modulus of a multiplier."""
+        return self.floquet().error
 
     def floquet_vectors(self) -> ComplexArray:
         """Floquet vectors (positions, velocities) at t = 0 in physical coordinates, shape (2N, 2N), one a column.

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.radau import RadauProblem
+from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.arclength import ArclengthWalk
@@ -24,21 +29,33 @@ from casadi_skin.models.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowMap
+from casadi_skin.stability.gauss_flow import GaussFlow
+from casadi_skin.stability.rk4 import RungeKuttaFlow
 from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.theory.linear import standing_wave
 
+if TYPE_CHECKING:
+    from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+
 HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+DIGITS = (9, 11, 13, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
+SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
 LARGEST = 10_000_000  # sites times harmonics squared: what fits into about a gigabyte
-GAUSS_DEGREE = 8  # the fewest unknowns at the tolerances in use; lower degrees need many more intervals for the profile
+COLLOCATIONS: Mapping[str, type[GaussProblem | RadauProblem]] = MappingProxyType(
+    {"gauss": GaussProblem, "radau": RadauProblem}
+)
+DEGREE_RANGE = (2, 12)
+SERIES_ORDERS = 30  # cost of a step over its length is flat between 25 and 40
 
 
 @dataclass(frozen=True)
 class FamilyRequest:
     """One family of `chain`: from linear mode `mode` to S = `amplitude_max`, with points exactly at the S of `at`.
 
-    `symmetry` may name a larger part of the period than the model's class needs (gauss only). Raises ValueError
+    `symmetry` may name a larger part of the period than the model's class needs (not trigonometric). Raises ValueError
     naming the argument, what was given and what is accepted.
     """
 
@@ -51,6 +68,8 @@ class FamilyRequest:
     corrector: str = "ipopt"
     flow: str = "splitting"
     symmetry: SymmetryClass | None = None
+    walker: str = "arclength"
+    degree: int | None = None
 
     def __post_init__(self) -> None:
         chain = self.chain
@@ -72,14 +91,35 @@ class FamilyRequest:
         if not 1e-13 <= self.tolerance <= 1e-2:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: 1e-13 to 1e-2")
         for name, accepted in (
-            ("transcription", ("trigonometric", "gauss")),
+            ("transcription", ("trigonometric", "gauss", "radau", "shooting")),
             ("corrector", ("ipopt", "newton")),
-            ("flow", ("splitting", "cvodes")),
+            ("walker", ("arclength", "series")),
+            ("flow", ("splitting", "cvodes", "gauss", "rk4")),
         ):
             if getattr(self, name) not in accepted:
                 raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: {', '.join(accepted)}")
-        if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription != "gauss":
+        if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == "trigonometric":
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
+        if self.walker == "series" and self.transcription != "trigonometric":
+            raise ValueError(f'walker: given "series"; accepted with {self.transcription}: arclength')
+        self._check_degree()
+
+    def _check_degree(self) -> None:
+        low, high = DEGREE_RANGE
+        if self.degree is None:
+            return
+        if self.transcription not in COLLOCATIONS:
+            raise ValueError(f"degree: given {self.degree!r}; accepted: with {' or '.join(COLLOCATIONS)} only")
+        if not (isinstance(self.degree, int) and low <= self.degree <= high):
+            raise ValueError(f"degree: given {self.degree!r}; accepted: a whole number from {low} to {high}")
+
+    @property
+    def collocation_degree(self) -> int:
+        """Degree of the polynomials of gauss and radau: the one asked for, or the fastest for the tolerance.
+
+        Measured for both at N = 1, 6 and 24: 5 at 1e-4, 8 or 9 at 1e-8, 10 to 12 at 1e-12.
+        """
+        return round(2.0 - 0.75 * math.log10(self.tolerance)) if self.degree is None else self.degree
 
     def walk_settings(self) -> WalkSettings:
         """The walk in kappa = g S, the model's free parameter."""
@@ -100,6 +140,7 @@ class FamilyTools:
 
     def __init__(self, request: FamilyRequest) -> None:
         self.request = request
+        self._recursions: dict[int, TaylorRecursion] = {}
 
     @cached_property
     def core(self) -> Chain:
@@ -143,7 +184,10 @@ class FamilyTools:
     @cached_property
     def ladder(self) -> Ladder:
         """Discretisations from coarse to fine with their correctors."""
-        if self.request.transcription == "gauss":
+        if self.request.transcription == "shooting":
+            useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.request.tolerance]
+            return Ladder(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
+        if self.request.transcription in COLLOCATIONS:
             return Ladder(self._problem, self._corrector, INTERVALS)
         fits = [H for H in HARMONICS if self.core.sites * H**2 <= LARGEST]
         return Ladder(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
@@ -160,15 +204,47 @@ class FamilyTools:
 
     def walk(self, history: tuple[Point, ...]) -> Walk:
         """The way along the family from the last points walked, or from `start`."""
-        return ArclengthWalk(self.locator, history)
+        if self.request.walker == "arclength":
+            return ArclengthWalk(self.locator, history)
+        from casadi_skin.continuation.series import SeriesWalk
+
+        def precision(problem: OrbitProblem) -> float:
+            return max(0.5 * self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
+
+        return SeriesWalk(self.locator, history, self._recursion, precision)
+
+    def _recursion(self, problem: OrbitProblem) -> TaylorRecursion:
+        """Power series on one rung of the ladder, made once."""
+        from casadi_skin.bvp.recursion import TaylorRecursion
+
+        assert isinstance(problem, TrigonometricProblem)
+        if problem.resolution not in self._recursions:
+            self._recursions[problem.resolution] = TaylorRecursion(problem, self._polynomial_form, SERIES_ORDERS)
+        return self._recursions[problem.resolution]
+
+    @cached_property
+    def _polynomial_form(self) -> PolynomialForm:
+        from casadi_skin.bvp.recursion import PolynomialForm
+
+        return PolynomialForm.of(self.model)
 
     def _problem(self, resolution: int) -> OrbitProblem:
         if self.request.transcription == "trigonometric":
             return TrigonometricProblem(self.model, resolution)
-        return GaussProblem(self.model, resolution, self.symmetry, GAUSS_DEGREE)
+        if self.request.transcription == "shooting":
+            return ShootingProblem(self.model, resolution, self.symmetry)
+        make = COLLOCATIONS[self.request.transcription]
+        return make(self.model, resolution, self.symmetry, self.request.collocation_degree)
+
+    @property
+    def corrector_tolerance(self) -> float:
+        """What a corrector may leave of the residual, relative to the state, where round-off allows it."""
+        return float(np.clip(1e-2 * self.request.tolerance, 1e-12, 1e-6))
 
     def _corrector(self, problem: OrbitProblem) -> Corrector:
-        tolerance = float(np.clip(1e-2 * self.request.tolerance, 1e-12, 1e-6))
+        tolerance = self.corrector_tolerance
+        if isinstance(problem, ShootingProblem):
+            tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)
         if self.request.corrector == "newton":
             return NewtonCorrector(problem, tolerance)
         return IpoptCorrector(problem, max(tolerance, ROUND_OFF * problem.resolution**2))
@@ -176,6 +252,10 @@ class FamilyTools:
     @cached_property
     def flow(self) -> FlowMap:
         """Flow map of the variational system."""
-        if self.request.flow == "cvodes":
-            return CvodesFlow(self.model, self.request.tolerance)
-        return SplittingFlow(self.model, self.request.tolerance)
+        make: dict[str, Callable[[OdeModel, float], FlowMap]] = {
+            "splitting": SplittingFlow,
+            "cvodes": CvodesFlow,
+            "gauss": GaussFlow,
+            "rk4": RungeKuttaFlow,
+        }
+        return make[self.request.flow](self.model, self.request.tolerance)

@@ -21,7 +21,7 @@ from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.results.files import replacing
-from casadi_skin.stability.multipliers import Floquet
+from casadi_skin.stability.result import Floquet
 
 
 class FloquetRecord(msgspec.Struct, frozen=True, tag="floquet"):
@@ -47,6 +47,8 @@ class OrbitRecord(msgspec.Struct, frozen=True, tag="orbit"):
     requested: bool
     walked: bool
     floquet: FloquetRecord | None
+    constants: bytes = b""  # of the problem: the mesh
+    at_round_off: bool = False
 
 
 class ChangeRecord(msgspec.Struct, frozen=True, tag="change"):
@@ -92,12 +94,14 @@ def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
         requested=point.requested,
         walked=point.walked,
         floquet=floquet,
+        constants=point.problem.constants.astype("<f8").tobytes(),
+        at_round_off=point.at_round_off,
     )
 
 
 def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
     point = Point(
-        problem=tools.ladder.problem(record.resolution),
+        problem=tools.ladder.problem(record.resolution).with_constants(_doubles(record.constants)),
         z=_doubles(record.z),
         tangent=_doubles(record.tangent),
         error=ErrorEstimate(record.Omega_error, record.profile_error),
@@ -105,6 +109,7 @@ def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
         iterations=record.iterations,
         requested=record.requested,
         walked=record.walked,
+        at_round_off=record.at_round_off,
     )
     f = record.floquet
     known = None

@@ -115,6 +115,7 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
         "profile_error": ([o.profile_error for o in orbits], "estimated relative error of the profile"),
         "energy": ([o.energy for o in orbits], "Hamiltonian of the gauge with rho = 1 at the favoured edge"),
         "residual": ([o.residual for o in orbits], "largest residual relative to the largest term"),
+        "at_round_off": ([o.at_round_off for o in orbits], "1 where round-off keeps the errors above the tolerance"),
         "resolution": ([o.point.problem.resolution for o in orbits], "harmonics or intervals of the discretisation"),
     }
     for name, (values, meaning) in columns.items():
@@ -144,6 +145,8 @@ def _write_stability(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     _put(file, "stable", ("point",), stable, "1 where every mu lies in [-1, 0] within its estimated error")
     largest = np.array([f.max_abs_multiplier for f in results])
     _put(file, "max_abs_multiplier", ("point",), largest, "largest modulus, the trivial pair left out")
+    error = np.array([f.error for f in results])
+    _put(file, "multiplier_error", ("point",), error, "estimated error of mu and of max_abs_multiplier where unstable")
     deviation = np.array([f.trivial_deviation for f in results])
     _put(file, "trivial_deviation", ("point",), deviation, "distance of the trivial mu from its exact value")
     file.createDimension("multiplier", results[0].multipliers.size)
@@ -153,7 +156,7 @@ def _write_stability(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
         file.createDimension("mu_index", results[0].mu.size)
         _put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C")
         errors = np.stack([f.mu_error for f in results])
-        _put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu from the flow map")
+        _put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu")
 
 
 def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:

@@ -39,11 +39,13 @@ def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]
             "stable": int(stability.stable),
             "unstable_real": stability.unstable_real,
             "unstable_complex": stability.unstable_complex,
+            "multiplier_error": stability.error,
         }
     return row | {
         "Omega_error": orbit.Omega_error,
         "residual": orbit.residual,
         "profile_error": orbit.profile_error,
+        "at_round_off": int(orbit.at_round_off),
     }
 
 

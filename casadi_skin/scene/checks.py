@@ -3,7 +3,7 @@
 import math
 
 from casadi_skin.scene.faults import SceneError, refusal, shown
-from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, Scene
+from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
 
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 
@@ -12,6 +12,18 @@ def check_accuracy(accuracy: AccuracyTable) -> None:
     if accuracy.preset is not None and accuracy.tolerance is not None:
         given = f'preset = "{accuracy.preset}" and tolerance = {accuracy.tolerance!r}'
         raise refusal("[accuracy]", given, "preset or tolerance, one of them or neither")
+
+
+def check_degree(method: MethodTable) -> None:
+    if method.degree is not None and method.transcription not in ("gauss", "radau"):
+        given = f'{method.degree} with transcription = "{method.transcription}"'
+        raise refusal("[method] degree", given, 'with transcription = "gauss" or "radau" only')
+
+
+def check_walker(method: MethodTable) -> None:
+    if method.walker == "series" and method.transcription != "trigonometric":
+        given = f'"series" with transcription = "{method.transcription}"'
+        raise refusal("[method] walker", given, '"arclength", or transcription = "trigonometric"')
 
 
 def check_family(scene: Scene) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from casadi_skin.scene.checks import check_accuracy, check_dynamics, check_family
+from casadi_skin.scene.checks import check_accuracy, check_degree, check_dynamics, check_family, check_walker
 from casadi_skin.scene.faults import (
     LONGEST,
     SceneError,
@@ -48,6 +48,8 @@ def parse_scene(text: str, source: str = "scene") -> Scene:
         _check_names(raw)
         scene = _convert(raw)
         check_accuracy(scene.accuracy)
+        check_degree(scene.method)
+        check_walker(scene.method)
         check_family(scene)
         check_dynamics(scene)
     except SceneError as fault:

@@ -13,10 +13,10 @@ import msgspec
 from msgspec import Meta, Struct
 
 Preset = Literal["draft", "standard", "reference"]
-Transcription = Literal["trigonometric", "gauss"]
+Transcription = Literal["trigonometric", "gauss", "radau", "shooting"]
 Corrector = Literal["ipopt", "newton"]
-Walker = Literal["arclength"]
-Flow = Literal["splitting", "cvodes"]
+Walker = Literal["arclength", "series"]
+Flow = Literal["splitting", "cvodes", "gauss", "rk4"]
 Evolver = Literal["cvodes", "dop853", "symplectic"]
 
 PRESETS: tuple[str, ...] = get_args(Preset)
@@ -154,6 +154,13 @@ class MethodTable(Table, frozen=True):
     transcription: Annotated[Transcription, Meta(title="Discretisation", description=_one_of(TRANSCRIPTIONS))] = (
         "trigonometric"
     )
+    degree: Annotated[
+        Annotated[int, Meta(ge=2, le=12)] | None,
+        Meta(
+            title="Degree of the polynomials of gauss and radau",
+            description="a whole number >= 2 and <= 12, with one of gauss, radau (left out: 5 to 12 by the tolerance)",
+        ),
+    ] = None
     corrector: Annotated[Corrector, Meta(title="Solver of a point", description=_one_of(CORRECTORS))] = "ipopt"
     walker: Annotated[Walker, Meta(title="Way along a family", description=_one_of(WALKERS))] = "arclength"
     flow: Annotated[Flow, Meta(title="Flow map of stability", description=_one_of(FLOWS))] = "splitting"

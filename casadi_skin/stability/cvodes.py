@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 
@@ -9,7 +11,7 @@ from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.stability.flow import FlowError, Transition
+from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
 
 TIGHTEST = 1e-13
 MARGIN = 1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
@@ -22,15 +24,22 @@ class CvodesFlow:
     to them. Raises FlowError where CVODES fails.
     """
 
+    batch = 1
+
     def __init__(self, model: OdeModel, tolerance: float) -> None:
         self.model, self.tolerance = model.first_order(), tolerance
         self.fraction = symmetry_class(model).value
-        local = max(MARGIN * tolerance, TIGHTEST)
-        self._fine, self._coarse = self._build(local), self._build(10.0 * local)
+        self._functions: dict[float, ca.Function] = {}
+
+    def _function(self, local: float) -> ca.Function:
+        """Sensitivity of the flow at a local tolerance, built when first needed."""
+        if local not in self._functions:
+            self._functions[local] = self._build(local)
+        return self._functions[local]
 
     def _build(self, local: float) -> ca.Function:
-        model, duration = self.model, ca.SX.sym("duration")
-        dae = {"x": model.state, "p": ca.vertcat(model.parameters, duration), "ode": duration * model.rhs}
+        model, time = self.model, ca.SX.sym("time")
+        dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
         options = {
             "reltol": local,
             "abstol": local,
@@ -42,18 +51,31 @@ class CvodesFlow:
         integrator = ca.integrator("flow", "cvodes", dae, 0.0, 1.0, options)
         return integrator.factory("transition", ["x0", "p"], ["xf", "jac:xf:x0"])
 
-    def _start(self, problem: OrbitProblem, z: Array) -> Array:
-        """Full state at phase zero; velocities of a brake orbit vanish there."""
-        positions = problem.sample(z, np.zeros(1))[0]
-        return np.concatenate([positions, np.zeros(self.model.size - positions.size)])
+    def _matrix(self, orbit: OrbitState, local: float) -> Array:
+        """Transition matrix; velocities of a brake orbit vanish at phase zero."""
+        positions = orbit.problem.sample(orbit.z, np.zeros(1))[0]
+        start = np.concatenate([positions, np.zeros(self.model.size - positions.size)])
+        parameters = np.array([orbit.parameter, duration(orbit, self.fraction)])
+        try:
+            with interrupts_deferred():
+                return np.array(self._function(local)(start, parameters)[1])
+        except RuntimeError as error:
+            raise FlowError(f"cvodes: {str(error).splitlines()[0]}") from error
 
     def transition(self, problem: OrbitProblem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
-        duration = 2.0 * np.pi * self.fraction / float(z[problem.Omega_index])
-        parameters = np.array([z[problem.parameter_index], duration])
-        try:
-            with interrupts_deferred():
-                fine, coarse = (np.array(f(self._start(problem, z), parameters)[1]) for f in (self._fine, self._coarse))
-        except RuntimeError as error:
-            raise FlowError(f"cvodes: {str(error).splitlines()[0]}") from error
-        return Transition(fine, self.fraction, float(np.linalg.norm(fine - coarse)))
+        return self.transitions([OrbitState(problem, z)])[0]
+
+    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+        """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
+        local = MARGIN * self.tolerance
+        if tolerance is not None and tolerance < self.tolerance:
+            local = MARGIN * 10.0 ** np.floor(np.log10(tolerance))
+        local = max(float(local), TIGHTEST)
+        return [self._estimated(orbit, local) for orbit in orbits]
+
+    def _estimated(self, orbit: OrbitState, local: float) -> Transition:
+        fine, coarse = self._matrix(orbit, local), self._matrix(orbit, 10.0 * local)
+        pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
+        difference = fine - coarse
+        return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
+
+import numpy as np
 
 from casadi_skin.bvp.problem import Array, OrbitProblem
 
 
 @dataclass(frozen=True)
-class Transition:
-    """Transition matrix Phi of (positions, velocities) over `fraction` of the period, and the flow's estimated error.
+class OrbitState:
+    """An orbit as a flow map takes it: unknowns z of a problem, and the same orbit better known where there is one.
 
-    `error` bounds the Frobenius norm of the error of Phi that the integration makes; errors of the orbit itself, which
-    leave Phi symplectic, are not in it.
+    The difference between transition matrices along the orbit and along `better` is the error that the orbit makes.
+    """
+
+    problem: OrbitProblem
+    z: Array
+    better: OrbitState | None = None
+
+    @property
+    def Omega(self) -> float:
+        """Frequency."""
+        return float(self.z[self.problem.Omega_index])
+
+    @property
+    def parameter(self) -> float:
+        """Value of the free parameter."""
+        return float(self.z[self.problem.parameter_index])
+
+
+@dataclass(frozen=True)
+class Transition:
+    """Transition matrix Phi of (positions, velocities) over `fraction` of the period, with its estimated errors.
+
+    `error` estimates the Frobenius norm of the error of Phi that the integration makes; `truncation` is a matrix
+    like that error but for its sign, without round-off. Errors of the orbit itself, which leave Phi symplectic, are in
+    neither: `pair` holds Phi along the orbit and along the better one, computed with the same steps, where it is known.
     """
 
     matrix: Array
     fraction: float
     error: float
+    truncation: Array | None = None
+    pair: tuple[Array, Array] | None = None
 
     def blocks(self) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D of Phi = [[A, B], [C, D]], each (n, n)."""
@@ -28,12 +56,30 @@ class Transition:
 
 
 class FlowMap(Protocol):
-    """Computes transition matrices of the variational system along orbits of one model."""
+    """Computes transition matrices of the variational system along orbits of one model.
+
+    `batch` is the number of orbits that are best given together: more cost no less each.
+    """
+
+    @property
+    def batch(self) -> int: ...
 
     def transition(self, problem: OrbitProblem, z: Array) -> Transition:
         """Transition matrix along the orbit z of `problem`; raises FlowError where the tolerance is out of reach."""
         ...
 
+    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+        """Transition matrices along several orbits, to `tolerance` where it is not the flow's own.
+
+        Raises FlowError where the tolerance is out of reach for any of them.
+        """
+        ...
+
 
 class FlowError(ArithmeticError):
     """A flow map cannot reach its tolerance."""
+
+
+def duration(orbit: OrbitState, fraction: float) -> float:
+    """Time that a fraction of the orbit's period takes."""
+    return 2.0 * np.pi * fraction / orbit.Omega

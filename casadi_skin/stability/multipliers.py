@@ -11,122 +11,134 @@ with it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.stability.flow import Transition
+from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.stability.perturbation import couplings, eigenvalue_errors
+from casadi_skin.stability.reduction import (
+    ComplexArray,
+    Eigensystems,
+    Reflections,
+    eigensystems,
+    half_cosine_errors,
+    half_cosines,
+)
+from casadi_skin.stability.result import Floquet
 
-ComplexArray = NDArray[np.complex128]
+__all__ = ["ComplexArray", "Floquet", "floquet", "floquet_vectors", "floquets", "trivial_pair"]
 
-
-@dataclass(frozen=True)
-class Floquet:
-    """Linear stability of one orbit with n positions: n - 1 values of mu beside the trivial one.
-
-    `mu` and `mu_error`, its errors estimated from the flow's, have shape (n - 1,); `trivial_deviation` is how far the
-    trivial eigenvalue is from its exact value. `power` of lambda(M) gives the multipliers over the period.
-    """
-
-    mu: ComplexArray
-    mu_error: Array
-    trivial_deviation: float
-    power: int
-
-    @cached_property
-    def is_real(self) -> NDArray[np.bool_]:
-        """Which mu are real within their estimated errors."""
-        return np.abs(self.mu.imag) <= self.mu_error
-
-    @cached_property
-    def is_inside(self) -> NDArray[np.bool_]:
-        """Which mu are real and in [-1, 0] within their estimated errors."""
-        inside = (self.mu.real >= -1.0 - self.mu_error) & (self.mu.real <= self.mu_error)
-        return self.is_real & inside
-
-    @property
-    def stable(self) -> bool:
-        """Whether every mu lies in [-1, 0] within the flow's estimated error."""
-        return bool(np.all(self.is_inside))
-
-    @property
-    def unstable_real(self) -> int:
-        """Number of multipliers outside the unit circle on the real axis."""
-        return int(np.count_nonzero(self.is_real & ~self.is_inside))
-
-    @property
-    def unstable_complex(self) -> int:
-        """Number of multipliers outside the unit circle off the real axis; a complex pair counts two."""
-        return int(np.count_nonzero(~self.is_real))
-
-    @cached_property
-    def root(self) -> ComplexArray:
-        """sqrt(mu) + sqrt(1 + mu) with modulus >= 1, whose square is lambda(M); on the unit circle for a stable mu."""
-        stable = np.where(self.is_inside, np.clip(self.mu.real, -1.0, 0.0), 0.0)
-        on_circle = np.sqrt(1.0 + stable) + 1j * np.sqrt(-stable)
-        mu = np.where(self.is_real, self.mu.real + 0j, self.mu)
-        off_circle = np.sqrt(mu) + np.sqrt(1.0 + mu)
-        off_circle = np.where(np.abs(off_circle) < 1.0, 1.0 / off_circle, off_circle)
-        return np.where(self.is_inside, on_circle, off_circle)
-
-    @cached_property
-    def multipliers(self) -> ComplexArray:
-        """All 2n multipliers over the period, shape (2n,): the trivial pair, exactly 1, then each lambda, 1/lambda."""
-        outer = self.root ** (2 * self.power)
-        return np.concatenate([np.ones(2, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
-
-    @property
-    def max_abs_multiplier(self) -> float:
-        """Largest modulus of a multiplier, the trivial pair left out; exactly 1 for a stable orbit."""
-        return float(np.max(np.abs(self.root[~self.is_inside]) ** (2 * self.power), initial=1.0))
-
-
-def _reflection(direction: Array) -> Array:
-    """Householder matrix that maps `direction` to a multiple of the first unit vector."""
-    u = direction / np.linalg.norm(direction)
-    u[0] += np.copysign(1.0, u[0])
-    return np.asarray(np.eye(u.size) - 2.0 * np.outer(u, u) / (u @ u))
+ORBIT_SAFETY = 2.0
+ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows in mu
+NORM_PER_MU = 30.0  # norm of a flow's error over its part in mu: measured, 7 to 1000 for nine of ten random orbits
+COARSEST = 1e-2  # error of a transition matrix above which its estimate means little
+RETRIES = 2
 
 
 def _power(transition: Transition) -> int:
     return {0.25: 2, 0.5: 1}[transition.fraction]
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """Results, with the part of the errors of mu that the flow makes, relative to max(1, |mu|), of each orbit."""
+
+    results: list[Floquet]
+    flow_errors: Array
+    reflections: Reflections
+    systems: Eigensystems
+
+
 def floquet(transition: Transition, acceleration: Array) -> Floquet:
     """Multipliers of a reversible orbit from its transition matrix over a quarter (odd orbits) or half of the period.
 
-    `acceleration` is q'' at phase zero, shape (n,), which gives the trivial pair.
+    `acceleration` is q'' at phase zero, shape (n,), which gives the trivial pair. The errors are those of the flow.
     """
-    return _reduced(transition, acceleration)[0]
+    return _solve([transition], acceleration[None, :], acceleration[None, :]).results[0]
 
 
-def _reduced(transition: Transition, acceleration: Array) -> tuple[Floquet, Array, ComplexArray]:
-    """The result, the reflection, and the right eigenvectors of the reduced matrix."""
-    from scipy.linalg import eig
+def floquets(
+    flow: FlowMap,
+    orbits: Sequence[OrbitState],
+    accelerations: Callable[[Sequence[OrbitState]], Array],
+    tolerance: float,
+) -> list[Floquet]:
+    """Multipliers of several orbits of one model, with the errors of the flow and of the orbits in those of mu.
 
-    power = _power(transition)
+    The flow's part is brought below `tolerance`, relative to max(1, |mu|), where mu is not near a defective pair.
+    `accelerations` gives q'' at phase zero, shape (orbits, n). Raises FlowError.
+    """
+    starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
+    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST))
+    solved = _solve(transitions, starts, better)
+    results, waiting, flow_errors = solved.results, np.arange(len(orbits)), solved.flow_errors
+    for _ in range(RETRIES):
+        over = flow_errors > tolerance
+        if not over.any():
+            break
+        waiting = waiting[over]
+        norms = np.array([transitions[i].error for i in waiting.tolist()])
+        wanted = max(float(np.min(0.5 * norms * tolerance / flow_errors[over])), 1e-3 * tolerance)
+        again = flow.transitions([orbits[i] for i in waiting.tolist()], wanted)
+        solved = _solve(again, starts[waiting], better[waiting])
+        flow_errors = solved.flow_errors
+        for i, transition, result in zip(waiting.tolist(), again, solved.results, strict=True):
+            transitions[i], results[i] = transition, result
+    return results
+
+
+def _solve(transitions: Sequence[Transition], accelerations: Array, better_accelerations: Array) -> _Solved:
+    power = _power(transitions[0])
     trivial = -1.0 if power == 2 else 0.0
-    _, B, C, _ = transition.blocks()
-    reflection = _reflection(acceleration.copy())
-    matrix = reflection @ (B.T @ C) @ reflection
+    matrices = np.stack([t.matrix for t in transitions])
+    reflections = Reflections.of(accelerations)
+    similar = reflections.similar(half_cosines(matrices))
     # (0, a_0) is a left eigenvector, so the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
-    first = matrix[0].copy()
-    first[0] -= trivial
-    deviation = float(np.max(np.abs(first)))
-    rest = matrix[1:, 1:]
-    if rest.size == 0:
-        empty = np.zeros(0)
-        return Floquet(empty.astype(complex), empty, deviation, power), reflection, np.zeros((0, 0), complex)
-    mu, left, right = eig(rest, left=True, right=True, check_finite=False)  # type: ignore[misc]
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    error = transition.error * float(np.linalg.norm(B) + np.linalg.norm(C))
-    order = np.lexsort((mu.imag, mu.real))
-    with np.errstate(divide="ignore"):
-        mu_error = np.minimum(error / overlap, np.sqrt(error))  # a defective pair moves by the root of the error
-    return Floquet(mu[order].astype(complex), mu_error[order], deviation, power), reflection, right[:, order]
+    similar[:, 0, 0] -= trivial
+    deviations = np.max(np.abs(similar[:, 0]), axis=1)
+    systems = eigensystems(similar[:, 1:, 1:])
+    if systems.values.shape[1] == 0:
+        errors, flow_errors = np.zeros(systems.values.shape), np.zeros(len(transitions))
+    else:
+        flow_part = _flow_part(transitions, matrices, reflections)
+        orbit_part = _orbit_part(transitions, reflections, better_accelerations)
+        by_flow = couplings(systems, flow_part)
+        first = np.diagonal(by_flow, axis1=1, axis2=2)
+        flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
+        norms = np.linalg.norm(flow_part, axis=(1, 2)) + np.linalg.norm(orbit_part, axis=(1, 2))
+        by_both = by_flow + couplings(systems, orbit_part)
+        errors = eigenvalue_errors(systems, by_both, norms, _round_off(transitions, matrices))
+    results = [
+        Floquet(mu, error, float(deviation), power)
+        for mu, error, deviation in zip(systems.values, errors, deviations, strict=True)
+    ]
+    return _Solved(results, flow_errors, reflections, systems)
+
+
+def _flow_part(transitions: Sequence[Transition], matrices: Array, reflections: Reflections) -> Array:
+    """What the truncation of the flow makes of the reduced matrices."""
+    truncations = [np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions]
+    errors = reflections.similar(half_cosine_errors(matrices, np.stack(truncations)))
+    return errors[:, 1:, 1:]
+
+
+def _orbit_part(transitions: Sequence[Transition], reflections: Reflections, better_accelerations: Array) -> Array:
+    """Differences of the reduced matrices along the better orbits and along the orbits, with a safety factor."""
+    pairs = [(t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions]
+    along, better = (half_cosines(np.stack(side)) for side in zip(*pairs, strict=True))
+    difference = Reflections.of(better_accelerations).similar(better) - reflections.similar(along)
+    return np.asarray(ORBIT_SAFETY * difference[:, 1:, 1:])
+
+
+def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
+    """Norm of what round-off, and a flow that knows no matrix of its errors, leave in B^T C; shape (orbits,)."""
+    n = matrices.shape[1] // 2
+    norms = np.linalg.norm(matrices[:, :n, n:], axis=(1, 2)) + np.linalg.norm(matrices[:, n:, :n], axis=(1, 2))
+    unknown = [t.error if t.truncation is None else ROUND_OFF * np.linalg.norm(t.matrix) for t in transitions]
+    return np.asarray(unknown * norms)
 
 
 def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Array]:
@@ -150,11 +162,12 @@ def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> 
     velocity of the flow, the second the direction along the family. For an eigenvector x of B^T C the velocities
     follow from the second row of M: (lambda - 1 - 2 mu) v = 2 A^T C x.
     """
-    result, reflection, right = _reduced(transition, acceleration)
+    solved = _solve([transition], acceleration[None, :], acceleration[None, :])
+    (result,), reflections, systems = solved.results, solved.reflections, solved.systems
     A, _, C, _ = transition.blocks()
     columns = [vector.astype(complex) for vector in trivial_pair(transition, acceleration)]
-    for mu, root, reduced in zip(result.mu, result.root, right.T, strict=True):
-        x = reflection @ np.concatenate([[0.0], reduced])
+    for mu, root, reduced in zip(result.mu, result.root, systems.right[0].T, strict=True):
+        x = reflections.vector(reduced)
         velocity = 2.0 * A.T @ (C @ x)
         for value in (root**2, root**-2):
             columns.append(np.concatenate([x * (value - 1.0 - 2.0 * mu), velocity]))

@@ -2,23 +2,19 @@
 
 For X'' = J(t) X with J = df/dq along the orbit, kicks V += b h J X and drifts X += a h V alternate; time moves with the
 drifts. The map is symplectic to round-off at every step number, so that stable orbits do not acquire instabilities.
+Several orbits go through the stages together: their J are the blocks of one sparse matrix.
 """
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
-from casadi_skin.bvp.symmetry import symmetry_class
+from casadi_skin.bvp.problem import Array
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.stability.flow import FlowError, Transition
+from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.stepping import StepMap, SteppedFlow
 
-STEPS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
-ORDER = 6
-EXTRAPOLATION_FACTOR = 4.0  # measured: at most 3.5 over 40 random chains and five pairs of step numbers
-ROUND_OFF = 2e-14
-STIFFNESS_PHASES = 5
+STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
 def srkn_coefficients() -> tuple[Array, Array]:
@@ -31,103 +27,58 @@ def srkn_coefficients() -> tuple[Array, Array]:
 
 
 class SplittingMap:
-    """Transition matrix of the variational system over a part of the period, in `steps` equal steps.
+    """Transition matrices of models of second order by the splitting in `steps` equal steps."""
+
+    def __init__(self, jacobian: JacobianAlong, steps: int) -> None:
+        self.jacobian, self.steps = jacobian, steps
+        drifts, kicks = srkn_coefficients()
+        # One node at the start of each drift-kick pair; the last kick of a step and the first of the next are one.
+        ends = np.concatenate([[0.0], np.cumsum(drifts)])
+        nodes = (np.arange(steps)[:, None] + ends[1:]).ravel() / steps
+        self.fractions = np.concatenate([[0.0], nodes])
+        inner = kicks[1:].copy()
+        inner[-1] += kicks[0]
+        self._drifts, self._kicks = np.tile(drifts, steps), np.tile(inner, steps)
+        self._kicks[-1] = kicks[-1]
+        self._first = float(kicks[0])
+
+    def __call__(self, nonzeros: Array, durations: Array) -> Array:
+        """Transition matrices, shape (points, 2n, 2n), from J's non-zeros (points, len(fractions), non-zeros)."""
+        from scipy.linalg.blas import daxpy
+
+        points, n, h = durations.size, self.jacobian.size, durations / self.steps
+        weights = np.concatenate([[self._first], self._kicks])
+        stages = np.multiply(nonzeros.swapaxes(0, 1), weights[:, None, None] * (h * h)[:, None], order="C")
+        stages = stages.reshape(weights.size, -1)
+        matrix = self.jacobian.block_matrix(points)
+        # Positions X and velocities times the step h V, so that no orbit's step is in the drifts.
+        start = np.zeros((2, points, n, 2 * n))
+        start[0][:, range(n), range(n)] = 1.0
+        start[1][:, range(n), range(n, 2 * n)] = h[:, None]
+        rows, shape = (points * n, 2 * n), (points, n, 2 * n)
+        x, v = start[0].ravel(), start[1].ravel()
+        matrix.data = stages[0]
+        v = daxpy((matrix @ x.reshape(rows)).ravel(), v)
+        for drift, stage in zip(self._drifts, stages[1:], strict=True):
+            x = daxpy(v, x, a=drift)
+            matrix.data = stage
+            v = daxpy((matrix @ x.reshape(rows)).ravel(), v)
+        return np.concatenate([x.reshape(shape), v.reshape(shape) / h[:, None, None]], axis=1)
+
+
+class SplittingFlow(SteppedFlow):
+    """Transition matrices by the splitting, extrapolated to order 8, for models of second order.
 
     Raises ValueError for a model that is not of second order with forces that depend on positions only.
     """
 
-    def __init__(self, model: OdeModel, steps: int) -> None:
-        if model.order != 2:
-            raise ValueError(f"{model.name}: the splitting needs a model of second order; use cvodes")
-        self.model, self.steps = model, steps
-        self._drifts, self._kicks = srkn_coefficients()
-        # One node at the start of each drift-kick pair; the last kick of a step and the first of the next are one.
-        ends = np.concatenate([[0.0], np.cumsum(self._drifts)])
-        nodes = (np.arange(steps)[:, None] + ends[1:]).ravel() / steps
-        self.fractions = np.concatenate([[0.0], nodes])
-        self._function = self._build()
-
-    def _build(self) -> ca.Function:
-        model, n, stages = self.model, self.model.size, self._drifts.size
-        jacobian = ca.Function("J", [model.state, model.parameters], [ca.jacobian(model.rhs, model.state)])
-        state = ca.MX.sym("state", 2 * n, 2 * n)
-        q, p, h = ca.MX.sym("q", n, stages), ca.MX.sym("p", model.parameters.numel()), ca.MX.sym("h")
-        kicks = self._kicks[1:].copy()
-        kicks[-1] += self._kicks[0]  # with the first kick of the next step; the last step gives it back below
-        x, v = ca.vertsplit(state, n)
-        for i in range(stages):
-            x = x + (self._drifts[i] * h) * v
-            v = v + (kicks[i] * h) * (jacobian(q[:, i], p) @ x)
-        step = ca.Function("step", [state, q, p, h], [ca.vertcat(x, v)])
-
-        q0, q_all = ca.MX.sym("q0", n), ca.MX.sym("q_all", n, stages * self.steps)
-        first = self._kicks[0] * h
-        identity, zero = ca.MX.eye(n), ca.MX(n, n)
-        start = ca.blockcat([[identity, zero], [first * jacobian(q0, p), identity]])
-        repeated = (ca.repmat(v, 1, self.steps) for v in (p, h))
-        end = step.fold(self.steps)(ca.densify(start), q_all, *repeated)
-        x, v = ca.vertsplit(end, n)
-        end = ca.vertcat(x, v - first * (jacobian(q_all[:, -1], p) @ x))
-        return ca.Function("transition", [q0, q_all, p, h], [end])
-
-    def __call__(self, positions: Array, parameter: float, duration: float) -> Array:
-        """Transition matrix over `duration`; `positions` along it at `fractions`, shape (len(fractions), n)."""
-        q = positions.T
-        return np.array(self._function(q[:, 0], q[:, 1:], parameter, duration / self.steps))
-
-
-class SplittingFlow:
-    """Transition matrices by the splitting at two step numbers, extrapolated (Richardson) to order 8.
-
-    With E the difference between the finer map and the extrapolated one, what is left is about E (omega h)^2, omega^2
-    the largest stiffness along the orbit; the step numbers are chosen so that this meets the tolerance. The fraction
-    of the period is that of the model's symmetry class. Raises FlowError when the most steps do not suffice.
-    """
+    method, ladder = "splitting", STEPS
+    orders = (6, 8)
 
     def __init__(self, model: OdeModel, tolerance: float) -> None:
-        self.model, self.tolerance = model, tolerance
-        self.fraction = symmetry_class(model).value
-        self._maps: dict[int, SplittingMap] = {}
-        jacobian = ca.fabs(ca.jacobian(model.rhs, model.state))
-        row_sums = ca.Function("stiffness", [model.state, model.parameters], [ca.mmax(ca.densify(ca.sum2(jacobian)))])
-        self._row_sums = row_sums.map(STIFFNESS_PHASES)
-        self._rung = 1  # where the last orbit met the tolerance: the next one starts there
+        if model.order != 2:
+            raise ValueError(f"{model.name}: the splitting needs a model of second order; use gauss, rk4 or cvodes")
+        super().__init__(model, tolerance)
 
-    def _map(self, steps: int) -> SplittingMap:
-        if steps not in self._maps:
-            self._maps[steps] = SplittingMap(self.model, steps)
-        return self._maps[steps]
-
-    def _run(self, rung: int, problem: OrbitProblem, z: Array, duration: float) -> Array:
-        flow = self._map(STEPS[rung])
-        positions = problem.sample(z, 2.0 * np.pi * self.fraction * flow.fractions)
-        return flow(positions, float(z[problem.parameter_index]), duration)
-
-    def _stiffness(self, problem: OrbitProblem, z: Array) -> float:
-        """Largest absolute row sum of df/dq along the orbit: a softening site is softest where it is farthest out."""
-        theta = 2.0 * np.pi * self.fraction * np.linspace(0.0, 1.0, STIFFNESS_PHASES)
-        values = self._row_sums(problem.sample(z, theta).T, np.full((1, theta.size), z[problem.parameter_index]))
-        return float(np.max(np.array(values)))
-
-    def transition(self, problem: OrbitProblem, z: Array) -> Transition:
-        """Transition matrix of (positions, velocities) along the orbit."""
-        duration = 2.0 * np.pi * self.fraction / float(z[problem.Omega_index])
-        stiffness = self._stiffness(problem, z)
-        rung = self._rung
-        coarse = self._run(rung - 1, problem, z, duration)
-        while True:
-            fine = self._run(rung, problem, z, duration)
-            correction = (fine - coarse) / ((STEPS[rung] / STEPS[rung - 1]) ** ORDER - 1.0)
-            matrix = fine + correction
-            scale = float(np.linalg.norm(matrix))
-            remainder = EXTRAPOLATION_FACTOR * stiffness * (duration / STEPS[rung]) ** 2
-            truncation = remainder * float(np.linalg.norm(correction))
-            if truncation <= max(self.tolerance, ROUND_OFF * scale):
-                # An error that falls with the eighth power: one rung lower would have done if this is far below.
-                self._rung = max(1, rung - 1) if truncation < 0.01 * self.tolerance else rung
-                return Transition(matrix, self.fraction, truncation + ROUND_OFF * scale)
-            if rung + 1 == len(STEPS) or not np.isfinite(truncation):
-                raise FlowError(
-                    f"the splitting leaves {truncation:.1e} with {STEPS[rung]} steps; asked: {self.tolerance:.1e}"
-                )
-            rung, coarse = rung + 1, fine
+    def _build(self, steps: int) -> StepMap:
+        return SplittingMap(self.jacobian, steps)

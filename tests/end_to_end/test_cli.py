@@ -74,7 +74,7 @@ def test_wrong_words_are_refused_in_one_line(arguments: list[str], capsys: pytes
         ("at = [0.2, 1.0]", "at = [0.0]", "[family] at"),
         ("[family]", '[accuracy]\npreset = "fast"\n[family]', "[accuracy] preset"),
         ("[family]", '[method]\ncorrector = "nweton"\n[family]', "[method] corrector"),
-        ("[family]", '[method]\nwalker = "series"\n[family]', "[method] walker"),
+        ("[family]", '[method]\nwalker = "taylor"\n[family]', "[method] walker"),
         ("[chain]", "[chain", "not TOML"),
     ],
 )

@@ -15,7 +15,7 @@ import pytest
 
 from casadi_skin.cli import main
 
-STABILITY_COLUMNS = ["max_abs_multiplier", "stable", "unstable_real", "unstable_complex"]
+STABILITY_COLUMNS = ["max_abs_multiplier", "stable", "unstable_real", "unstable_complex", "multiplier_error"]
 FAMILY_COLUMNS = [
     *("mode", "point", "requested", "S", "Omega", "Omega_shift", "period", "energy"),
     *STABILITY_COLUMNS,
@@ -99,6 +99,8 @@ def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: P
         assert data.attrs["casadi_version"]
         moduli = np.hypot(*np.moveaxis(data.multipliers.values, -1, 0))
         assert moduli.max(axis=1) == pytest.approx(data.max_abs_multiplier.values, rel=1e-12)
+        np.testing.assert_array_equal(data.multiplier_error.values, [float(r["multiplier_error"]) for r in table])
+        assert np.all(data.multiplier_error.values >= data.mu_error.values.max(axis=1))
 
 
 def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,6 +124,8 @@ def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
         'corrector = "newton"',
         'transcription = "gauss"\ncorrector = "newton"',
         'flow = "cvodes"',
+        'flow = "gauss"',
+        'flow = "rk4"',
     ):
         rest = f"[stability]\nevents = false\n[accuracy]\ntolerance = 1e-9\n[method]\n{method}\n"
         scene = write_scene(tmp_path / "scene.toml", sites=4, g=1.0, mode="4", rest=rest)

@@ -15,7 +15,7 @@ from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.correctors.base import Corrector, Status
-from casadi_skin.correctors.bordered import BorderedSolver, SingularError
+from casadi_skin.correctors.bordered import BorderedSolver, SingularError, Solve
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.models.chain import Chain
@@ -277,9 +277,11 @@ def test_an_inaccurate_band_is_given_up_for_superlu(monkeypatch: pytest.MonkeyPa
     _, nonzeros = problem.evaluate(z)
     matrix = dense(problem, nonzeros, row)
     for spoil in (np.nan, 1.001):  # no result at all, or one of three digits
-        monkeypatch.setattr(
-            BorderedSolver, "_factor_band", lambda *_, f=spoil: lambda right: f * np.linalg.solve(matrix, right)
-        )
+
+        def spoilt(solver: BorderedSolver, *_: object, f: float = spoil) -> tuple[Solve, Array]:
+            return lambda right: f * np.linalg.solve(matrix, right), f * np.linalg.solve(matrix, solver._probes)
+
+        monkeypatch.setattr(BorderedSolver, "_factor_band", spoilt)
         found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
         expected = np.linalg.solve(matrix, b)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())

@@ -328,7 +328,7 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             '[method]\nflow = "cvode"',
-            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes")',
+            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes", "gauss", "rk4")',
         ),
         (
             '[method]\ncorrector = "Ipopt"',
@@ -336,7 +336,22 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             '[method]\ntranscription = "x"',
-            '[method] transcription: given "x"; accepted: "trigonometric", "gauss"',
+            '[method] transcription: given "x"; accepted: "trigonometric", "gauss", "radau", "shooting"',
+        ),
+        (
+            '[method]\ntranscription = "radau"\ndegree = 13',
+            "[method] degree: given 13; accepted: a whole number >= 2 and <= 12, with one of gauss, radau "
+            "(left out: 5 to 12 by the tolerance)",
+        ),
+        (
+            '[method]\ntranscription = "gauss"\ndegree = 1',
+            "[method] degree: given 1; accepted: a whole number >= 2 and <= 12, with one of gauss, radau "
+            "(left out: 5 to 12 by the tolerance)",
+        ),
+        (
+            "[method]\ndegree = 4",
+            '[method] degree: given 4 with transcription = "trigonometric"; '
+            'accepted: with transcription = "gauss" or "radau" only',
         ),
     ],
 )
@@ -433,10 +448,9 @@ def test_dynamics_of_a_chain_whose_far_end_underflows() -> None:
     assert message.endswith("whose far end is below the smallest double; accepted: (sites - 1) artanh|gamma| <= 700")
 
 
-def test_a_walker_that_is_not_there_yet_is_refused() -> None:
-    assert fault_of(CHAIN + '[method]\nwalker = "series"').startswith(
-        '[method] walker: given "series"; accepted: "arclength"'
-    )
+def test_a_walker_that_does_not_go_with_the_transcription_is_refused() -> None:
+    message = fault_of(CHAIN + '[method]\nwalker = "series"\ntranscription = "gauss"')
+    assert message.startswith('[method] walker: given "series" with transcription = "gauss"; accepted: "arclength"')
 
 
 # Refused: what ties the chain and the family --------------------------------------------------------------
@@ -574,7 +588,7 @@ def test_the_schema_says_what_the_messages_say() -> None:
     sites = tables["ChainTable"]["properties"]["sites"]
     assert (sites["minimum"], sites["maximum"]) == (1, 10_000_000)
     assert f"accepted: {sites['description']}" == SITES
-    assert tables["MethodTable"]["properties"]["walker"]["enum"] == ["arclength"]
+    assert tables["MethodTable"]["properties"]["walker"]["enum"] == ["arclength", "series"]
     for table in tables.values():
         for key in table["properties"].values():
             assert "$ref" in str(key) or (key["title"] and key["description"])

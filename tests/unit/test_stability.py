@@ -19,9 +19,9 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.request import FamilyRequest, FamilyTools
-from casadi_skin.stability import splitting
 from casadi_skin.stability.cvodes import CvodesFlow
-from casadi_skin.stability.flow import FlowError, FlowMap, Transition
+from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
+from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import Floquet, floquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
 
@@ -116,10 +116,8 @@ def test_the_splitting_is_symmetric_and_consistent() -> None:
 
 
 def split(orbit: Orbit, steps: int) -> Array:
-    flow = SplittingMap(orbit.tools.model, steps)
-    problem, z = orbit.point.problem, orbit.point.z
-    positions = problem.sample(z, 0.5 * np.pi * flow.fractions)
-    return flow(positions, float(z[problem.parameter_index]), orbit.period / 4)
+    state = OrbitState(orbit.point.problem, orbit.point.z)
+    return np.asarray(SplittingFlow(orbit.tools.model, 1e-8).matrices(steps, [state])[0])
 
 
 @pytest.mark.parametrize(
@@ -153,23 +151,26 @@ def test_a_map_of_no_force_but_a_spring_is_a_rotation() -> None:
     """q'' = -4 q: the transition matrix in closed form."""
     q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
     model = OdeModel("spring", q, -4 * q + 0 * p, p, 2, v, reversal=(1, -1), half_period=(-1, -1))
-    flow = SplittingMap(model, 24)
+    jacobian = JacobianAlong(model)
+    flow = SplittingMap(jacobian, 24)
     t = 0.7
-    found = flow(np.zeros((flow.fractions.size, 1)), 0.0, t)
+    phases = flow.fractions.size
+    nonzeros = jacobian(np.zeros((phases, 1)), np.zeros(phases))
+    (found,) = flow(nonzeros[None], np.array([t]))
     expected = [[np.cos(2 * t), np.sin(2 * t) / 2], [-2 * np.sin(2 * t), np.cos(2 * t)]]
     np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
 def test_nodes_in_time_lie_where_the_kicks_are() -> None:
-    flow = SplittingMap(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 5)
+    flow = SplittingMap(JacobianAlong(Chain(2, 1.0, 0.3, 1.0).gauge_model()), 5)
     assert flow.fractions.shape == (56,)
     assert flow.fractions[0] == 0.0
     np.testing.assert_allclose(flow.fractions[11::11], np.arange(1, 6) / 5, atol=1e-15)
 
 
 def test_a_model_of_first_order_is_refused_by_the_splitting() -> None:
-    with pytest.raises(ValueError, match="use cvodes"):
-        SplittingMap(Chain(2, 1.0, 0.3, 1.0).gauge_model().first_order(), 4)
+    with pytest.raises(ValueError, match="use gauss, rk4 or cvodes"):
+        SplittingFlow(Chain(2, 1.0, 0.3, 1.0).gauge_model().first_order(), 1e-8)
 
 
 # Flow maps ----------------------------------------------------------------------------------------------------------
@@ -236,7 +237,7 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
 
 
 def test_the_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splitting, "STEPS", (4, 6))
+    monkeypatch.setattr(SplittingFlow, "ladder", (3, 4, 6))
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     with pytest.raises(FlowError, match=r"with 6 steps; asked: 1\.0e-11"):
         SplittingFlow(orbit.tools.model, 1e-11).transition(orbit.point.problem, orbit.point.z)

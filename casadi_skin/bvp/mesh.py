@@ -1,0 +1,79 @@
+"""Where the intervals of a collocation mesh should lie: equidistribution of a monitor of the solution.
+
+With polynomials of degree d on intervals of length h the error between mesh points is proportional to h^(d+1) times
+the derivative of order d + 1. That derivative is estimated from the differences of the constant derivatives of order d
+of neighbouring intervals, and its root of order d + 1 is spread evenly (de Boor 1973; Ascher, Mattheij and Russell
+1995, section 9.1). Lengths are relative to the whole: they sum to 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FLOOR = 0.2  # of the mean density: no interval is longer than 1/FLOOR mean ones
+NEIGHBOURS = 2.0  # largest ratio of the lengths of neighbouring intervals, about
+
+
+def uniform(intervals: int) -> Array:
+    """Equal lengths, shape (intervals,)."""
+    return np.full(intervals, 1.0 / intervals)
+
+
+def edges(lengths: Array) -> Array:
+    """Ends of the intervals from 0 to 1, shape (intervals + 1,)."""
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    return np.asarray(ends / ends[-1])
+
+
+def density(lengths: Array, leading: Array, degree: int, noise: float = 0.0) -> Array:
+    """Wanted number of intervals per unit of length, up to a factor, in each interval; shape (intervals,).
+
+    `leading` holds the coefficient of s^degree of each interval's polynomial in its own coordinate s in [0, 1], shape
+    (intervals, components); `noise` is the size of its round-off. The density is smoothed, has a floor, and varies
+    slowly enough for neighbouring intervals to be of similar length (Kautsky and Nichols 1980).
+    """
+    K = lengths.size
+    if K == 1:
+        return np.ones(1)
+    scale = lengths**-degree
+    jumps = np.max(np.abs(np.diff(leading * scale[:, None], axis=0)), axis=1)
+    jumps = np.maximum(jumps - noise * (scale[1:] + scale[:-1]), 0.0)
+    slopes = jumps / (0.5 * (lengths[1:] + lengths[:-1]))
+    wanted = np.concatenate([slopes[:1], 0.5 * (slopes[1:] + slopes[:-1]), slopes[-1:]]) ** (1.0 / (degree + 1))
+    if not np.any(wanted):
+        return np.ones(K)
+    return _slowly_varying(lengths, wanted)
+
+
+def _slowly_varying(lengths: Array, wanted: Array) -> Array:
+    """The smallest density above `wanted` and the floor whose inverse changes no faster than NEIGHBOURS allows."""
+    middles = edges(lengths)[1:] - 0.5 * lengths
+    padded = wanted
+    for _ in range(3):  # floor and rate depend on the mean of the result
+        mean = float(lengths @ padded)
+        rate = np.log(NEIGHBOURS) * lengths.size / mean
+        inverse = 1.0 / np.maximum(wanted, FLOOR * mean)
+        forward = rate * middles + np.minimum.accumulate(inverse - rate * middles)
+        backward = np.minimum.accumulate((inverse + rate * middles)[::-1])[::-1] - rate * middles
+        padded = 1.0 / np.minimum(forward, backward)
+    return np.asarray(padded)
+
+
+def equidistributed(lengths: Array, wanted: Array, intervals: int) -> Array:
+    """Lengths of `intervals` intervals that hold equal parts of the density `wanted` on the mesh of `lengths`."""
+    total = np.concatenate([[0.0], np.cumsum(lengths * wanted)])
+    return np.diff(np.interp(np.linspace(0.0, total[-1], intervals + 1), total, edges(lengths)))
+
+
+def imbalance(lengths: Array, wanted: Array) -> float:
+    """Largest over mean part of the density that an interval holds; 1 where it is spread evenly."""
+    parts = lengths * wanted
+    return float(np.max(parts) / np.mean(parts))
+
+
+def resampled(lengths: Array, intervals: int) -> Array:
+    """A mesh of another number of intervals placed alike: a multiple of the number divides each interval evenly."""
+    return equidistributed(lengths, 1.0 / lengths, intervals)

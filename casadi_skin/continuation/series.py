@@ -1,0 +1,198 @@
+"""Walking along a branch on its own Taylor series: the asymptotic numerical method (Cochelin 1994).
+
+At each base point the series to high order costs one factorisation; as far as it converges the branch is a polynomial
+evaluation. The corrector has the last word on every point that is reported, and finds nothing to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.continuation.arclength import START_FRACTION
+from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.points import End, Point, is_any
+from casadi_skin.continuation.taylor import Stretch
+from casadi_skin.correctors.bordered import SingularError, Solve
+
+SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
+AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
+SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
+
+
+class Recursion(Protocol):
+    """Power series of the branch through a point."""
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
+        """Coefficients of the branch from z with first coefficient `slope`, shape (orders + 1, unknowns)."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A point to report at tau; `value` is the parameter to hold there, None where the coordinate is held."""
+
+    tau: float
+    value: float | None
+    requested: bool = False
+
+
+class SeriesWalk:
+    """A walk by Taylor series (see `Walk`) for problems whose series `recursion` computes.
+
+    `precision` of a problem is the residual, relative to the state, that the series may leave.
+    """
+
+    def __init__(
+        self,
+        locator: Locator,
+        history: tuple[Point, ...],
+        recursion: Callable[[OrbitProblem], Recursion],
+        precision: Callable[[OrbitProblem], float],
+    ) -> None:
+        self.locator, self.settings = locator, locator.settings
+        self.history = history[-2:]
+        self.end: End | None = None
+        self.detail = ""
+        self.rejected = 0
+        self.missed: list[float] = []
+        self._recursion, self._precision = recursion, precision
+
+    def __iter__(self) -> Iterator[Point]:
+        sign, count = float(np.sign(self.settings.parameter_max)), 0
+        while count < self.settings.max_points:
+            base = self.history[-1]
+            try:
+                stretch = self._stretch(base)
+            except SingularError as error:
+                self.end, self.detail = End.NO_STEP, str(error)
+                return
+            if stretch is None:
+                self.end = End.NO_STEP
+                return
+            for point in self._points(base, stretch):
+                count += 1
+                if point.walked:
+                    self.history = (base, point)
+                yield point
+                if sign * point.parameter <= 0:
+                    self.end = End.RETURNED
+            if self.end is not None:
+                return
+        self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
+
+    # The series -----------------------------------------------------------------------------------------------------
+
+    def _stretch(self, base: Point) -> Stretch | None:
+        """The series at a base point, as far as its end satisfies the equations; None where that is nowhere."""
+        problem = base.problem
+        precision = self._precision(problem)
+        row = self.locator.metric(problem, base.z) * base.tangent
+        residual, nonzeros = problem.evaluate(base.z)
+        solve = self.locator.ladder.solver(problem).factor(base.z, nonzeros, row)
+        z = base.z - solve(np.append(residual, 0.0))
+        slope = base.step * self.locator.tangent(problem, z, solve)
+        coefficients = self._recursion(problem).series(z, slope, solve)
+        sizes = np.sqrt(np.sum(self.locator.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
+        orders = np.arange(coefficients.shape[0] - 2, coefficients.shape[0])
+        stretch = Stretch(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
+        while stretch.length * base.step >= self.settings.min_step:
+            end = stretch.at(stretch.length)
+            allowed = precision * max(1.0, float(np.max(np.abs(end[: problem.states]))))
+            if end[problem.Omega_index] > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
+                return stretch
+            self.rejected += 1
+            stretch = replace(stretch, length=SHRINK * stretch.length)
+        return None
+
+    # The points -----------------------------------------------------------------------------------------------------
+
+    def _points(self, base: Point, stretch: Stretch) -> Iterator[Point]:
+        """Points of a stretch in arclength order; the last one is the next base, unless the walk ends before."""
+        problem, last = base.problem, 0.0
+        stops = self._stops(base, stretch)
+        for stop in stops:
+            reach = base.step * (stop.tau - last)
+            point = self._point(problem, stretch, stop, reach)
+            if point is None:
+                if stop.value is None:
+                    self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
+                    return
+                self.missed.append(stop.value)
+            else:
+                last = stop.tau
+                finished = stop.value != self.settings.parameter_max and (
+                    stop is stops[-1] or point.problem is not problem
+                )
+                yield replace(point, requested=stop.requested, walked=finished, step=base.step * stretch.length)
+                if finished:
+                    return
+            if stop.value == self.settings.parameter_max:
+                self.end = End.REACHED
+                return
+
+    def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
+        """Where points are reported: values asked for, and often enough to draw and to see stability change."""
+        settings, index = self.settings, base.problem.parameter_index
+        wanted = dict.fromkeys(settings.at, True)
+        wanted.setdefault(settings.parameter_max, False)
+        stops = [
+            _Stop(tau, value, flag)
+            for value, flag in wanted.items()
+            for tau in stretch.crossings(index, value)
+            if tau > AT_BASE or not is_any(base.parameter, (value,))
+        ]
+        stops.sort(key=lambda stop: stop.tau)
+        final = next((stop.tau for stop in stops if stop.value == settings.parameter_max), stretch.length)
+        pieces = self._pieces(base, stretch, final)
+        if base.parameter == 0.0:
+            stops.append(_Stop(START_FRACTION * final / pieces, None))
+        taken = [stop.tau for stop in stops]
+        for tau in np.linspace(0.0, final, pieces + 1)[1:]:
+            if not any(abs(tau - other) <= 1e-9 * stretch.length for other in taken):
+                stops.append(_Stop(float(tau), None))
+        return sorted((stop for stop in stops if stop.tau <= final), key=lambda stop: stop.tau)
+
+    def _pieces(self, base: Point, stretch: Stretch, final: float) -> int:
+        """Number of equal parts in which no limit on a step is exceeded."""
+        problem, settings = base.problem, self.settings
+        taus = np.linspace(0.0, final, SAMPLES)
+        points = np.array([stretch.at(tau) for tau in taus])
+        weights = np.sqrt(self.locator.metric(problem, points[0]))
+        slopes = np.array([weights * stretch.slope(tau) for tau in taus])
+        slopes /= np.linalg.norm(slopes, axis=1)[:, None]
+        angles = np.degrees(np.arccos(np.clip(np.sum(slopes[1:] * slopes[:-1], axis=1), -1.0, 1.0)))
+        moves = np.abs(np.diff(points[:, problem.parameter_index]))
+        lengths = np.linalg.norm(weights * np.diff(points, axis=0), axis=1)
+        most = [
+            np.sum(angles) / settings.aim_angle,
+            (SAMPLES - 1) * np.max(moves) / (settings.max_parameter_step * abs(settings.parameter_max)),
+            np.sum(lengths) / settings.max_step,
+        ]
+        return max(1, int(np.ceil(max(most))))
+
+    def _point(self, problem: OrbitProblem, stretch: Stretch, stop: _Stop, reach: float) -> Point | None:
+        """The corrected point at a stop; None where the corrector does not find it near the series."""
+        guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
+        weights = self.locator.metric(problem, guess)
+        tangent = slope / np.sqrt(np.sum(weights * slope**2))
+        if stop.value is None:
+            row, value = weights * tangent, float((weights * tangent) @ guess)
+        else:
+            row = problem.parameter_row() * float(np.sign(slope[problem.parameter_index]))
+            value = stop.value * float(row[problem.parameter_index])
+        correction = self.locator.correct(problem, guess, row, value, reach)
+        if correction is None:
+            self.detail = "the corrector does not find the point that the series predicts"
+            return None
+        if stop.value is not None:
+            correction.z[problem.parameter_index] = stop.value  # equal but for round-off of the held row
+        try:
+            return self.locator.near(problem, correction, tangent, row, held=stop.value is not None)
+        except SingularError as error:
+            self.detail = str(error)
+            return None

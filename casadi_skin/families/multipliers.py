@@ -1,0 +1,59 @@
+"""Multipliers of points of a family, several at a time, with the errors of the orbits in their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import Point
+from casadi_skin.families.request import FamilyTools
+from casadi_skin.stability.flow import OrbitState
+from casadi_skin.stability.multipliers import floquets
+from casadi_skin.stability.result import Floquet
+
+
+def orbit_state(point: Point) -> OrbitState:
+    """A point as flow maps take it, with the better orbit that shows its error.
+
+    Where the point has none, as one read from a journal, the state and Omega are put off by their estimated errors.
+    """
+    problem, z = point.problem, point.z
+    if point.better is not None:
+        return OrbitState(problem, z, OrbitState(point.better.problem, point.better.z))
+    if not (np.isfinite(point.error.profile) and np.isfinite(point.error.Omega)):
+        return OrbitState(problem, z)
+    off = z.copy()
+    off[: problem.states] *= 1.0 + point.error.profile
+    off[problem.Omega_index] += point.error.Omega
+    return OrbitState(problem, z, OrbitState(problem, off))
+
+
+def accelerations(tools: FamilyTools, orbits: Sequence[OrbitState]) -> Array:
+    """q'' at phase zero, shape (orbits, core sites)."""
+    starts = np.stack([orbit.problem.sample(orbit.z, np.zeros(1))[0] for orbit in orbits], axis=1)
+    parameters = np.array([[orbit.parameter for orbit in orbits]])
+    return np.array(tools.rhs.map(len(orbits))(starts, parameters)[0]).T
+
+
+def floquets_of(tools: FamilyTools, points: Sequence[Point]) -> list[Floquet]:
+    """Stability of several points of a family; at |gamma| = 1 without the Jordan block's algebraic growth.
+
+    Raises FlowError where the flow map cannot reach the tolerance for any of them.
+    """
+    states = [orbit_state(point) for point in points]
+    results = floquets(tools.flow, states, lambda orbits: accelerations(tools, orbits), tools.request.tolerance)
+    resting = tools.request.chain.sites - tools.core.sites
+    if resting == 0:
+        return results
+    return [_resting(tools, point, result, resting) for point, result in zip(points, results, strict=True)]
+
+
+def _resting(tools: FamilyTools, point: Point, core: Floquet, resting: int) -> Floquet:
+    """At |gamma| = 1 the other sites are linear oscillators that nothing drives in the gauge."""
+    phase = 0.5 * np.pi * tools.request.chain.linear_frequency(1) / point.Omega
+    off = phase * point.error.Omega / point.Omega
+    error = abs(np.sin(2.0 * phase)) * off + off**2 + np.finfo(float).eps
+    mu = np.full(resting, -(np.sin(phase) ** 2), complex)
+    return Floquet(mu, np.full(resting, error), core.trivial_deviation, core.power)

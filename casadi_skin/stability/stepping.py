@@ -1,0 +1,163 @@
+"""Flow maps in equal steps: step numbers, extrapolation, an estimate of the error, and the choice of the steps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.symmetry import symmetry_class
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
+from casadi_skin.stability.jacobian import JacobianAlong
+
+ROUND_OFF = 2e-14
+SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
+WORK = 12_000  # entries of a batch of transition matrices: what stays in the cache of a core
+HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
+
+
+class StepMap(Protocol):
+    """Transition matrices of the variational system in a fixed number of equal steps."""
+
+    fractions: Array
+
+    def __call__(self, nonzeros: Array, durations: Array) -> Array:
+        """Matrices, shape (points, m, m), over `durations` (points,); J's non-zeros (points, fractions, non-zeros).
+
+        J is taken at `fractions` of the duration; m counts the components of the full state.
+        """
+        ...
+
+
+def extrapolation(steps: Sequence[int], orders: Sequence[int]) -> Array:
+    """Weights, with sum 1, of results in those numbers of steps that cancel errors of the given orders in 1/steps."""
+    rows = [[1.0] * len(steps), *([(steps[-1] / n) ** order for n in steps] for order in orders)]
+    return np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
+
+
+class SteppedFlow(ABC):
+    """Transition matrices at neighbouring step numbers of a ladder, extrapolated (Richardson).
+
+    The method's errors go with h^orders[0], h^orders[1], ... With one step number more than `orders` has entries, all
+    maps together give a matrix without any of these errors, and all but the coarsest one without all but the last:
+    that is the result, and the difference shows its error. The step numbers are chosen so that it meets the tolerance.
+    The fraction of the period is that of the model's symmetry class. Raises FlowError when the most steps do not
+    suffice.
+    """
+
+    method: str
+    ladder: tuple[int, ...]
+    orders: tuple[int, ...]
+
+    def __init__(self, model: OdeModel, tolerance: float) -> None:
+        self.model, self.tolerance = model, tolerance
+        self.fraction = symmetry_class(model).value
+        self._maps: dict[int, StepMap] = {}
+        self._rung = len(self.orders)  # of the finest map where the last orbits met the tolerance
+
+    @abstractmethod
+    def _build(self, steps: int) -> StepMap:
+        """The map with that many steps."""
+
+    @cached_property
+    def jacobian(self) -> JacobianAlong:
+        """Derivative of the right-hand side along orbits."""
+        return JacobianAlong(self.model)
+
+    @property
+    def batch(self) -> int:
+        """Number of orbits that are best given together."""
+        return max(1, WORK // self.model.full_size**2 * self.model.order)
+
+    def step_map(self, steps: int) -> StepMap:
+        """The map with that many steps, built when first needed."""
+        if steps not in self._maps:
+            self._maps[steps] = self._build(steps)
+        return self._maps[steps]
+
+    def matrices(self, steps: int, orbits: Sequence[OrbitState]) -> Array:
+        """Transition matrices in a fixed number of steps, not extrapolated, shape (orbits, m, m)."""
+        step_map = self.step_map(steps)
+        theta = 2.0 * np.pi * self.fraction * step_map.fractions
+        states = np.concatenate([o.problem.sample(o.z, theta) for o in orbits])
+        parameters = np.repeat([o.parameter for o in orbits], theta.size)
+        nonzeros = self.jacobian(states, parameters).reshape(len(orbits), theta.size, -1)
+        return step_map(nonzeros, np.array([duration(o, self.fraction) for o in orbits]))
+
+    def transition(self, problem: OrbitProblem, z: Array) -> Transition:
+        """Transition matrix of the full state along the orbit."""
+        return self.transitions([OrbitState(problem, z)])[0]
+
+    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+        """Transition matrices of the full state along several orbits; raises FlowError where one cannot be had."""
+        results: list[Transition] = []
+        for first in range(0, len(orbits), self.batch):
+            part = orbits[first : first + self.batch]
+            results += self._adapted(part, self.tolerance if tolerance is None else tolerance)
+        return results
+
+    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float) -> list[Transition]:
+        """One batch, with more steps for those that need more."""
+        done: dict[int, Transition] = {}
+        places, rung = np.arange(len(orbits)), min(self._rung, len(self.ladder) - 1)
+        maps: dict[int, Array] = {}  # by rung, of the orbits that still wait
+        while True:
+            waiting = [orbits[i] for i in places.tolist()]
+            rungs = range(rung - len(self.orders), rung + 1)
+            for r in rungs:
+                if r not in maps:
+                    maps[r] = self.matrices(self.ladder[r], waiting)
+            matrices, errors = self._extrapolated(rung, maps)
+            with np.errstate(over="ignore", invalid="ignore"):
+                truncation = np.linalg.norm(errors, axis=(1, 2))
+                round_off = ROUND_OFF * np.linalg.norm(matrices, axis=(1, 2))
+            met = truncation <= np.maximum(tolerance, round_off)
+            pairs = self._pairs(rungs[0], maps[rungs[0]], waiting, met)
+            for k in np.flatnonzero(met).tolist():
+                total = float(truncation[k] + round_off[k])
+                done[int(places[k])] = Transition(matrices[k], self.fraction, total, errors[k], pairs.get(k))
+            if met.all():
+                self._rung = self._lower(rung, float(np.max(truncation)), tolerance)
+                return [done[i] for i in range(len(orbits))]
+            rung = self._higher(rung, float(np.max(truncation[~met])), tolerance)
+            places, maps = places[~met], {r: m[~met] for r, m in maps.items()}
+
+    def _extrapolated(self, rung: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Extrapolated matrices, and matrices like their errors."""
+        rungs = range(rung - len(self.orders), rung + 1)
+        steps = [self.ladder[r] for r in rungs]
+        few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
+        result = sum(weight * maps[r] for weight, r in zip(few, rungs[1:], strict=True))
+        better = sum(weight * maps[r] for weight, r in zip(all_, rungs, strict=True))
+        return np.asarray(result), SAFETY * (better - result)
+
+    def _pairs(
+        self, rung: int, along: Array, orbits: Sequence[OrbitState], met: NDArray[np.bool_]
+    ) -> dict[int, tuple[Array, Array]]:
+        """By place, matrices along the orbit and along the better one, where there is one, in the steps of a rung."""
+        states = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
+        if not states:
+            return {}
+        matrices = self.matrices(self.ladder[rung], list(states.values()))
+        return {k: (along[k], matrix) for k, matrix in zip(states, matrices, strict=True)}
+
+    def _lower(self, rung: int, truncation: float, tolerance: float) -> int:
+        """The rung to start from next time: one lower where that would have done."""
+        expected = truncation * (self.ladder[rung] / self.ladder[rung - 1]) ** self.orders[-1]
+        return rung - 1 if rung > len(self.orders) and HEADROOM * expected <= tolerance else rung
+
+    def _higher(self, rung: int, truncation: float, tolerance: float) -> int:
+        """The rung that should do where one did not; raises FlowError at the end of the ladder."""
+        steps = self.ladder[rung]
+        if rung + 1 == len(self.ladder):
+            raise FlowError(f"the {self.method} leaves {truncation:.1e} with {steps} steps; asked: {tolerance:.1e}")
+        if not np.isfinite(truncation):
+            return rung + 1
+        needed = steps * (truncation / tolerance) ** (1.0 / self.orders[-1])
+        return next((r for r in range(rung + 1, len(self.ladder)) if self.ladder[r] >= needed), rung + 1)

@@ -1,0 +1,59 @@
+"""The family followed by this package: the variants that are measured, and the reference that errors are taken to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from family_case import Array, Family, FamilyCase
+
+from casadi_skin.families.follow import FamilyWalk
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+
+# Name in the table: keywords of FamilyRequest. A new method is one line.
+VARIANTS: dict[str, dict[str, str]] = {
+    "this, ipopt": {"corrector": "ipopt"},
+    "this, newton": {"corrector": "newton"},
+}
+
+
+def our_walk(
+    case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool
+) -> Callable[[], tuple[Orbit, ...]]:
+    """A walk over the family; the tools, once built, serve every call."""
+    tools = FamilyTools(FamilyRequest(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
+
+    def follow() -> tuple[Orbit, ...]:
+        walk = FamilyWalk(tools, stability, events=False)
+        for _ in walk:
+            pass
+        branch = walk.branch()
+        if not branch.complete:
+            raise RuntimeError(branch.reason)
+        return branch.orbits
+
+    return follow
+
+
+def our_family(case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool) -> Callable[[], Family]:
+    """The same walk, its points as the other programs give theirs."""
+    walk = our_walk(case, tolerance, keywords, stability)
+
+    def follow() -> Family:
+        orbits = walk()
+        S, Omega = (np.array([getattr(orbit, name) for orbit in orbits]) for name in ("S", "Omega"))
+        found = np.array([orbit.floquet().max_abs_multiplier for orbit in orbits]) if stability else None
+        return Family(S, Omega, found)
+
+    return follow
+
+
+def reference(case: FamilyCase, S: Array) -> Family:
+    """The family at the given S > 0, in their order, at tolerance 1e-12."""
+    asked = tuple(float(value) for value in np.unique(np.minimum([*S, *case.at], case.at[-1])))
+    exact = FamilyCase(case.sites, asked)
+    family = our_family(exact, 1e-12, {"corrector": "newton"}, True)()
+    assert family.multiplier is not None
+    index = [int(np.argmin(abs(family.S - value))) for value in S]
+    return Family(family.S[index], family.Omega[index], family.multiplier[index])

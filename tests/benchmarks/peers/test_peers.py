@@ -1,0 +1,141 @@
+"""The same family by this package, AUTO-07p and scipy's solve_bvp, side by side in one run; errors asserted, not times.
+
+Run with `pytest -m benchmark -s tests/benchmarks/peers`, one thread (OMP_NUM_THREADS=1). Peers that are not installed
+are skipped. All follow j = 1, g = -1 from the linear mode to S = 3 with points exactly at S = 0.2, 1 and 3; errors are
+taken at every point, against this package at tolerance 1e-12, itself held to digits computed elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import auto_family
+import numpy as np
+import pytest
+import solve_bvp_family
+from auto_equations import Formulation
+from family_case import Family, FamilyCase, Timed, timed
+from our_family import VARIANTS, our_family, reference
+
+pytestmark = pytest.mark.benchmark
+
+REPEATS = 5
+UNSTABLE = 1.01  # largest |multiplier| from which its error is compared: nearer 1 it is the root of that of the flow
+OUR_TOLERANCE = 1e-8
+HEADING = (
+    f"{'program':<46} {'points':>6} {'family, ms':>11} {'a point':>8} {'solves':>7}   "
+    "Omega at S = 0.2, 1, 3, worst             multiplier at 3, worst"
+)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of Omega at the S asked for and the worst of all points; the same of the largest |multiplier| at the last S."""
+
+    Omega: tuple[float, ...]
+    worst: float
+    multiplier: float | None
+    worst_multiplier: float | None
+
+
+def errors(case: FamilyCase, family: Family) -> Errors:
+    moving = family.S > 1e-9  # the linear mode itself is no point of comparison
+    exact = reference(case, family.S[moving])
+    assert exact.multiplier is not None
+    of_omega = family.Omega[moving] - exact.Omega
+    asked = [int(np.argmin(abs(exact.S - S))) for S in case.at]
+    assert max(abs(family.S[moving][asked] - case.at)) < 1e-6, "left the family"
+    at = tuple(float(of_omega[i]) for i in asked)
+    if family.multiplier is None:
+        return Errors(at, float(max(abs(of_omega))), None, None)
+    of_multiplier = family.multiplier[moving] - exact.multiplier
+    worst = float(max(abs(of_multiplier[exact.multiplier > UNSTABLE])))
+    return Errors(at, float(max(abs(of_omega))), float(of_multiplier[asked[-1]]), worst)
+
+
+@dataclass
+class Table:
+    """Rows in the order in which they were measured."""
+
+    case: FamilyCase
+    lines: list[str] = field(default_factory=list)
+
+    def add(self, name: str, follow: Callable[[], Family], repeats: int = REPEATS) -> Errors:
+        measured = timed(follow, repeats)
+        found = errors(self.case, measured.family)
+        self.lines.append(self.line(name, measured, found))
+        print(f"\n{self.lines[-1]}")
+        return found
+
+    @staticmethod
+    def line(name: str, measured: Timed, found: Errors) -> str:
+        milliseconds = 1e3 * np.array(measured.seconds)
+        points, least = len(measured.family.S), float(milliseconds.min())
+        spread = f"{least:.0f}-{milliseconds.max():.0f}"
+        at = " ".join(f"{value:8.1e}" for value in (*found.Omega, found.worst))
+        text = f"{name:<46} {points:>6} {spread:>11} {least / points:>8.1f} {1e-3 * least / measured.unit:>7.0f}   {at}"
+        if found.multiplier is None:
+            return text
+        return f"{text}   {found.multiplier:8.1e} {found.worst_multiplier:8.1e}"
+
+
+@pytest.fixture(scope="module", params=[24, 48], ids=["N24", "N48"])
+def table(request: pytest.FixtureRequest) -> Iterator[Table]:
+    """One table for each length of the chain, printed when all programs have been through it."""
+    table = Table(FamilyCase(request.param))
+    yield table
+    print(
+        "\n\n"
+        + "\n".join(
+            [
+                f"N = {request.param}, {REPEATS} repeats, least-most; a point and solves of the least",
+                HEADING,
+                *table.lines,
+            ]
+        )
+    )
+
+
+def test_reference_against_digits_computed_elsewhere() -> None:
+    case = FamilyCase()
+    exact = reference(case, np.array(case.at))
+    assert exact.multiplier is not None
+    assert exact.Omega == pytest.approx([1.036393147166972, 1.018532435491958, 0.765958900020734], rel=1e-13)
+    assert exact.multiplier[1:] == pytest.approx([1.171275734790, 1.2016342572], abs=2e-10)
+
+
+@pytest.mark.parametrize("stability", [False, True], ids=["without", "with"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_ours(table: Table, name: str, stability: bool) -> None:
+    follow = our_family(table.case, OUR_TOLERANCE, VARIANTS[name], stability)
+    found = table.add(f"{name}, {OUR_TOLERANCE:g}{', multipliers' if stability else ''}", follow)
+    assert found.worst < 1e-8
+    assert found.worst_multiplier is None or found.worst_multiplier < 1e-7
+
+
+@pytest.mark.parametrize("formulation", Formulation, ids=lambda value: value.name.lower())
+def test_auto(table: Table, formulation: Formulation, tmp_path: Path) -> None:
+    if message := auto_family.missing():
+        pytest.skip(message)
+    program = auto_family.AutoProgram(tmp_path, table.case, formulation)
+    settings = auto_family.BEST[formulation]
+    found = table.add(f"AUTO-07p, {formulation.value}", lambda: program.follow(settings))
+    assert found.worst < 3e-8
+    assert found.worst_multiplier is None or found.worst_multiplier < 1e-6
+
+
+@pytest.mark.parametrize("name", solve_bvp_family.BEST)
+def test_solve_bvp(table: Table, name: str) -> None:
+    walk = solve_bvp_family.BvpWalk(table.case, solve_bvp_family.BEST[name])
+    found = table.add(f"solve_bvp, {name}", lambda: walk.family(multipliers=False), 3)
+    assert found.worst < 3e-8
+
+
+def test_solve_bvp_with_multipliers(table: Table) -> None:
+    settings = solve_bvp_family.BEST["S, longest steps"]
+    walk = solve_bvp_family.BvpWalk(table.case, settings)
+    found = table.add("solve_bvp and solve_ivp, S, longest steps", lambda: walk.family(multipliers=True), 3)
+    assert found.worst < 3e-8
+    assert abs(found.multiplier or 0.0) < 2e-7

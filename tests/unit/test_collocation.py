@@ -1,0 +1,298 @@
+"""Collocation on a mesh that moves: Radau tables and order, meshes as constants, and what their placement saves."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import mpmath as mp
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from casadi_skin import Branch, Chain, Orbit
+from casadi_skin.bvp import mesh
+from casadi_skin.bvp.butcher import gauss_table, radau_table
+from casadi_skin.bvp.collocation import CollocationProblem
+from casadi_skin.bvp.gauss import GaussProblem
+from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.radau import RadauProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.correctors.ipopt import IpoptCorrector
+from casadi_skin.correctors.newton import NewtonCorrector
+from casadi_skin.families.follow import FamilyWalk
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
+from casadi_skin.theory.duffing import duffing_frequency
+
+Array = NDArray[np.float64]
+QUARTER, FULL = SymmetryClass.QUARTER, SymmetryClass.FULL
+KINDS = [GaussProblem, RadauProblem]
+
+
+def lengths_of(intervals: int, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).dirichlet(8.0 * np.ones(intervals))
+
+
+def solved(problem: CollocationProblem, chain: Chain, mode: int, kappa: float, steps: int) -> Array:
+    """The orbit at kappa = g S, from the linear mode in equal steps."""
+    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
+    z = problem.pack(q / np.sqrt(chain.weights @ q**2), chain.linear_frequency(mode), 0.0)
+    for value in np.linspace(0.0, kappa, steps + 1)[1:]:
+        correction = NewtonCorrector(problem).correct(z, problem.parameter_row(), value)
+        assert correction.converged, correction.status
+        z = correction.z
+    return z
+
+
+# Radau tables -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degree", range(1, 13))
+def test_radau_table_agrees_with_forty_digits(degree: int) -> None:
+    table = radau_table(degree)
+    assert table.degree == degree
+    assert table.extended.shape == (degree, degree)
+    assert table.nodes[-1] == table.ends[-1] == 1.0
+    with mp.workdps(40):
+        polynomial = lambda s: mp.legendre(degree, s) - mp.legendre(degree - 1, s)  # noqa: E731
+        nodes = [(mp.findroot(polynomial, mp.mpf(2 * float(c) - 1)) + 1) / 2 for c in table.nodes[:-1]] + [mp.mpf(1)]
+        assert max(abs(mp.mpf(float(c)) - exact) for c, exact in zip(table.nodes, nodes, strict=True)) < 3e-16
+        for j in range(degree):
+            lagrange = [mp.mpf(1)]  # coefficients, constant first
+            for k in set(range(degree)) - {j}:
+                shifted, scaled = [mp.mpf(0), *lagrange], [nodes[k] * a for a in lagrange] + [mp.mpf(0)]
+                lagrange = [(a - b) / (nodes[j] - nodes[k]) for a, b in zip(shifted, scaled, strict=True)]
+            for i, end in enumerate(nodes):
+                exact = sum(a * end ** (n + 1) / (n + 1) for n, a in enumerate(lagrange))
+                assert abs(mp.mpf(float(table.extended[i, j])) - exact) < 1e-15
+
+
+def test_the_known_radau_method_of_two_stages() -> None:
+    table = radau_table(2)
+    np.testing.assert_allclose(table.extended, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-15)
+    np.testing.assert_allclose(table.nodes, [1 / 3, 1.0], rtol=1e-15)
+    assert gauss_table(2).ends[-1] == 1.0
+    assert gauss_table(2).extended.shape == (3, 2)
+
+
+@pytest.mark.parametrize("symmetry", [QUARTER, FULL])
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_radau_converges_with_one_order_less_than_twice_the_degree(degree: int, symmetry: SymmetryClass) -> None:
+    chain, S = Chain(1, 1.0, 0.0, 1.0), 2.0
+    exact = duffing_frequency(3.0, 1.0, np.sqrt(S))
+    first = {2: 6, 3: 3, 4: 2}[degree] * round(4 * symmetry.value)
+    errors, damping = [], []
+    for intervals in (first, 2 * first, 4 * first):
+        problem = RadauProblem(chain.gauge_model(), intervals, symmetry, degree)
+        z = solved(problem, chain, 1, S, steps=2)
+        errors.append(abs(z[problem.Omega_index] - exact))
+        if symmetry is FULL:
+            damping.append(abs(z[problem.damping_index]))
+    assert errors[-1] > 1e-13  # truncation, not round-off, is what is seen
+    orders = [np.log2(a / b) for a, b in pairwise(errors)]
+    # On the full period the damping takes the error of odd order, and what is left of Omega is smaller.
+    expected = 2 * degree - 1 if symmetry is QUARTER else 2 * degree
+    assert orders[-1] == pytest.approx(expected, abs=0.5)
+    if symmetry is FULL:
+        assert np.log2(damping[-2] / damping[-1]) == pytest.approx(2 * degree - 1, abs=0.5)
+
+
+# A mesh as constants ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("symmetry", SymmetryClass)
+def test_jacobian_agrees_with_finite_differences_on_an_uneven_mesh(
+    kind: type[CollocationProblem], symmetry: SymmetryClass
+) -> None:
+    even = kind(Chain(2, 0.8, 0.3, 1.0).gauge_model(), 3, symmetry, degree=2)  # type: ignore[arg-type,call-arg]
+    problem = even.with_constants(lengths_of(3))
+    z = np.random.default_rng(1).normal(size=problem.size)
+    z[problem.Omega_index] = 1.3
+    found = np.zeros((problem.size - 1, problem.size))
+    np.add.at(found, problem.pattern, problem.evaluate(z)[1])
+    columns = []
+    for unit in np.eye(problem.size):
+        near, far = (
+            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
+        )
+        columns.append((4 * near - far) / 3)
+    expected = np.stack(columns, axis=1)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-10 * np.abs(expected).max())
+
+
+def test_problems_that_differ_in_their_mesh_share_what_was_built_and_keep_their_own_numbers() -> None:
+    even = GaussProblem(Chain(3, 1.0, 0.2, 1.0).gauge_model(), 4, QUARTER, degree=3)
+    uneven = even.with_constants(lengths_of(4))
+    z = np.random.default_rng(0).normal(size=even.size)
+    before = even.evaluate(z)
+    other = uneven.evaluate(z)
+    assert uneven.function is even.function
+    assert uneven.pattern is even.pattern
+    np.testing.assert_array_equal(even.evaluate(z)[0], before[0])
+    assert np.abs(other[0] - before[0]).max() > 1e-3
+    fresh = GaussProblem(even.model, 4, QUARTER, degree=3)
+    fresh.constants = lengths_of(4)
+    np.testing.assert_array_equal(fresh.evaluate(z)[1], other[1])
+    with pytest.raises(ValueError, match="constants: given 3; accepted: 4"):
+        even.with_constants(lengths_of(3))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("symmetry", SymmetryClass)
+def test_an_uneven_mesh_finds_the_same_orbit(kind: type[CollocationProblem], symmetry: SymmetryClass) -> None:
+    chain = Chain(3, 1.0, 0.3, -1.0)
+    even = kind(chain.gauge_model(), round(12 * symmetry.value), symmetry, degree=8)  # type: ignore[arg-type,call-arg]
+    uneven = even.with_constants(lengths_of(even.resolution))
+    one, other = (solved(p, chain, 1, -1.0, 4) for p in (even, uneven))
+    assert other[even.Omega_index] == pytest.approx(one[even.Omega_index], rel=1e-11)
+    theta = np.random.default_rng(3).uniform(-9, 9, 40)
+    np.testing.assert_allclose(uneven.sample(other, theta), even.sample(one, theta), atol=2e-6)
+
+
+@pytest.mark.parametrize("make", [NewtonCorrector, IpoptCorrector])
+def test_a_corrector_built_once_serves_every_mesh(make: type[NewtonCorrector | IpoptCorrector]) -> None:
+    chain = Chain(2, 1.0, 0.3, 1.0)
+    even = GaussProblem(chain.gauge_model(), 3, QUARTER, degree=4)
+    uneven = even.with_constants(lengths_of(3))
+    corrector = make(even)
+    guess = solved(uneven, chain, 1, 0.5, 2)
+    for problem in (uneven, even, uneven):
+        correction = corrector.on(problem).correct(guess, problem.parameter_row(), 0.6)
+        assert correction.converged
+        assert problem.relative_residual(correction.z) < 1e-13
+    assert corrector.problem is even
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_refined_mesh_holds_the_polynomials_of_the_coarse_one(kind: type[CollocationProblem]) -> None:
+    model = Chain(2, 1.0, 0.3, 1.0).gauge_model()
+    coarse = kind(model, 3, QUARTER, degree=3).with_constants(lengths_of(3))  # type: ignore[arg-type,call-arg]
+    fine = coarse.transferred(kind(model, 6, QUARTER, degree=3))  # type: ignore[arg-type,call-arg]
+    np.testing.assert_allclose(fine.constants, np.repeat(coarse.constants / 2, 2), rtol=1e-12)
+    z = np.random.default_rng(1).normal(size=coarse.size)
+    theta = np.random.default_rng(2).uniform(0, np.pi / 2, 30)
+    expected = coarse.sample(z, theta)
+    np.testing.assert_allclose(fine.sample(coarse.prolong(z, fine), theta), expected, atol=1e-11)
+
+
+# Placement along a branch -------------------------------------------------------------------------------------------
+
+
+def followed(tools: FamilyTools) -> Branch:
+    walk = FamilyWalk(tools)
+    list(walk)
+    return walk.branch()
+
+
+def never_placed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes stay even; resolutions go up and down as ever."""
+    monkeypatch.setattr(CollocationProblem, "imbalance", lambda *_: 1.0)
+    monkeypatch.setattr(CollocationProblem, "expected_error", OrbitProblem.expected_error)
+
+
+@pytest.mark.parametrize(("kind", "most"), [("gauss", 0.55), ("radau", 0.55)])
+def test_placing_saves_intervals_where_the_orbit_rests_for_long(
+    kind: str, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One softening site next to the top of its well, S = 3, where it stays for most of the period."""
+    request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.9999999, (), 1e-8, kind, "newton", degree=8)
+    placed = followed(FamilyTools(request))
+    never_placed(monkeypatch)
+    even = followed(FamilyTools(request))
+    assert placed.complete
+    assert even.complete
+    sizes = [branch.orbits[-1].point.problem.resolution for branch in (placed, even)]
+    assert sizes[0] <= most * sizes[1]
+    assert placed.orbits[-1].point.error.profile <= 1e-8
+    assert placed.orbits[-1].Omega == pytest.approx(duffing_frequency(3.0, -1.0, np.sqrt(2.9999999)), rel=1e-6)
+    lengths = placed.orbits[-1].point.problem.constants
+    assert np.max(lengths) > 3.0 * np.min(lengths)
+
+
+def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
+    request = FamilyRequest(Chain(4, 1.0, 0.4, 1.0), 2, 3.0, (), 1e-8, "gauss", "newton")
+    placed = followed(FamilyTools(request))
+    never_placed(monkeypatch)
+    even = followed(FamilyTools(request))
+    assert len(placed) <= len(even) + 1
+    totals = [sum(o.point.problem.resolution for o in branch.orbits) for branch in (placed, even)]
+    assert totals[0] <= totals[1]
+    assert placed.at(2.0).Omega == pytest.approx(even.at(2.0).Omega, rel=1e-10)
+
+
+def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
+    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.99999, (), 1e-8, "gauss", "newton"))
+    point = followed(tools).orbits[-1].point
+    problem = point.problem
+    even = tools.ladder.problem(problem.resolution)
+    z = problem.prolong(point.z, even)
+    assert even.imbalance(z) > 1.3 > problem.imbalance(point.z)
+    correction = tools.ladder.corrector(even).correct(z, even.parameter_row(), point.parameter)
+    assert tools.ladder.error(even, correction.z).relative(point.Omega) > 1e-8
+    found = tools.locator.refined(even, correction, -even.parameter_row(), held=True)
+    assert found is not None
+    assert found.problem.resolution == problem.resolution
+    assert found.error.relative(found.Omega) <= 1e-8
+
+
+def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off() -> None:
+    request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.9999, (2.0,), 1e-8, "gauss", "newton")
+    whole = [o for o in FamilyWalk(FamilyTools(request)) if isinstance(o, Orbit)]
+    meshes = {o.point.problem.constants.tobytes() for o in whole}
+    assert len(meshes) > 3  # it did move
+    records = [msgspec.msgpack.encode(orbit_record(o, with_stability=False)) for o in whole]
+    for kept in (len(whole) // 2, len(whole) - 3):
+        while not whole[kept - 1].point.walked:
+            kept -= 1
+        known = [msgspec.msgpack.decode(r, type=OrbitRecord) for r in records[:kept]]
+        walk = restore(known, FamilyTools(request), stability=False, events=False)
+        assert isinstance(walk, FamilyWalk)
+        list(walk)
+        again = walk.branch().orbits
+        assert len(again) == len(whole)
+        for one, other in zip(again, whole, strict=True):
+            np.testing.assert_array_equal(one.point.z, other.point.z)
+            np.testing.assert_array_equal(one.point.problem.constants, other.point.problem.constants)
+
+
+# Asked for by name --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["gauss", "radau"])
+@pytest.mark.parametrize("degree", [2, 4, 11])
+def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
+    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, (), 1e-4, kind, "newton", degree=degree))
+    branch = followed(tools)
+    assert branch.complete
+    problem = branch.orbits[-1].point.problem
+    assert isinstance(problem, GaussProblem if kind == "gauss" else RadauProblem)
+    assert problem.degree == degree
+    assert branch.orbits[-1].Omega == pytest.approx(duffing_frequency(3.0, -1.0, np.sqrt(2.0)), rel=1e-4)
+
+
+def test_degrees_that_make_no_sense_are_refused() -> None:
+    chain = Chain(1, 1.0, 0.0, -1.0)
+    for degree in (1, 13, 2.5):
+        with pytest.raises(ValueError, match="degree: given .*; accepted: a whole number from 2 to 12"):
+            FamilyRequest(chain, 1, 1.0, transcription="radau", degree=degree)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="degree: given 4; accepted: with gauss or radau only"):
+        FamilyRequest(chain, 1, 1.0, degree=4)
+
+
+@pytest.mark.parametrize(("tolerance", "degree"), [(1e-2, 4), (1e-4, 5), (1e-8, 8), (1e-12, 11), (1e-13, 12)])
+def test_the_degree_left_out_goes_with_the_tolerance(tolerance: float, degree: int) -> None:
+    for kind in ("gauss", "radau"):
+        request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 1.0, tolerance=tolerance, transcription=kind)
+        assert request.collocation_degree == degree
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
+def test_radau_is_within_its_estimate_of_odd_cosines(tolerance: float) -> None:
+    chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
+    branch = followed(FamilyTools(FamilyRequest(chain, 1, 1.5, at, tolerance, "radau", "newton")))
+    exact = followed(FamilyTools(FamilyRequest(chain, 1, 1.5, at, 1e-12, corrector="newton")))
+    for S in at:
+        assert abs(branch.at(S).Omega - exact.at(S).Omega) <= branch.at(S).Omega_error + exact.at(S).Omega_error
+        assert branch.at(S).Omega_error <= tolerance * branch.at(S).Omega

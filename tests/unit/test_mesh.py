@@ -1,0 +1,109 @@
+"""Placement of intervals: equidistribution of a known density, limits on lengths, and layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from casadi_skin.bvp import mesh
+
+Array = NDArray[np.float64]
+
+
+def interpolants(u: Callable[[Array], Array], lengths: Array, degree: int) -> tuple[Array, float]:
+    """Leading coefficients of polynomials through Chebyshev nodes of each interval, and the largest error between."""
+    s = 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    fine = np.linspace(0.0, 1.0, 101)
+    leading, error = [], 0.0
+    for start, h in zip(mesh.edges(lengths)[:-1], lengths, strict=True):
+        polynomial = np.polyfit(s, u(start + h * s), degree)
+        leading.append([polynomial[0]])
+        error = max(error, float(np.abs(np.polyval(polynomial, fine) - u(start + h * fine)).max()))
+    return np.array(leading), error
+
+
+def adapted(u: Callable[[Array], Array], intervals: int, degree: int, rounds: int) -> Array:
+    lengths = mesh.uniform(intervals)
+    for _ in range(rounds):
+        wanted = mesh.density(lengths, interpolants(u, lengths, degree)[0], degree)
+        lengths = mesh.equidistributed(lengths, wanted, intervals)
+    return lengths
+
+
+@pytest.mark.parametrize("intervals", [1, 3, 7, 20])
+def test_intervals_hold_equal_parts_of_the_density(intervals: int) -> None:
+    random = np.random.default_rng(intervals)
+    lengths, wanted = random.dirichlet(np.ones(9)), random.uniform(0.5, 5.0, 9)
+    placed = mesh.equidistributed(lengths, wanted, intervals)
+    assert placed.shape == (intervals,)
+    assert np.sum(placed) == pytest.approx(1.0, abs=1e-15)
+    # The integral of the density up to each edge, added up by hand on a grid of all edges.
+    ends = np.union1d(mesh.edges(lengths), mesh.edges(placed))
+    middles = 0.5 * (ends[1:] + ends[:-1])
+    values = wanted[np.searchsorted(mesh.edges(lengths), middles) - 1]
+    total = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
+    parts = np.diff(np.interp(mesh.edges(placed), ends, total))
+    np.testing.assert_allclose(parts, total[-1] / intervals, rtol=1e-12)
+    assert mesh.imbalance(lengths, 1.0 / lengths) == pytest.approx(1.0)
+    assert mesh.imbalance(lengths, wanted) == pytest.approx(np.max(lengths * wanted) / np.mean(lengths * wanted))
+
+
+def test_twice_the_number_divides_each_interval_in_halves() -> None:
+    lengths = np.random.default_rng(0).dirichlet(np.ones(6))
+    np.testing.assert_allclose(mesh.resampled(lengths, 12), np.repeat(lengths / 2, 2), rtol=1e-12)
+    np.testing.assert_allclose(mesh.resampled(lengths, 6), lengths, rtol=1e-12)
+    np.testing.assert_allclose(mesh.resampled(mesh.uniform(4), 6), np.full(6, 1 / 6), rtol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [2, 5])
+def test_the_density_is_the_root_of_the_next_derivative(degree: int) -> None:
+    """exp(c x): the derivative of order d + 1 is proportional to exp(c x), its root to exp(c x/(d + 1))."""
+    K, c = 32, 6.0
+    lengths = mesh.uniform(K)
+    wanted = mesh.density(lengths, interpolants(lambda x: np.exp(c * x), lengths, degree)[0], degree)
+    middles = (np.arange(K) + 0.5) / K
+    expected = np.exp(c * middles / (degree + 1))
+    inner = slice(1, -1)  # at the ends the difference is one-sided
+    ratio = (wanted / expected)[inner]
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.03)
+
+
+def test_the_density_does_not_depend_on_the_size_of_the_function() -> None:
+    lengths = np.random.default_rng(1).dirichlet(5 * np.ones(10))
+    leading = interpolants(lambda x: np.tanh(5 * x - 2), lengths, 3)[0]
+    one, other = (mesh.density(lengths, factor * leading, 3) for factor in (1.0, 1e-9))
+    np.testing.assert_allclose(one / one.mean(), other / other.mean(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("leading", [np.zeros((5, 2)), 1e-16 * np.random.default_rng(0).normal(size=(5, 2))])
+def test_nothing_but_noise_wants_an_even_mesh(leading: Array) -> None:
+    lengths = np.array([0.1, 0.3, 0.2, 0.1, 0.3])
+    wanted = mesh.density(lengths, leading, 4, noise=1e-15)
+    np.testing.assert_allclose(mesh.equidistributed(lengths, wanted, 5), 0.2, rtol=1e-12)
+    assert mesh.density(np.ones(1), np.ones((1, 2)), 4) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_a_boundary_layer_is_resolved_and_neighbours_stay_of_like_length(width: float) -> None:
+    """u = exp(-x/width) on forty intervals of degree 4; an even mesh does not see thin layers at all."""
+    degree, K = 4, 40
+    lengths = adapted(lambda x: np.exp(-x / width), K, degree, rounds=10)
+    ratios = lengths[1:] / lengths[:-1]
+    assert np.max(np.maximum(ratios, 1.0 / ratios)) < 1.3 * mesh.NEIGHBOURS
+    assert np.max(lengths) < 1.3 / (mesh.FLOOR * K)
+    placed, even = (interpolants(lambda x: np.exp(-x / width), h, degree)[1] for h in (lengths, mesh.uniform(K)))
+    assert placed < 3e-8
+    assert even > 1e4 * placed
+    assert width > 1e-3 or even > 0.1
+
+
+def test_a_layer_inside_draws_the_intervals_to_it() -> None:
+    lengths = adapted(lambda x: np.tanh((x - 0.3) / 0.01), 24, 5, rounds=8)
+    middles = mesh.edges(lengths)[:-1] + lengths / 2
+    assert np.argmin(lengths) in np.argsort(np.abs(middles - 0.3))[:6]
+    placed = interpolants(lambda x: np.tanh((x - 0.3) / 0.01), lengths, 5)[1]
+    even = interpolants(lambda x: np.tanh((x - 0.3) / 0.01), mesh.uniform(24), 5)[1]
+    assert placed < 0.02 * even

@@ -1,0 +1,67 @@
+"""Models read as polynomials: the terms give the values of the expression, and what is none is refused by name."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from casadi_skin import Chain
+from casadi_skin.models.polynomial import Monomials, NotPolynomialError, polynomial_terms
+
+
+def value(terms: tuple[Monomials, ...], x: NDArray[np.float64], p: float, size: int) -> NDArray[np.float64]:
+    total = np.zeros(size)
+    for m in terms:
+        np.add.at(total, m.rows, m.coefficients * p**m.power * np.prod(x[m.factors], axis=0))
+    return total
+
+
+@pytest.mark.parametrize("sites", [1, 2, 7])
+@pytest.mark.parametrize("gamma", [0.0, -0.4, 0.9])
+def test_the_chain_in_its_gauge(sites: int, gamma: float) -> None:
+    model = Chain(sites, 0.7, gamma, -1.0).gauge_model()
+    x, p = np.random.default_rng(1).normal(size=sites), -0.83
+    for expression, size in ((model.rhs, sites), (model.normalisation, 1)):
+        terms = polynomial_terms(expression, model.state, model.parameters)
+        exact = np.array(ca.Function("f", [model.state, model.parameters], [expression])(x, p)).ravel()
+        assert value(terms, x, p, size) == pytest.approx(exact, rel=1e-14, abs=1e-14)
+    force = polynomial_terms(model.rhs, model.state, model.parameters)
+    assert {(m.power, m.degree) for m in force} == {(0, 1), (1, 3)}
+
+
+def test_every_operation_that_keeps_a_polynomial() -> None:
+    x, p = ca.SX.sym("x", 3), ca.SX.sym("p")
+    expression = ca.vertcat(
+        (x[0] - 2 * x[1]) ** 3 * p**2 - x[2] / 4,
+        -((x[0] + x[1] * p) ** 2) + 5,
+        ca.dot(x, x) * x[1] + p,
+        (x[0] + 1) ** 5 - x[0] * p * x[1],
+    )
+    point, parameter = np.array([0.3, -1.1, 0.7]), 1.7
+    exact = np.array(ca.Function("f", [x, p], [expression])(point, parameter)).ravel()
+    assert value(polynomial_terms(expression, x, p), point, parameter, 4) == pytest.approx(exact, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda x, p: ca.sin(x[0]), "operation"),
+        (lambda x, p: x[0] / x[1], "division"),
+        (lambda x, p: ca.sqrt(x[0] * p), "operation"),
+        (lambda x, p: x[0] ** x[1], "power"),
+        (lambda x, p: ca.sum1(x) ** 8, "more than 64 terms"),
+    ],
+)
+def test_what_is_no_polynomial_is_refused(make, words: str) -> None:  # type: ignore[no-untyped-def]
+    x, p = ca.SX.sym("x", 6), ca.SX.sym("p")
+    with pytest.raises(NotPolynomialError, match=words):
+        polynomial_terms(make(x, p), x, p)
+
+
+def test_a_sum_of_many_terms_takes_time_in_proportion() -> None:
+    model = Chain(3000, 1.0, 0.0, 1.0).gauge_model()
+    (constant, squares) = polynomial_terms(model.normalisation, model.state, model.parameters)
+    assert constant.coefficients == pytest.approx([-1.0])
+    assert squares.rows.size == 3000
