@@ -185,7 +185,7 @@ class OrbitProblem(ABC):
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the relative metric |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
         weights = np.ones(self.size)
-        weights[: self.states] = 1.0 / np.sum(z[: self.states] ** 2)
+        weights[: self.states] = 1.0 / (z[: self.states] @ z[: self.states])
         weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
         weights[self.parameter_index] = 1.0 / parameter_scale**2
         return weights

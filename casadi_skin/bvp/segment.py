@@ -18,7 +18,7 @@ from casadi_skin.models.ode import OdeModel
 FAR = 1e20
 SENSITIVITY_DIGITS = 8  # Newton's steps then err by 1e-6 of themselves, and cost a quarter of those with 13 digits
 TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls
-MAX_STEPS = 20_000  # in one segment; a few hundred are usual
+MAX_STEPS = 5_000  # in one segment: ten times what steep orbits need with 14 digits
 
 Evaluation = Callable[[ca.DM, ca.DM], list[ca.DM]]
 

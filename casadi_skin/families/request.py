@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-DIGITS = (9, 11, 13, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
 SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit
-from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import gauss_table, radau_table
 from casadi_skin.bvp.collocation import CollocationProblem
 from casadi_skin.bvp.gauss import GaussProblem
@@ -275,7 +274,7 @@ def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
 def test_degrees_that_make_no_sense_are_refused() -> None:
     chain = Chain(1, 1.0, 0.0, -1.0)
     for degree in (1, 13, 2.5):
-        with pytest.raises(ValueError, match="degree: given .*; accepted: a whole number from 2 to 12"):
+        with pytest.raises(ValueError, match=r"degree: given .*; accepted: a whole number from 2 to 12"):
             FamilyRequest(chain, 1, 1.0, transcription="radau", degree=degree)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="degree: given 4; accepted: with gauss or radau only"):
         FamilyRequest(chain, 1, 1.0, degree=4)

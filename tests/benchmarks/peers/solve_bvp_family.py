@@ -25,16 +25,16 @@ class BvpSettings:
     tol: float
     nodes: int
     step: float
+    first: float = 0.05  # step
     arclength: bool = False
     memory: int = 4  # solutions that the guess is extrapolated from
 
 
 # Found by trying, for an Omega good to about 1e-8. solve_bvp never coarsens a mesh, so that one bad guess is paid for
-# to the end: the first mesh is nearly fine enough, and longer steps than these are dearer or leave the family (steps
-# of 1 in S: 1313 nodes, another orbit at S = 3, no failure reported).
+# to the end: the first mesh is nearly fine enough, and longer steps than these are dearer.
 BEST = {
-    "S, longest steps": BvpSettings(tol=5e-6, nodes=61, step=0.4),
-    "S, steps of 0.1": BvpSettings(tol=5e-6, nodes=61, step=0.1),
+    "S, longest steps": BvpSettings(tol=5e-6, nodes=61, step=0.6),
+    "S, steps to 0.1": BvpSettings(tol=5e-6, nodes=61, step=0.1),
     "arclength": BvpSettings(tol=5e-6, nodes=61, step=0.5, arclength=True),
 }
 
@@ -131,10 +131,15 @@ class BvpWalk:
         return np.vstack((mode * np.cos(angle), -omega * mode * np.sin(angle)))
 
     def solve(self, problem: Quarter, x: Array, guess: Array, p: list[float]) -> Orbit | None:
-        """One call of solve_bvp; None where it fails."""
+        """One call of solve_bvp; None where it fails.
+
+        After the first, a mesh that would grow by more than a quarter is a failure: the guess was bad, and solve_bvp
+        tends to go on to another orbit on a thousand nodes without saying so.
+        """
+        most = int(1.25 * len(x)) + 8 if self.orbits else 2000
         found = solve_bvp(
             problem.rhs, problem.boundary, x, guess, p, tol=self.settings.tol, bc_tol=1e-2 * self.settings.tol,
-            fun_jac=problem.rhs_jacobian, bc_jac=problem.boundary_jacobian, max_nodes=2000,
+            fun_jac=problem.rhs_jacobian, bc_jac=problem.boundary_jacobian, max_nodes=most,
         )  # fmt: skip
         if found.status != 0:
             return None
@@ -158,37 +163,41 @@ class BvpWalk:
         self.orbits.append(first)
 
     def by_S(self) -> None:
-        """S given: equal steps between the S asked for, halved where solve_bvp fails."""
+        """S given: steps that grow by half, up to the longest, halved where solve_bvp fails."""
+        step = self.settings.first
         for wanted in self.case.at:
             while (here := self.orbits[-1].S) < wanted:
-                steps = int(np.ceil((wanted - here) / self.settings.step - 1e-9))
-                step = (wanted - here) / steps
-                while (orbit := self.at_S(wanted if step >= wanted - here else here + step)) is None:
-                    step *= 0.5
-                    if step < 1e-4:
-                        raise RuntimeError(f"no convergence beyond S = {here}")
+                parts = int(np.ceil((wanted - here) / step - 1e-9))
+                if (orbit := self.at_S(wanted if parts == 1 else here + (wanted - here) / parts)) is None:
+                    step = self.halved(step)
+                    continue
                 self.orbits.append(orbit)
+                step = min(1.5 * step, self.settings.step)
+
+    def halved(self, step: float) -> float:
+        """Half the step; RuntimeError where it is too short to go on."""
+        if step < 1e-4:
+            raise RuntimeError(f"no convergence beyond S = {self.orbits[-1].S}")
+        return 0.5 * step
 
     def vector(self, orbit: Orbit) -> Array:
         """What the arclength is measured in: q(0), tau and S."""
         return np.concatenate((orbit.at(np.array([0.0]))[: self.case.sites, 0], [orbit.tau, orbit.S]))
 
     def by_arclength(self) -> None:
-        """Arclength given; at the S asked for, S."""
+        """Arclength given, steps as for S; at the S asked for, S."""
+        step = self.settings.first
         self.orbits.append(self.required(self.at_S(0.02)))
         for wanted in self.case.at:
             while True:
-                before, here = self.orbits[-2], self.orbits[-1]
-                chord = self.vector(here) - self.vector(before)
-                row = chord / np.linalg.norm(chord)
-                step = self.settings.step
-                while (orbit := self.along(row, step)) is None:
-                    step *= 0.5
-                    if step < 1e-4:
-                        raise RuntimeError(f"no convergence beyond S = {here.S}")
+                chord = self.vector(self.orbits[-1]) - self.vector(self.orbits[-2])
+                if (orbit := self.along(chord / np.linalg.norm(chord), step)) is None:
+                    step = self.halved(step)
+                    continue
                 if wanted <= orbit.S:
                     break
                 self.orbits.append(orbit)
+                step = min(1.5 * step, self.settings.step)
             self.orbits.append(self.required(self.at_S(wanted)))
 
     def required(self, orbit: Orbit | None) -> Orbit:

@@ -1,0 +1,136 @@
+"""Resolution along a branch: up and down with the orbit, and what round-off leaves when it is fine enough."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.continuation.locating import Locator
+from casadi_skin.families.follow import FamilyWalk
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.theory.duffing import duffing_frequency
+
+
+@cache
+def followed(chain: Chain, mode: int, amplitude_max: float, tolerance: float, method: str = "trigonometric") -> Branch:
+    """A family followed once for all tests, by Newton."""
+    return follow_family(chain, mode, amplitude_max, tolerance=tolerance, transcription=method, corrector="newton")
+
+
+def exact_frequency(chain: Chain, S: float) -> float:
+    return duffing_frequency(2.0 + chain.alpha, chain.g, np.sqrt(S))
+
+
+# Resolution that follows the orbit ----------------------------------------------------------------------------------
+
+# Needs most harmonics about the folds and fewer after them, found by search.
+HARDEST_AMID = (Chain(2, 0.808, 0.65, -1.0), 1, 3.3)
+
+
+@pytest.mark.parametrize("method", ["trigonometric", "gauss"])
+def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method: str) -> None:
+    chain, mode, amplitude_max = HARDEST_AMID
+    branch = followed(chain, mode, amplitude_max, 1e-8, method=method)
+    assert branch.complete
+    rungs = np.array([o.point.problem.resolution for o in branch.orbits])
+    assert rungs[0] < rungs.max()
+    assert rungs[-1] < rungs.max()
+    for orbit in branch.orbits:
+        assert orbit.point.error.relative(orbit.Omega) <= 1e-8
+    changes = np.diff(rungs)
+    down_and_up = np.count_nonzero((changes[:-1] < 0) & (changes[1:] > 0))
+    assert np.count_nonzero(changes < 0) >= 1
+    assert down_and_up <= 1
+
+
+def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, mode, amplitude_max = HARDEST_AMID
+    branch = followed(chain, mode, amplitude_max, 1e-8)
+    monkeypatch.setattr(Locator, "lighter", lambda _, point: point.problem)
+    other = follow_family(chain, mode, amplitude_max, tolerance=1e-8, corrector="newton")
+    sums = [sum(o.point.problem.resolution for o in b.orbits) for b in (branch, other)]
+    assert sums[0] < sums[1]
+    assert branch.Omega[-1] == pytest.approx(other.Omega[-1], rel=1e-8)
+
+
+def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> None:
+    branch = followed(Chain(6, 1.0, 0.4, -1.0), 1, 2.0, 1e-12)
+    ladder = branch.tools.ladder
+    ratios = []
+    for orbit in branch.orbits[len(branch) // 2 :: 3]:
+        point, coarser = orbit.point, ladder.problem(6)
+        expected = point.problem.expected_error(point.z, 1e-12, coarser)
+        correction = ladder.corrector(coarser).correct(
+            point.problem.prolong(point.z, coarser), coarser.parameter_row(), point.parameter
+        )
+        ratios.append(ladder.error(coarser, correction.z).relative(point.Omega) / expected)
+    assert min(ratios) > 0.1
+    assert max(ratios) < 3.0  # less than 1/COARSEN: or a coarser rung would be left as soon as it is tried
+
+
+def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been() -> None:
+    chain, mode, amplitude_max = HARDEST_AMID
+    branch = followed(chain, mode, amplitude_max, 1e-8)
+    rungs = [o.point.problem.resolution for o in branch.orbits]
+    kept = 1 + max(k for k in range(len(rungs) - 1) if rungs[k + 1] < rungs[k])  # just before the last step down
+    again = FamilyWalk(FamilyTools(branch.tools.request), orbits=branch.orbits[:kept])
+    list(again)
+    np.testing.assert_array_equal(again.branch().S, branch.S)
+    np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
+
+
+def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
+    request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 3, 1.0, (), 1e-4, "gauss", "newton", degree=2)
+    tools = FamilyTools(request)
+    start = tools.start
+    assert start.problem.resolution > tools.ladder.rungs[0]
+    step = tools.ladder.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
+    assert abs(step[start.problem.Omega_index]) < 1e-4 * start.Omega
+    assert FamilyTools(replace(request, transcription="trigonometric", degree=None)).start.problem.resolution == 4
+
+
+# Round-off ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (-1.0, 2.9), (0.5, 3.0)])
+@pytest.mark.parametrize("method", ["trigonometric", "gauss", "radau"])
+def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_of_round_off(
+    g: float, amplitude_max: float, method: str
+) -> None:
+    branch = followed(Chain(1, 1.0, 0.0, g), 1, amplitude_max, 1e-13, method=method)
+    assert branch.complete
+    for orbit in branch.orbits:
+        exact = exact_frequency(branch.tools.request.chain, orbit.S)
+        assert abs(orbit.Omega - exact) <= 1.2 * orbit.Omega_error + 1e-15 * exact
+        assert orbit.Omega_error >= 2e-15 * orbit.Omega
+        assert orbit.at_round_off == (orbit.point.error.relative(orbit.Omega) > 1e-13)
+
+
+@pytest.mark.parametrize("sites", [2, 10, 40])
+def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites: int) -> None:
+    """The same orbit on many rungs: they differ by round-off only, and by less than the estimates say."""
+    chain = Chain(sites, 0.9, 0.25, -1.0)
+    branch = followed(chain, 1, 0.8, 1e-12)
+    ladder, point = branch.tools.ladder, branch.orbits[-1].point
+    found, estimates = [], []
+    for harmonics in (14, 16, 20, 24, 28, 32, 40):
+        problem = ladder.problem(harmonics)
+        z = point.problem.prolong(point.z, problem)
+        z = ladder.corrector(problem).correct(z, problem.parameter_row(), point.parameter).z
+        found.append(z[problem.Omega_index] / point.Omega)
+        estimates.append(ladder.error(problem, z).Omega / point.Omega)
+    assert np.ptp(found) < 4e-15
+    assert np.ptp(found) <= 2.0 * min(estimates)
+
+
+def test_where_round_off_stands_in_the_way_the_orbit_says_so() -> None:
+    """Near the top of its well an oscillator's frequency is so sensitive that round-off is seen."""
+    branch = followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.99, 1e-13)
+    flags = [o.at_round_off for o in branch.orbits]
+    assert not any(flags[: len(flags) // 4])
+    assert flags[-1]
+    assert not any(o.at_round_off for o in followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.99, 1e-8).orbits)
