@@ -14,44 +14,27 @@ import numpy as np
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.fields import border_conditions, unfolded_field
+from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array, Indices, OrbitProblem, sparse_matrix
-from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, unfolded_phases
+from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.models.ode import OdeModel
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
 
-class CollocationProblem(OrbitProblem):
+class CollocationProblem(FirstOrderProblem):
     """Equations of K intervals with d stages; unknowns ordered in time: x_0, X_11 .. X_1d, x_1, ..., x_K.
 
-    `constants` are the lengths of the intervals relative to their sum. For the full period an unfolding parameter, the
-    coefficient of a damping that a conservative model does not have, makes the equations regular (Sepulchre and MacKay
-    1997; Munoz-Almaraz et al. 2003); it comes back as zero. The phase is where the model's normalisation is stationary
-    along the flow. Raises ValueError for missing symmetries.
+    `constants` are the lengths of the intervals relative to their sum. Raises ValueError for missing symmetries.
     """
 
     def __init__(self, model: OdeModel, intervals: int, symmetry: SymmetryClass, table: CollocationTable) -> None:
-        if model.parameters.numel() != 1 or model.normalisation is None:
-            raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
-        if symmetry is SymmetryClass.FULL and model.order == 1 and model.hamiltonian is None:
-            raise ValueError(f"{model.name}: the full period unfolds a conserved quantity; declare its hamiltonian")
-        self.model, self.resolution, self.symmetry, self.table = model, intervals, symmetry, table
-        self.degree = table.degree
-        self.pinned = pinned_components(model, symmetry)
+        super().__init__(model, intervals, symmetry)
+        self.table, self.degree = table, table.degree
         self.columns = intervals * table.ends.size + 1
         self.states = model.full_size * self.columns
-        self.unfolded = symmetry is SymmetryClass.FULL
         self.constants = mesh.uniform(intervals)
-
-    @property
-    def size(self) -> int:
-        return self.states + 2 + int(self.unfolded)
-
-    @property
-    def damping_index(self) -> int:
-        """Place of the unfolding parameter among the unknowns (full period only)."""
-        return self.states + 2
 
     # Equations ------------------------------------------------------------------------------------------------------
 
@@ -132,17 +115,9 @@ class CollocationProblem(OrbitProblem):
     # Values ---------------------------------------------------------------------------------------------------------
 
     def _phases(self) -> Array:
-        """Phases theta of the columns of unknowns, shape (columns,)."""
         starts = mesh.edges(self.constants)[:-1]
         inner = starts[:, None] + self.constants[:, None] * self.table.ends
         return self.symmetry.value * 2.0 * np.pi * np.concatenate([[0.0], inner.ravel()])
-
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        theta = self._phases()
-        state = np.outer(np.cos(theta), positions)
-        if self.model.order == 2:
-            state = np.hstack([state, np.outer(-Omega * np.sin(theta), positions)])
-        return np.concatenate([state.ravel(), [Omega, parameter], np.zeros(int(self.unfolded))])
 
     def _interpolate(self, z: Array, fractions: Array) -> Array:
         """Full states at fractions of the part of the period, shape (len(fractions), full_size)."""

@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.fields import border_conditions, unfolded_field
+from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.bvp.segment import SegmentFlow
-from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, unfolded_phases
+from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.correctors.bordered import SingularError
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 DIGITS = (3, 15)  # of CVODES' local tolerance
 SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
-PATH_TOLERANCE = 1e-12  # of the paths between the segments' ends
+PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
 PATHS = 4  # orbits whose paths are kept
 ROUNDING = 1e-13  # what rounding makes of CVODES' steps, relative to the largest state: measured with 14 and 15 digits
 
@@ -36,39 +37,23 @@ class ShootingError(SingularError):
     """The equations have no value: CVODES cannot follow a segment; the message tells what it returned."""
 
 
-class ShootingProblem(OrbitProblem):
+class ShootingProblem(FirstOrderProblem):
     """Equations of M segments of equal duration; unknowns ordered in time: x_0, x_1, ..., x_M.
 
-    `digits` of the local tolerance are the resolution; by default a quarter of the period has four segments. The full
-    period is unfolded as in collocation. `evaluate` raises ShootingError. Raises ValueError for missing symmetries and
-    for digits or segments out of range.
+    `digits` of the local tolerance are the resolution; by default a quarter of the period has four segments. `evaluate`
+    raises ShootingError. Raises ValueError for missing symmetries and for digits or segments out of range.
     """
 
     def __init__(self, model: OdeModel, digits: int, symmetry: SymmetryClass, segments: int | None = None) -> None:
-        if model.parameters.numel() != 1 or model.normalisation is None:
-            raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
-        if symmetry is SymmetryClass.FULL and model.order == 1 and model.hamiltonian is None:
-            raise ValueError(f"{model.name}: the full period unfolds a conserved quantity; declare its hamiltonian")
+        super().__init__(model, digits, symmetry)
         if not DIGITS[0] <= digits <= DIGITS[1]:
             raise ValueError(f"digits: given {digits}; accepted: {DIGITS[0]} to {DIGITS[1]}")
         self.segments = round(4 * symmetry.value) * SEGMENTS if segments is None else segments
         if self.segments < 1:
             raise ValueError(f"segments: given {segments}; accepted: a whole number >= 1")
-        self.model, self.resolution, self.symmetry = model, digits, symmetry
-        self.pinned = pinned_components(model, symmetry)
         self.states = model.full_size * (self.segments + 1)
-        self.unfolded = symmetry is SymmetryClass.FULL
         self.flow = SegmentFlow(model, digits)
         self._paths: dict[bytes, dict[int, OdeSolution]] = {}
-
-    @property
-    def size(self) -> int:
-        return self.states + 2 + int(self.unfolded)
-
-    @property
-    def damping_index(self) -> int:
-        """Place of the unfolding parameter among the unknowns (full period only)."""
-        return self.states + 2
 
     # Equations ------------------------------------------------------------------------------------------------------
 
@@ -110,12 +95,8 @@ class ShootingProblem(OrbitProblem):
 
     # Values ---------------------------------------------------------------------------------------------------------
 
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        theta = self.symmetry.value * 2.0 * np.pi * np.arange(self.segments + 1) / self.segments
-        state = np.outer(np.cos(theta), positions)
-        if self.model.order == 2:
-            state = np.hstack([state, np.outer(-Omega * np.sin(theta), positions)])
-        return np.concatenate([state.ravel(), [Omega, parameter], np.zeros(int(self.unfolded))])
+    def _phases(self) -> Array:
+        return self.symmetry.value * 2.0 * np.pi * np.arange(self.segments + 1) / self.segments
 
     def prolong(self, z: Array, finer: OrbitProblem) -> Array:
         assert isinstance(finer, ShootingProblem)

@@ -71,19 +71,29 @@ class Locator:
         distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
         return correction if distance <= self.settings.guard_distance * reach else None
 
-    def refined(self, problem: OrbitProblem, correction: Correction, row: Array, held: bool) -> Point | None:
+    def refined(
+        self,
+        problem: OrbitProblem,
+        correction: Correction,
+        row: Array,
+        held: bool,
+        known: tuple[Point, float] | None = None,
+    ) -> Point | None:
         """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
 
         `held` tells that `row` holds the parameter. Where most of the error is what the corrector left over, a Newton
         step and the corrector once more take it away; what stays after that, or what a finer rung does not lessen, is
-        round-off, and the point is kept with its estimate. Raises SingularError.
+        round-off, and the point is kept with its estimate. `known` is the correction's point and relative error, where
+        these have been found. Raises SingularError.
         """
         z, iterations, polished, placed = correction.z, correction.iterations, False, False
         coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
         while True:
             solve = self.factor(problem, z, row)
-            tangent = self.tangent(problem, z, solve)
-            point, relative = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
+            if known is None:
+                tangent = self.tangent(problem, z, solve)
+                known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
+            point, relative = known
             if point.at_round_off or relative <= self.settings.tolerance:
                 return point
             left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
@@ -103,11 +113,11 @@ class Locator:
                     return None
                 polished, placed, target, coarser = False, False, finer, (relative, point)
                 guess = problem.prolong(z, target)
-            row = self._closing(problem, target, guess, row, tangent, held)
+            row = self._closing(problem, target, guess, row, point.tangent, held)
             correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
             if not correction.converged:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
-            problem, z, iterations = target, correction.z, iterations + correction.iterations
+            problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
 
     def near(
         self, problem: OrbitProblem, correction: Correction, tangent: Array, row: Array, held: bool
@@ -115,7 +125,7 @@ class Locator:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
         point, relative = self._measured(problem, correction, tangent, held)
         finished = point.at_round_off or relative <= self.settings.tolerance
-        return point if finished else self.refined(problem, correction, row, held)
+        return point if finished else self.refined(problem, correction, row, held, (point, relative))
 
     def _measured(
         self, problem: OrbitProblem, correction: Correction, tangent: Array, held: bool

@@ -21,6 +21,8 @@ from casadi_skin.correctors.bordered import SingularError, Solve
 
 SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
+FAINT = 1e-7  # of the largest state: its square is round-off
+SPARSE = 2.0  # times the turn that a walk aims for which predicts each point from the last
 SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
 
 
@@ -66,18 +68,15 @@ class SeriesWalk:
         sign, count = float(np.sign(self.settings.parameter_max)), 0
         while count < self.settings.max_points:
             base = self.history[-1]
-            try:
-                stretch = self._stretch(base)
-            except SingularError as error:
-                self.end, self.detail = End.NO_STEP, str(error)
-                return
-            if stretch is None:
+            found = self._departure(base)
+            if found is None:
                 self.end = End.NO_STEP
                 return
+            base, stretch = found
             for point in self._points(base, stretch):
                 count += 1
                 if point.walked:
-                    self.history = (base, point)
+                    self.history = (self.history[-1], point)
                 yield point
                 if sign * point.parameter <= 0:
                     self.end = End.RETURNED
@@ -86,6 +85,24 @@ class SeriesWalk:
         self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
 
     # The series -----------------------------------------------------------------------------------------------------
+
+    def _departure(self, base: Point) -> tuple[Point, Stretch] | None:
+        """A base point, on a coarser rung where that is expected to do, with its series; None where there is none."""
+        lighter = self.locator.lighter(base)
+        for problem in dict.fromkeys((lighter, base.problem)):
+            if problem is not base.problem:
+                z, t = (base.problem.prolong(v, problem) for v in (base.z, base.tangent))
+                tried = replace(base, problem=problem, z=z, tangent=t)
+            else:
+                tried = base
+            try:
+                stretch = self._stretch(tried)
+            except SingularError as error:
+                self.detail = str(error)
+                continue
+            if stretch is not None:
+                return tried, stretch
+        return None
 
     def _stretch(self, base: Point) -> Stretch | None:
         """The series at a base point, as far as its end satisfies the equations; None where that is nowhere."""
@@ -141,9 +158,8 @@ class SeriesWalk:
         wanted = dict.fromkeys(settings.at, True)
         wanted.setdefault(settings.parameter_max, False)
         stops = [
-            _Stop(tau, value, flag)
-            for value, flag in wanted.items()
-            for tau in stretch.crossings(index, value)
+            _Stop(tau, value, wanted[value])
+            for tau, value in stretch.crossings(index, wanted)
             if tau > AT_BASE or not is_any(base.parameter, (value,))
         ]
         stops.sort(key=lambda stop: stop.tau)
@@ -161,15 +177,15 @@ class SeriesWalk:
         """Number of equal parts in which no limit on a step is exceeded."""
         problem, settings = base.problem, self.settings
         taus = np.linspace(0.0, final, SAMPLES)
-        points = np.array([stretch.at(tau) for tau in taus])
+        points = stretch.at(taus)
         weights = np.sqrt(self.locator.metric(problem, points[0]))
-        slopes = np.array([weights * stretch.slope(tau) for tau in taus])
+        slopes = weights * stretch.slope(taus)
         slopes /= np.linalg.norm(slopes, axis=1)[:, None]
         angles = np.degrees(np.arccos(np.clip(np.sum(slopes[1:] * slopes[:-1], axis=1), -1.0, 1.0)))
         moves = np.abs(np.diff(points[:, problem.parameter_index]))
         lengths = np.linalg.norm(weights * np.diff(points, axis=0), axis=1)
         most = [
-            np.sum(angles) / settings.aim_angle,
+            np.sum(angles) / (SPARSE * settings.aim_angle),
             (SAMPLES - 1) * np.max(moves) / (settings.max_parameter_step * abs(settings.parameter_max)),
             np.sum(lengths) / settings.max_step,
         ]
@@ -185,14 +201,27 @@ class SeriesWalk:
         else:
             row = problem.parameter_row() * float(np.sign(slope[problem.parameter_index]))
             value = stop.value * float(row[problem.parameter_index])
-        correction = self.locator.correct(problem, guess, row, value, reach)
-        if correction is None:
-            self.detail = "the corrector does not find the point that the series predicts"
-            return None
-        if stop.value is not None:
-            correction.z[problem.parameter_index] = stop.value  # equal but for round-off of the held row
         try:
+            polished, tangent = self._polished(problem, guess, row, value)
+            correction = self.locator.correct(problem, polished, row, value, reach)
+            if correction is None:
+                self.detail = "the corrector does not find the point that the series predicts"
+                return None
+            if stop.value is not None:
+                correction.z[problem.parameter_index] = stop.value  # equal but for round-off of the held row
             return self.locator.near(problem, correction, tangent, row, held=stop.value is not None)
         except SingularError as error:
             self.detail = str(error)
             return None
+
+    def _polished(self, problem: OrbitProblem, guess: Array, row: Array, value: float) -> tuple[Array, Array]:
+        """A Newton step from a point of the series, which leaves the corrector nothing to do, and the tangent.
+
+        What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of the
+        guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
+        """
+        states = guess[: problem.states]  # a view
+        states[np.abs(states) < FAINT * np.max(np.abs(states))] = 0.0
+        residual, nonzeros = problem.evaluate(guess)
+        solve = self.locator.ladder.solver(problem).factor(guess, nonzeros, row)
+        return guess - solve(np.append(residual, row @ guess - value)), self.locator.tangent(problem, guess, solve)

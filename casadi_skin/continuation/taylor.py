@@ -1,11 +1,13 @@
-"""A stretch of branch as a polynomial in a coordinate along it: dense output, and where a value is passed."""
+"""A stretch of branch as a polynomial in a coordinate along it: dense output, and where values are passed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from casadi_skin.bvp.problem import Array
 
@@ -19,32 +21,39 @@ class Stretch:
     coefficients: Array
     length: float
 
-    def at(self, tau: float) -> Array:
-        """Point of the branch."""
-        return np.asarray(tau ** np.arange(self.coefficients.shape[0]) @ self.coefficients)
+    def at(self, tau: float | Array) -> Array:
+        """Point of the branch, or points, shape (tau, unknowns)."""
+        return np.asarray(_powers(tau, self.coefficients.shape[0]) @ self.coefficients)
 
     @cached_property
     def _derivative(self) -> Array:
         return np.arange(1, self.coefficients.shape[0])[:, None] * self.coefficients[1:]
 
-    def slope(self, tau: float) -> Array:
-        """Derivative dz/dtau."""
-        return np.asarray(tau ** np.arange(self._derivative.shape[0]) @ self._derivative)
+    def slope(self, tau: float | Array) -> Array:
+        """Derivative dz/dtau, of one shape with `at`."""
+        return np.asarray(_powers(tau, self._derivative.shape[0]) @ self._derivative)
 
-    def crossings(self, index: int, value: float) -> list[float]:
-        """All tau in (0, length] at which component `index` equals `value`, ascending."""
+    def crossings(self, index: int, values: Iterable[float]) -> list[tuple[float, float]]:
+        """All (tau, value) with tau in (0, length] at which component `index` equals one of `values`, ascending."""
         from scipy.optimize import brentq
 
-        c = self.coefficients[:, index].copy()
-        c[0] -= value
-        gap = np.polynomial.Polynomial(c)
-        turn = gap.deriv()
+        course = self.coefficients[:, index]
+        turn = np.arange(1, course.size) * course[1:]
         grid = np.linspace(0.0, self.length, GRID)
-        slopes = turn(grid)
-        turns = [brentq(turn, a, b) for a, b in _brackets(grid, slopes)]
-        nodes = np.sort(np.concatenate([grid, turns]))
-        found = [float(brentq(gap, a, b, xtol=1e-15 * self.length)) for a, b in _brackets(nodes, gap(nodes))]
-        return sorted({tau for tau in found if tau > 0.0})
+        turns = [brentq(lambda tau: polyval(tau, turn), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))]
+        nodes: Array = np.sort(np.concatenate([grid, np.array(turns)]))
+        heights: Array = np.asarray(polyval(nodes, course))
+        found = set()
+        for value in values:
+            gap = course.copy()
+            gap[0] -= value
+            for a, b in _brackets(nodes, heights - value):
+                found.add((float(brentq(lambda tau, c=gap: polyval(tau, c), a, b, xtol=1e-15 * self.length)), value))
+        return sorted((tau, value) for tau, value in found if tau > 0.0)
+
+
+def _powers(tau: float | Array, count: int) -> Array:
+    return np.asarray(np.power.outer(tau, np.arange(count)))
 
 
 def _brackets(nodes: Array, values: Array) -> list[tuple[float, float]]:

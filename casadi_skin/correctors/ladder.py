@@ -134,6 +134,7 @@ class Ladder:
         solve = self.solver(finer).factor(long_z, nonzeros, row)
         step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
         error = step_error(finer, long_z, step)
+        error = replace(error, Omega=max(error.Omega, problem.round_off * float(z[problem.Omega_index])))
         if error.relative(float(z[problem.Omega_index])) < NEAR_ROUND_OFF:
             noise = problem.rounding(z) * np.append(finer.probe, 0.0)
             response = _at_parameter(finer, long_z, solve(noise), along)

@@ -107,7 +107,7 @@ def follow_family(
     corrector: str = "ipopt",
     flow: str = "splitting",
     symmetry: SymmetryClass | None = None,
-    walker: str = "arclength",
+    walker: str | None = None,
     degree: int | None = None,
     progress: Callable[[Orbit], None] | None = None,
 ) -> Branch:

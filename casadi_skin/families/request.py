@@ -48,7 +48,8 @@ COLLOCATIONS: Mapping[str, type[GaussProblem | RadauProblem]] = MappingProxyType
     {"gauss": GaussProblem, "radau": RadauProblem}
 )
 DEGREE_RANGE = (2, 12)
-SERIES_ORDERS = 30  # cost of a step over its length is flat between 25 and 40
+SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
+SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class FamilyRequest:
     corrector: str = "ipopt"
     flow: str = "splitting"
     symmetry: SymmetryClass | None = None
-    walker: str = "arclength"
+    walker: str | None = None
     degree: int | None = None
 
     def __post_init__(self) -> None:
@@ -93,11 +94,12 @@ class FamilyRequest:
         for name, accepted in (
             ("transcription", ("trigonometric", "gauss", "radau", "shooting")),
             ("corrector", ("ipopt", "newton")),
-            ("walker", ("arclength", "series")),
+            ("walker", (None, "arclength", "series")),
             ("flow", ("splitting", "cvodes", "gauss", "rk4")),
         ):
             if getattr(self, name) not in accepted:
-                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: {', '.join(accepted)}")
+                names = ", ".join(word for word in accepted if word)
+                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: {names}")
         if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == "trigonometric":
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
         if self.walker == "series" and self.transcription != "trigonometric":
@@ -112,6 +114,11 @@ class FamilyRequest:
             raise ValueError(f"degree: given {self.degree!r}; accepted: with {' or '.join(COLLOCATIONS)} only")
         if not (isinstance(self.degree, int) and low <= self.degree <= high):
             raise ValueError(f"degree: given {self.degree!r}; accepted: a whole number from {low} to {high}")
+
+    @property
+    def way(self) -> str:
+        """The walker asked for, or the fastest for the transcription: series have half the cost of predicted steps."""
+        return self.walker or ("series" if self.transcription == "trigonometric" else "arclength")
 
     @property
     def collocation_degree(self) -> int:
@@ -204,12 +211,13 @@ class FamilyTools:
 
     def walk(self, history: tuple[Point, ...]) -> Walk:
         """The way along the family from the last points walked, or from `start`."""
-        if self.request.walker == "arclength":
+        if self.request.way == "arclength":
             return ArclengthWalk(self.locator, history)
         from casadi_skin.continuation.series import SeriesWalk
 
         def precision(problem: OrbitProblem) -> float:
-            return max(0.5 * self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
+            allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
+            return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
         return SeriesWalk(self.locator, history, self._recursion, precision)
 

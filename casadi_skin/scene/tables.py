@@ -162,7 +162,13 @@ class MethodTable(Table, frozen=True):
         ),
     ] = None
     corrector: Annotated[Corrector, Meta(title="Solver of a point", description=_one_of(CORRECTORS))] = "ipopt"
-    walker: Annotated[Walker, Meta(title="Way along a family", description=_one_of(WALKERS))] = "arclength"
+    walker: Annotated[
+        Walker | None,
+        Meta(
+            title="Way along a family",
+            description=f"{_one_of(WALKERS)} (left out: series with transcription trigonometric, else arclength)",
+        ),
+    ] = None
     flow: Annotated[Flow, Meta(title="Flow map of stability", description=_one_of(FLOWS))] = "splitting"
 
 

@@ -177,7 +177,7 @@ def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: 
     scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
     out, whole = tmp_path / "killed", tmp_path / "whole"
     process = start(scene, out)
-    wait_for_points(out, 300_000)
+    wait_for_points(out, 100_000)
     process.kill()
     process.communicate()
     kept = (out / "journal.msgpack").stat().st_size
@@ -199,7 +199,7 @@ def test_an_interrupted_run_writes_what_it_has(tmp_path: Path, number: signal.Si
     scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
     out = tmp_path / "out"
     process = start(scene, out)
-    wait_for_points(out, 300_000)
+    wait_for_points(out, 100_000)
     process.send_signal(number)
     _, told = process.communicate()
     assert process.returncode == 130, told

@@ -11,6 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from orbit_problems import asymmetric_oscillator, dense_jacobian, differences, moved, predator_and_prey, solved
 from scipy.integrate import quad, solve_ivp
 
 from casadi_skin.bvp.gauss import GaussProblem, gauss_table
@@ -39,55 +40,6 @@ def exact_table(degree: int) -> tuple[mp.matrix, mp.matrix]:
             for i, end in enumerate([*nodes, mp.mpf(1)]):
                 table[i, j] = sum(a * end ** (n + 1) / (n + 1) for n, a in enumerate(lagrange))
         return mp.matrix(nodes), table
-
-
-def asymmetric_oscillator(**changes: Any) -> OdeModel:
-    """q'' = -q - p q^2, reversible but not odd, from q(0) = 1/2; written by hand."""
-    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
-    declared: dict[str, Any] = {"reversal": (1, -1), "normalisation": q - 0.5}
-    return OdeModel("asymmetric", q, -q - p * q**2, p, 2, v, **(declared | changes))
-
-
-def predator_and_prey(**changes: Any) -> OdeModel:
-    """x' = x (p - y), y' = y (x - 1) with x = 2 at its maximum: conservative, of first order, with no reversal."""
-    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
-    field = ca.vertcat(x[0] * (p - x[1]), x[1] * (x[0] - 1))
-    conserved = x[0] - ca.log(x[0]) + x[1] - p * ca.log(x[1])
-    declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved}
-    return OdeModel("predator and prey", x, field, p, **(declared | changes))
-
-
-def dense_jacobian(problem: GaussProblem, z: Array) -> Array:
-    matrix = np.zeros((problem.size - 1, problem.size))
-    np.add.at(matrix, problem.pattern, problem.evaluate(z)[1])
-    return matrix
-
-
-def differences(problem: GaussProblem, z: Array) -> Array:
-    """Central differences along every unknown, of fourth order."""
-    columns = []
-    for unit in np.eye(problem.size):
-        near, far = (
-            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
-        )
-        columns.append((4 * near - far) / 3)
-    return np.stack(columns, axis=1)
-
-
-def solved(problem: GaussProblem, chain: Chain, mode: int, kappa: float, steps: int = 8) -> Array:
-    """The orbit at kappa = g S, from the linear mode in equal steps."""
-    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
-    z = problem.pack(q / np.sqrt(chain.weights @ q**2), chain.linear_frequency(mode), 0.0)
-    return moved(problem, z, kappa, steps)
-
-
-def moved(problem: GaussProblem, z: Array, target: float, steps: int) -> Array:
-    corrector, row = NewtonCorrector(problem), problem.parameter_row()
-    for value in np.linspace(z[problem.parameter_index], target, steps + 1):
-        correction = corrector.correct(z, row, value)
-        assert correction.converged, correction.status
-        z = correction.z
-    return z
 
 
 @pytest.mark.parametrize("degree", range(1, 9))
@@ -156,7 +108,7 @@ def test_a_softening_chain_converges_with_order_twice_the_degree(degree: int) ->
     """N = 4 softening, against odd cosines of 24 harmonics."""
     chain, kappa = Chain(4, 1.0, 0.4, -1.0), -1.5
     fine = TrigonometricProblem(chain.gauge_model(), 24)
-    exact = solved(fine, chain, 1, kappa)[fine.Omega_index]  # type: ignore[arg-type]
+    exact = solved(fine, chain, 1, kappa)[fine.Omega_index]
     errors = []
     for intervals in (3, 6):
         problem = GaussProblem(chain.gauge_model(), intervals, QUARTER, degree)
@@ -169,7 +121,7 @@ def test_a_softening_chain_converges_with_order_twice_the_degree(degree: int) ->
 def test_the_three_classes_and_odd_cosines_find_the_same_orbit(sites: int, mode: int, kappa: float) -> None:
     chain = Chain(sites, 1.0, 0.3, np.sign(kappa))
     reference = TrigonometricProblem(chain.gauge_model(), 20)
-    z = solved(reference, chain, mode, kappa)  # type: ignore[arg-type]
+    z = solved(reference, chain, mode, kappa)
     theta = np.random.default_rng(sites).uniform(-25, 25, 60)
     q = reference.sample(z, theta)
     for symmetry in SymmetryClass:

@@ -13,17 +13,25 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from orbit_problems import (
+    CORRECTORS,
+    asymmetric_oscillator,
+    corrector_of,
+    dense_jacobian,
+    differences,
+    moved,
+    predator_and_prey,
+    solved,
+)
 from scipy.integrate import solve_ivp
 
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.correctors.base import Corrector, Status
+from casadi_skin.correctors.base import Status
 from casadi_skin.correctors.bordered import SingularError
-from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk, follow_family
@@ -35,61 +43,6 @@ from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
 Array = NDArray[np.float64]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL
-KINDS = {"newton": NewtonCorrector, "ipopt": IpoptCorrector}
-
-
-def asymmetric_oscillator(**changes: Any) -> OdeModel:
-    """q'' = -q - p q^2, reversible but not odd, from q(0) = 1/2; written by hand."""
-    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
-    declared: dict[str, Any] = {"reversal": (1, -1), "normalisation": q - 0.5}
-    return OdeModel("asymmetric", q, -q - p * q**2, p, 2, v, **(declared | changes))
-
-
-def predator_and_prey(**changes: Any) -> OdeModel:
-    """x' = x (p - y), y' = y (x - 1) with x = 2 at its maximum: conservative, of first order, with no reversal."""
-    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
-    field = ca.vertcat(x[0] * (p - x[1]), x[1] * (x[0] - 1))
-    conserved = x[0] - ca.log(x[0]) + x[1] - p * ca.log(x[1])
-    declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved}
-    return OdeModel("predator and prey", x, field, p, **(declared | changes))
-
-
-def corrector_of(problem: OrbitProblem, kind: str = "newton") -> Corrector:
-    digits = problem.resolution if isinstance(problem, ShootingProblem) else 14
-    return KINDS[kind](problem, 10.0 ** (1 - min(digits, 13)))
-
-
-def moved(problem: OrbitProblem, z: Array, target: float, steps: int, kind: str = "newton") -> Array:
-    corrector, row = corrector_of(problem, kind), problem.parameter_row()
-    for value in np.linspace(z[problem.parameter_index], target, steps + 1):
-        correction = corrector.correct(z, row, value)
-        assert correction.converged, correction
-        z = correction.z
-    return z
-
-
-def solved(problem: OrbitProblem, chain: Chain, mode: int, kappa: float, steps: int = 8, kind: str = "newton") -> Array:
-    """The orbit at kappa = g S, from the linear mode in equal steps."""
-    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
-    z = problem.pack(q / np.sqrt(chain.weights @ q**2), chain.linear_frequency(mode), 0.0)
-    return moved(problem, z, kappa, steps, kind)
-
-
-def dense_jacobian(problem: OrbitProblem, z: Array) -> Array:
-    matrix = np.zeros((problem.size - 1, problem.size))
-    np.add.at(matrix, problem.pattern, problem.evaluate(z)[1])
-    return matrix
-
-
-def differences(problem: OrbitProblem, z: Array) -> Array:
-    """Central differences along every unknown, of fourth order."""
-    columns = []
-    for unit in np.eye(problem.size):
-        near, far = (
-            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
-        )
-        columns.append((4 * near - far) / 3)
-    return np.stack(columns, axis=1)
 
 
 # Equations ------------------------------------------------------------------------------------------------------------
@@ -161,7 +114,7 @@ def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
 # Orbits ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", CORRECTORS)
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 @pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
 def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryClass, kind: str) -> None:
@@ -322,7 +275,7 @@ def escaping(chain: Chain) -> tuple[ShootingProblem, Array]:
     return problem, z
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", CORRECTORS)
 def test_a_flow_that_fails_is_a_failed_correction_and_nothing_is_printed(
     kind: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -415,7 +368,7 @@ def test_digits_and_segments_out_of_range_are_refused(digits: int, segments: int
 # Families -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", CORRECTORS)
 def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -> None:
     chain, at = Chain(3, 1.0, 0.25, -1.0), (0.5, 1.5)
     found = follow_family(chain, 1, 1.5, at=at, transcription="shooting", corrector=kind)
@@ -494,7 +447,7 @@ def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryCla
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", CORRECTORS)
 def test_the_breather_of_twenty_four_sites(kind: str) -> None:
     """Omega from odd cosines at tolerance 1e-12."""
     known = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}

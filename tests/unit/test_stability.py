@@ -550,7 +550,8 @@ def test_complex_instabilities_are_born_where_two_mu_meet() -> None:
     branch = with_changes(SOFT, 1, 3.0, 1e-9)
     collisions = [change for change in branch.changes if change.kind == "complex"]
     assert len(collisions) >= 6
-    assert min(change.S for change in collisions) == pytest.approx(2.3768, abs=1e-3)
+    # Orbits 1e-4 apart in S change near 2.3752, 2.3757 and 2.3768: which are found depends on the points in between.
+    assert 2.375 < min(change.S for change in collisions) < 2.377
     for change in collisions:
         side = 1 if change.stable_after else -1  # the stable one
         near = branch.at(change.S + side * 2e-6).floquet().mu.real

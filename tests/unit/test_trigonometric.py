@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from orbit_problems import dense_jacobian, differences, linear_mode, solved
 from scipy.integrate import solve_ivp
 
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
-from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.models.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
@@ -28,40 +28,6 @@ def oscillators(**changes: Any) -> OdeModel:
     force = -ca.DM([[2.0, -0.5], [-0.5, 3.0]]) @ q - p * q**3
     declared: dict[str, Any] = {"reversal": (1, 1, -1, -1), "half_period": (-1,) * 4, "normalisation": ca.dot(q, q) - 1}
     return OdeModel("oscillators", q, force, p, 2, v, **(declared | changes))
-
-
-def dense_jacobian(problem: TrigonometricProblem, z: Array) -> Array:
-    matrix = np.zeros((problem.size - 1, problem.size))
-    np.add.at(matrix, problem.pattern, problem.evaluate(z)[1])
-    return matrix
-
-
-def differences(problem: TrigonometricProblem, z: Array) -> Array:
-    """Central differences along every unknown, of fourth order."""
-    columns = []
-    for unit in np.eye(problem.size):
-        near, far = (
-            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
-        )
-        columns.append((4 * near - far) / 3)
-    return np.stack(columns, axis=1)
-
-
-def linear_mode(chain: Chain, mode: int) -> Array:
-    """Gauge profile of a linear mode with sum of w q^2 equal to 1, typed out."""
-    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
-    return np.asarray(q / np.sqrt(chain.weights @ q**2))
-
-
-def solved(problem: TrigonometricProblem, chain: Chain, mode: int, kappa: float, steps: int = 8) -> Array:
-    """The orbit at kappa = g S, from the linear mode in equal steps."""
-    corrector, row = NewtonCorrector(problem), problem.parameter_row()
-    z = problem.pack(linear_mode(chain, mode), chain.linear_frequency(mode), 0.0)
-    for value in np.linspace(0.0, kappa, steps + 1)[1:]:
-        correction = corrector.correct(z, row, value)
-        assert correction.converged, correction.status
-        z = correction.z
-    return z
 
 
 @pytest.mark.parametrize("harmonics", [1, 2, 5, 16, 128])

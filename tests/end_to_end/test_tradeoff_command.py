@@ -1,0 +1,134 @@
+"""What accuracy costs, from the command line: files, refusals in one line, and what an interruption leaves."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from casadi_skin.cli import main
+from casadi_skin.studies import tradeoff, tradeoff_measured, tradeoff_reference
+from casadi_skin.studies.tradeoff_measured import Measured
+
+TINY = """
+[chain]
+sites = 2
+alpha = 1.0
+gamma = 0.25
+g = -1.0
+"""
+FAMILY = """
+[family]
+mode = [1, 2]
+amplitude_max = 0.4
+at = [0.2, 0.4]
+"""
+FILES = {
+    *("reference.csv", "tradeoff.csv", "flows.csv", "recommendations.md"),
+    *("tradeoff.png", "tradeoff.svg"),
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(TINY + FAMILY, encoding="utf-8")
+    return path
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tolerance of each method in place of three, no shooting, and no memory."""
+    monkeypatch.setattr(tradeoff_measured, "SHOOTING_SITES", 1)
+    monkeypatch.setattr(tradeoff, "QUICK_TOLERANCES", (1e-6,))
+    monkeypatch.setattr(tradeoff, "memory_of", lambda setting: 40.0)
+    monkeypatch.setattr("casadi_skin.studies.tradeoff_cases.memory_of", lambda setting: 50.0)
+
+
+@pytest.mark.slow
+def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 0
+    told = capsys.readouterr().out
+    assert "For Omega" in told
+    assert f"45 settings; 6 files in {out}" in told
+    assert {path.name for path in out.iterdir()} == FILES
+    rows, flows = read(out / "tradeoff.csv"), read(out / "flows.csv")
+    assert (len(rows), len(flows)) == (3 + 10 * 3, 4 * 3)
+    assert [row["method"] for row in rows[:3]] == ["draft", "standard", "reference"]
+    for row in (*rows, *flows):
+        assert row["failure"] == ""
+        assert 0 < float(row["seconds_min"]) <= float(row["seconds"]) <= float(row["seconds_max"])
+        assert (row["memory_MB"] != "") == (row["kind"] == "preset" or float(row["tolerance"]) == 1e-12)
+        assert 0 < float(row["mu_error"]) < 1e-3
+        if row in rows and "shooting" not in row["method"]:
+            assert float(row["Omega_error"]) <= float(row["tolerance"])
+            assert float(row["profile_error"]) <= float(row["tolerance"])
+    differences = [float(row[f"{name}_difference"]) for row in read(out / "reference.csv") for name in ("Omega", "mu")]
+    assert max(differences) < 1e-13
+
+
+def test_a_few_settings_and_what_an_interruption_leaves(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few(monkeypatch)
+    real, count = tradeoff.measure, 0
+
+    def interrupted(*arguments: object, **named: object) -> Measured:
+        nonlocal count
+        count += arguments[2] != 0  # not of the warming up
+        if count == 5:
+            raise KeyboardInterrupt
+        return real(*arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tradeoff, "measure", interrupted)
+    out = tmp_path / "out"
+    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 130
+    told = capsys.readouterr()
+    assert told.err == f"interrupted; what was measured is in {out}\n"
+    assert {path.name for path in out.iterdir()} == FILES - {"flows.csv"}
+    assert len(read(out / "tradeoff.csv")) == 4
+
+    monkeypatch.setattr(tradeoff, "measure", real)
+    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    assert len(read(out / "tradeoff.csv")) == 11
+    assert {row["memory_MB"] for row in read(out / "flows.csv")} == {"50"}
+
+
+def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bare = tmp_path / "bare.toml"
+    bare.write_text(TINY, encoding="utf-8")
+    out = tmp_path / "out"
+    for words, part in (
+        ([str(bare)], "bare.toml: asks for no family"),
+        ([str(scene), "--repeats", "0"], "--repeats 0"),
+        ([str(tmp_path / "none.toml")], "none.toml"),
+    ):
+        assert main(["tradeoff", *words, "--out", str(out)]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.count("\n") == 1
+        assert part in told.err
+        assert not out.exists()
+    assert main(["tradeoff", str(scene), "--out", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "--overwrite" in told
+
+
+def test_a_family_that_ends_early_is_told_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tradeoff_reference, "TIGHTEST", 1e-3)
+    path = tmp_path / "steep.toml"
+    path.write_text(TINY + "[family]\nmode = 1\namplitude_max = 1e3\n", encoding="utf-8")
+    assert main(["tradeoff", str(path), "--quick", "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "softening orbit" in told

@@ -1,0 +1,94 @@
+"""What tests of all transcriptions share: models written by hand, orbits solved for, derivatives to compare with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.shooting import ShootingProblem
+from casadi_skin.correctors.base import Corrector
+from casadi_skin.correctors.ipopt import IpoptCorrector
+from casadi_skin.correctors.newton import NewtonCorrector
+from casadi_skin.models.chain import Chain
+from casadi_skin.models.ode import OdeModel
+
+Array = NDArray[np.float64]
+CORRECTORS: dict[str, type[NewtonCorrector] | type[IpoptCorrector]] = {
+    "newton": NewtonCorrector,
+    "ipopt": IpoptCorrector,
+}
+
+
+# Models ---------------------------------------------------------------------------------------------------------------
+
+
+def asymmetric_oscillator(**changes: Any) -> OdeModel:
+    """q'' = -q - p q^2, reversible but not odd, from q(0) = 1/2; written by hand."""
+    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+    declared: dict[str, Any] = {"reversal": (1, -1), "normalisation": q - 0.5}
+    return OdeModel("asymmetric", q, -q - p * q**2, p, 2, v, **(declared | changes))
+
+
+def predator_and_prey(**changes: Any) -> OdeModel:
+    """x' = x (p - y), y' = y (x - 1) with x = 2 at its maximum: conservative, of first order, with no reversal."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    field = ca.vertcat(x[0] * (p - x[1]), x[1] * (x[0] - 1))
+    conserved = x[0] - ca.log(x[0]) + x[1] - p * ca.log(x[1])
+    declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved}
+    return OdeModel("predator and prey", x, field, p, **(declared | changes))
+
+
+# Orbits ---------------------------------------------------------------------------------------------------------------
+
+
+def corrector_of(problem: OrbitProblem, kind: str = "newton") -> Corrector:
+    """A corrector that asks for as many digits as the problem can give."""
+    digits = problem.resolution if isinstance(problem, ShootingProblem) else 14
+    return CORRECTORS[kind](problem, 10.0 ** (1 - min(digits, 13)))
+
+
+def moved(problem: OrbitProblem, z: Array, target: float, steps: int, kind: str = "newton") -> Array:
+    """The orbit with the free parameter at `target`, from z in equal steps."""
+    corrector, row = corrector_of(problem, kind), problem.parameter_row()
+    for value in np.linspace(z[problem.parameter_index], target, steps + 1):
+        correction = corrector.correct(z, row, value)
+        assert correction.converged, correction
+        z = correction.z
+    return z
+
+
+def linear_mode(chain: Chain, mode: int) -> Array:
+    """Gauge profile of a linear mode with sum of w q^2 equal to 1, typed out."""
+    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
+    return np.asarray(q / np.sqrt(chain.weights @ q**2))
+
+
+def solved(problem: OrbitProblem, chain: Chain, mode: int, kappa: float, steps: int = 8, kind: str = "newton") -> Array:
+    """The orbit at kappa = g S, from the linear mode in equal steps."""
+    z = problem.pack(linear_mode(chain, mode), chain.linear_frequency(mode), 0.0)
+    return moved(problem, z, kappa, steps, kind)
+
+
+# Derivatives ----------------------------------------------------------------------------------------------------------
+
+
+def dense_jacobian(problem: OrbitProblem, z: Array) -> Array:
+    """dR/dz as a full matrix."""
+    matrix = np.zeros((problem.size - 1, problem.size))
+    np.add.at(matrix, problem.pattern, problem.evaluate(z)[1])
+    return matrix
+
+
+def differences(problem: OrbitProblem, z: Array) -> Array:
+    """Central differences along every unknown, of fourth order."""
+    columns = []
+    for unit in np.eye(problem.size):
+        near, far = (
+            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
+        )
+        columns.append((4 * near - far) / 3)
+    return np.stack(columns, axis=1)
