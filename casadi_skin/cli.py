@@ -75,6 +75,39 @@ def _parser() -> argparse.ArgumentParser:
     again.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the targets")
     again.add_argument("--quiet", action="store_true", help="no progress on the terminal")
     again.set_defaults(act=_reproduce)
+
+    trade = commands.add_parser(
+        "tradeoff",
+        help="what accuracy costs, method by method",
+        description="Measure time, memory and true errors of every method and tolerance on one family.",
+    )
+    trade.add_argument(
+        "scene",
+        type=Path,
+        nargs="?",
+        metavar="SCENE.toml",
+        help="scene whose family is measured, the first of several; its accuracy and methods do not matter "
+        "(default: j = 1, g = -1, N = 24 to S = 1)",
+    )
+    trade.add_argument("--out", type=Path, metavar="DIR", help="directory of the results (default: results/tradeoff)")
+    trade.add_argument("--quick", action="store_true", help="three tolerances, each timed once")
+    trade.add_argument("--repeats", type=int, metavar="K", help="timed runs of each setting (default: 5; 1 if quick)")
+    trade.add_argument("--overwrite", action="store_true", help="replace what DIR holds of an earlier measurement")
+    trade.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+    trade.set_defaults(act=_tradeoff)
+
+    honest = commands.add_parser(
+        "honesty",
+        help="whether estimated errors are honest, on random cases",
+        description="Compare estimated with true errors of random orbits; exit status 1 where they are not honest.",
+    )
+    honest.add_argument("--cases", type=int, default=200, metavar="K", help="number of cases (default: 200)")
+    honest.add_argument("--seed", type=int, default=0, metavar="K", help="of the draw (default: 0)")
+    honest.add_argument("--first", type=int, default=0, metavar="K", help="index of the first case (default: 0)")
+    honest.add_argument("--out", type=Path, metavar="DIR", help="directory of the results (default: results/honesty)")
+    honest.add_argument("--overwrite", action="store_true", help="replace what DIR holds of an earlier run")
+    honest.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+    honest.set_defaults(act=_honesty)
     return parser
 
 
@@ -171,6 +204,68 @@ def _reproduce(arguments: argparse.Namespace) -> int:
         print(f"{len(made.claims)} claims; {counts}")
     print(f"{len(made.files)} files in {directory}")
     return DONE
+
+
+def _tradeoff(arguments: argparse.Namespace) -> int:
+    scene = None if arguments.scene is None else _read(arguments.scene)[0]
+    if scene is not None and scene.family is None:
+        raise InputError(f"{arguments.scene}: asks for no family to measure; accepted: a scene with a table [family]")
+    if arguments.repeats is not None and arguments.repeats < 1:
+        raise InputError(f"tradeoff: given --repeats {arguments.repeats}; accepted: a whole number >= 1")
+    directory = arguments.out or Path("results") / "tradeoff"
+    prepare_study(directory, arguments.overwrite)
+
+    from casadi_skin.plan import scene_requests
+    from casadi_skin.progress import Progress
+    from casadi_skin.studies.tradeoff import REPEATS, Tradeoff, default_request, with_points
+
+    request = default_request() if scene is None else with_points(scene_requests(scene)[0])
+    repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
+    with Progress(arguments.quiet) as progress:
+        study = Tradeoff(request, directory, arguments.quick, repeats, progress.say)
+        try:
+            study.execute()
+        except KeyboardInterrupt:
+            progress.__exit__(None, None, None)
+            print(f"interrupted; what was measured is in {directory}", file=sys.stderr)
+            return INTERRUPTED
+        except ArithmeticError as error:
+            progress.__exit__(None, None, None)
+            print(f"casadi-skin: {error}; what was measured is in {directory}", file=sys.stderr)
+            return FAILED
+    for line in study.advice():
+        print(line)
+    print(f"{len(study.measured)} settings; {len(study.files)} files in {directory}")
+    return DONE
+
+
+def _honesty(arguments: argparse.Namespace) -> int:
+    for name, least in (("cases", 1), ("seed", 0), ("first", 0)):
+        if getattr(arguments, name) < least:
+            raise InputError(f"honesty: given --{name} {getattr(arguments, name)}; accepted: a whole number >= {least}")
+    directory = arguments.out or Path("results") / "honesty"
+    prepare_study(directory, arguments.overwrite)
+
+    from rich.console import Console
+
+    from casadi_skin.progress import Progress
+    from casadi_skin.studies.honesty import Honesty, honesty, honesty_table
+
+    study = Honesty(directory, arguments.cases)
+    with Progress(arguments.quiet) as progress:
+        try:
+            honesty(study, arguments.seed, progress.say, arguments.first)
+        except KeyboardInterrupt:
+            progress.__exit__(None, None, None)
+            print(f"interrupted after {len(study.outcomes)} cases; they are in {directory}", file=sys.stderr)
+            return INTERRUPTED
+    Console().print(honesty_table(study))
+    for outcome in study.failures:
+        print(f"case {outcome.case.index}: {outcome.reason}")
+    for fault in study.faults:
+        print(f"not honest: {fault}")
+    print(f"{len(study.outcomes)} cases; {len(study.files)} files in {directory}")
+    return FAILED if study.faults else DONE
 
 
 # Parts --------------------------------------------------------------------------------------------------------------

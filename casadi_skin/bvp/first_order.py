@@ -41,6 +41,9 @@ class FirstOrderProblem(OrbitProblem):
     def _phases(self) -> Array:
         """Phases theta of the full states among the unknowns, in their order."""
 
+    def _spread(self, factors: Array) -> Array:
+        return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are
+
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
         theta = self._phases()
         state = np.outer(np.cos(theta), positions)

@@ -73,6 +73,16 @@ class OrbitProblem(ABC):
     def prolong(self, z: Array, finer: OrbitProblem) -> Array:
         """The same orbit in the unknowns of another resolution of the same transcription."""
 
+    @abstractmethod
+    def _spread(self, factors: Array) -> Array:
+        """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
+
+    @cached_property
+    def shown(self) -> Array | None:
+        """Factors that make of the state values what users see, shape (states,); None where these are the same."""
+        factors = self.model.shown
+        return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
+
     def parameter_row(self) -> Array:
         """Row that holds the free parameter, shape (size,)."""
         row = np.zeros(self.size)
@@ -171,7 +181,7 @@ class OrbitProblem(ABC):
 
     @property
     def round_off(self) -> float:
-        """Relative error of Omega that is left where the equations are solved but for rounding; measured."""
+        """Relative error of Omega and of the profile left where the equations are solved but for rounding; measured."""
         return 10.0 * EPSILON
 
     def relative_residual(self, z: Array) -> float:

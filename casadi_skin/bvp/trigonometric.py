@@ -132,6 +132,9 @@ class TrigonometricProblem(OrbitProblem):
         theta = (np.arange(self.resolution) + 0.5) * np.pi / (2 * self.resolution)
         return np.concatenate([np.outer(positions, np.cos(theta)).ravel(), [Omega, parameter]])
 
+    def _spread(self, factors: Array) -> Array:
+        return np.repeat(factors, self.resolution)
+
     def coefficients(self, z: Array) -> Array:
         """Coefficients c_k of cos((2k+1) theta), shape (model.size, harmonics)."""
         return z[: self.states].reshape(self.model.size, self.resolution) @ self._to_coefficients
@@ -152,8 +155,13 @@ class TrigonometricProblem(OrbitProblem):
         return EPSILON * (10.0 + 0.2 * self.resolution)
 
     def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
-        lost = np.max(np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1))
-        return error + ALIASED * float(lost / np.max(np.abs(z[: self.states])))
+        lost = np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1)
+        sizes = np.max(np.abs(z[: self.states].reshape(self.model.size, -1)), axis=1)
+        ratio = np.max(lost) / np.max(sizes)
+        if self.model.shown is not None:
+            shown = np.array(self.model.shown)
+            ratio = max(ratio, np.max(shown * lost) / np.max(shown * sizes))
+        return error + ALIASED * float(ratio)
 
     def sample(self, z: Array, theta: Array) -> Array:
         basis = np.cos(np.outer(theta, 2 * np.arange(self.resolution) + 1))

@@ -7,13 +7,13 @@ turns too far; so the step shortens before another family can be taken for this 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, OrbitProblem
-from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.locating import Locator
 from casadi_skin.continuation.points import End, Point, is_any
 from casadi_skin.correctors.base import Correction
@@ -31,7 +31,7 @@ class _Departure:
     t: Array
     weights: Array
     row: Array
-    curve: LocalCurve
+    curve: Callable[[float], Array]
 
     def angle(self, tangent: Array) -> float:
         """Angle in degrees between t and another tangent, in the metric at z."""
@@ -44,7 +44,7 @@ class ArclengthWalk:
 
     def __init__(self, locator: Locator, history: tuple[Point, ...]) -> None:
         self.locator, self.settings = locator, locator.settings
-        self.history = history[-2:]
+        self.history = history[-HISTORY:]
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
@@ -60,7 +60,7 @@ class ArclengthWalk:
             yield from self._requested(current, following)
             if self.end is End.REACHED:
                 return
-            self.history = (current, following)
+            self.history = (*self.history, following)[-HISTORY:]
             yield following.snapped(self.settings.at)
             if sign * following.parameter <= 0:
                 self.end = End.RETURNED
@@ -94,17 +94,16 @@ class ArclengthWalk:
         if problem is not current.problem:
             t = t / np.sqrt(np.sum(weights * t**2))
         row = weights * t
-        curve = LocalCurve.line(z, t)
-        if len(self.history) == 2:
-            before = self.history[0]
-            z0, t0 = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
-            curve = LocalCurve.through(z, t, z0, t0, row)
-        return _Departure(problem, z, t, weights, row, curve)
+        before = [
+            (past.problem.prolong(past.z, problem), past.problem.prolong(past.tangent, problem))
+            for past in self.history[-2::-1]
+        ]
+        return _Departure(problem, z, t, weights, row, predictor(z, t, before, row))
 
     def _stepped(self, departure: _Departure, step: float) -> Point | None:
         """The point a step away; None where the guard refuses it, or, with `end` set, where no rung is fine enough."""
         problem, row = departure.problem, departure.row
-        guess = departure.curve.at(step)
+        guess = departure.curve(step)
         correction = self.locator.correct(problem, guess, row, float(row @ departure.z) + step, step)
         if correction is None:
             return None

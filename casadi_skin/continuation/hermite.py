@@ -1,12 +1,15 @@
-"""Local cubic of a branch through two points with their tangents: predictor, and where a value is passed."""
+"""Hermite curves of a branch through points with their tangents: predictor, and where a value is passed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+
+HISTORY = 4  # points that a prediction is made from
 
 
 @dataclass(frozen=True)
@@ -52,3 +55,20 @@ class LocalCurve:
         roots = np.roots([0.0 if abs(c) < 1e-300 * scale else c for c in polynomial])
         real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
         return sorted(float(s) for s in real if 0.0 < s <= end)
+
+
+def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Array) -> Callable[[float], Array]:
+    """The curve through z with tangent t and through earlier points with theirs, latest first, over sigma.
+
+    Hermite interpolation of degree 2 n - 1 through n points; sigma = row . (z(sigma) - z). Only points in order along
+    `row` are used, so that the curve of a sharp turn is not wilder than the turn.
+    """
+    from scipy.interpolate import KroghInterpolator
+
+    nodes, values, last = [0.0, 0.0], [z, t / float(row @ t)], 0.0
+    for earlier, tangent in before:
+        sigma, slope = float(row @ (earlier - z)), float(row @ tangent)
+        if not (sigma < last and slope > 0.0):
+            break
+        nodes, values, last = [*nodes, sigma, sigma], [*values, earlier, tangent / slope], sigma
+    return KroghInterpolator(np.array(nodes), np.array(values))

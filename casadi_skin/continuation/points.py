@@ -85,7 +85,7 @@ class Walk(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
     `end` tells why it stopped, `detail` where; `missed` lists requested values at which no point was found. `history`
-    holds the last two points walked: a walk made from them goes on exactly as the one that was broken off.
+    holds the last few points walked: a walk made from them goes on exactly as the one that was broken off.
     """
 
     history: tuple[Point, ...]

@@ -217,8 +217,8 @@ class SeriesWalk:
     def _polished(self, problem: OrbitProblem, guess: Array, row: Array, value: float) -> tuple[Array, Array]:
         """A Newton step from a point of the series, which leaves the corrector nothing to do, and the tangent.
 
-        What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of the
-        guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
+        What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
+        the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
         """
         states = guess[: problem.states]  # a view
         states[np.abs(states) < FAINT * np.max(np.abs(states))] = 0.0

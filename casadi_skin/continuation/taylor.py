@@ -40,7 +40,9 @@ class Stretch:
         course = self.coefficients[:, index]
         turn = np.arange(1, course.size) * course[1:]
         grid = np.linspace(0.0, self.length, GRID)
-        turns = [brentq(lambda tau: polyval(tau, turn), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))]
+        turns = [
+            brentq(lambda tau: polyval(tau, turn), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))
+        ]
         nodes: Array = np.sort(np.concatenate([grid, np.array(turns)]))
         heights: Array = np.asarray(polyval(nodes, course))
         found = set()

@@ -42,9 +42,12 @@ class Refinement:
 
 
 def step_error(problem: OrbitProblem, z: Array, step: Array) -> ErrorEstimate:
-    """The error that a step from z to the better point makes up for."""
-    state = np.max(np.abs(step[: problem.states])) / np.max(np.abs(z[: problem.states]))
-    return ErrorEstimate(SAFETY * abs(float(step[problem.Omega_index])), SAFETY * float(state))
+    """The error that a step from z to the better point makes up for; of the state, in what users see of it as well."""
+    move, state, shown = step[: problem.states], z[: problem.states], problem.shown
+    profile = np.max(np.abs(move)) / np.max(np.abs(state))
+    if shown is not None:
+        profile = max(profile, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
+    return ErrorEstimate(SAFETY * abs(float(step[problem.Omega_index])), SAFETY * float(profile))
 
 
 class Ladder:
@@ -151,8 +154,8 @@ def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | N
 
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
-    """The error, but not below the response to rounding and what rounded constants do to Omega."""
+    """The error, but not below the response to rounding and what rounded constants do."""
     Omega = float(z[problem.Omega_index])
-    floor = ErrorEstimate(max(response.Omega, problem.round_off * Omega), response.profile)
+    floor = ErrorEstimate(max(response.Omega, problem.round_off * Omega), max(response.profile, problem.round_off))
     error = ErrorEstimate(max(error.Omega, floor.Omega), max(error.profile, floor.profile))
     return replace(error, round_off=floor.relative(Omega))

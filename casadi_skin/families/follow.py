@@ -14,6 +14,7 @@ from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import FlowError
+from casadi_skin.threads import one_thread
 
 TOGETHER = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
 
@@ -42,6 +43,15 @@ class FamilyWalk:
         self._detail = ""
 
     def __iter__(self) -> Iterator[Orbit | StabilityChange]:
+        results = self._results()
+        while True:
+            with one_thread():  # not while whoever iterates is at work
+                result = next(results, None)
+            if result is None:
+                return
+            yield result
+
+    def _results(self) -> Iterator[Orbit | StabilityChange]:
         together = min(self.tools.flow.batch, TOGETHER) if self.stability else 1
         for point in self._walk:
             self._waiting.append(point)

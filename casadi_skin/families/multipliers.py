@@ -12,6 +12,7 @@ from casadi_skin.families.request import FamilyTools
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import Floquet
+from casadi_skin.threads import one_thread
 
 
 def orbit_state(point: Point) -> OrbitState:
@@ -43,7 +44,8 @@ def floquets_of(tools: FamilyTools, points: Sequence[Point]) -> list[Floquet]:
     Raises FlowError where the flow map cannot reach the tolerance for any of them.
     """
     states = [orbit_state(point) for point in points]
-    results = floquets(tools.flow, states, lambda orbits: accelerations(tools, orbits), tools.request.tolerance)
+    with one_thread():
+        results = floquets(tools.flow, states, lambda orbits: accelerations(tools, orbits), tools.request.tolerance)
     resting = tools.request.chain.sites - tools.core.sites
     if resting == 0:
         return results

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -47,6 +47,7 @@ LARGEST = 10_000_000  # sites times harmonics squared: what fits into about a gi
 COLLOCATIONS: Mapping[str, type[GaussProblem | RadauProblem]] = MappingProxyType(
     {"gauss": GaussProblem, "radau": RadauProblem}
 )
+QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 DEGREE_RANGE = (2, 12)
 SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
@@ -129,9 +130,12 @@ class FamilyRequest:
         return round(2.0 - 0.75 * math.log10(self.tolerance)) if self.degree is None else self.degree
 
     def walk_settings(self) -> WalkSettings:
-        """The walk in kappa = g S, the model's free parameter."""
-        g = self.chain.g
-        return WalkSettings(g * self.amplitude_max, self.tolerance, tuple(g * S for S in self.at))
+        """The walk in kappa = g S, the model's free parameter; a quick look has half the points."""
+        g, end = self.chain.g, self.chain.g * self.amplitude_max
+        settings = WalkSettings(end, self.tolerance, tuple(g * S for S in self.at))
+        if self.tolerance < QUICK_LOOK:
+            return settings
+        return replace(settings, max_step=2.0 * settings.max_step, max_parameter_step=2.0 * settings.max_parameter_step)
 
     def S_of(self, kappa: float) -> float:
         """S of a value of kappa = g S; exactly the S asked for where kappa came from one."""

@@ -133,7 +133,7 @@ class Chain:
         energy = ca.dot(v, v) / 2 - ca.dot(q, linear_part) / 2 + kappa * ca.dot(w, q**4) / 4
         return OdeModel(
             "gauge chain", q, linear_part - kappa * w * q**3, kappa, 2, v,
-            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, **self._signs(self.sites),
+            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, shown=tuple(self.rho), **self._signs(self.sites),
         )  # fmt: skip
 
     @staticmethod

@@ -18,6 +18,7 @@ class OdeModel:
     R and P, one for each component of the full state (x, or q then q'), of a time reversal x(-t) = R x(t) and of
     x(t + T/2) = P x(t). `normalisation` is an expression that vanishes at phase zero of the wanted orbits: it fixes
     their amplitude (and, where no reversal does, their phase: it is stationary there). `hamiltonian` is conserved.
+    `shown` are factors, one a component of `state`, that make of it what users see: errors are measured there as well.
 
     Raises ValueError when the shapes or the symbols do not fit.
     """
@@ -32,6 +33,7 @@ class OdeModel:
     half_period: Signs | None = None
     normalisation: ca.SX | None = None
     hamiltonian: ca.SX | None = None
+    shown: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
@@ -42,6 +44,8 @@ class OdeModel:
             raise ValueError(f"{self.name}: a velocity symbol belongs to a model of second order, and only there")
         if self.velocity is not None and self.velocity.shape != self.state.shape:
             raise ValueError(f"{self.name}: velocity of shape {self.velocity.shape}, state {self.state.shape}")
+        if self.shown is not None and len(self.shown) != self.size:
+            raise ValueError(f"{self.name}: shown needs {self.size} factors, given {len(self.shown)}")
         known = {s.element_hash() for s in ca.symvar(ca.vertcat(self.full_state, self.parameters))}
         for label in ("rhs", "normalisation", "hamiltonian"):
             expression = getattr(self, label)

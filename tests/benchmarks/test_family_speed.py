@@ -1,8 +1,7 @@
 """Cost of families as multiples of `numpy.linalg.solve` on a dense 193 x 193 system timed in the same run, one thread.
 
-Run with `pytest -m benchmark -s tests/benchmarks`. Nothing here asserts a time; results are checked, ratios printed.
-The multiple carries over between machines; AUTO-07p at its best takes 8400 for the family with multipliers and 1570
-without, measured beside the same solve.
+Run with `pytest -m benchmark -s tests/benchmarks`; with `--record` what is measured is added to history.csv. Nothing
+here asserts a time; results are checked, ratios printed. The multiple carries over between machines.
 """
 
 from __future__ import annotations
@@ -11,40 +10,27 @@ import resource
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 
-import numpy as np
 import pytest
+from stopwatch import seconds
 
 from casadi_skin import Chain
-from casadi_skin.bvp.problem import Array
-from casadi_skin.correctors.base import Correction
+from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.recursion import TaylorRecursion
+from casadi_skin.correctors.bordered import BorderedSolver
 from casadi_skin.correctors.ipopt import IpoptCorrector
+from casadi_skin.correctors.ladder import Ladder
+from casadi_skin.families import multipliers
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.studies.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark
 
-
-def seconds(act: Callable[[], object], repeats: int) -> float:
-    """Median time of `act` after one call that is not counted."""
-    act()
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        act()
-        times.append(time.perf_counter() - started)
-    return float(np.median(times))
-
-
-@pytest.fixture(scope="module")
-def unit() -> float:
-    """Seconds of the 193 x 193 solve."""
-    generator = np.random.default_rng(0)
-    matrix, right = generator.normal(size=(193, 193)), generator.normal(size=193)
-    value = seconds(lambda: np.linalg.solve(matrix, right), 2000)
-    print(f"\n193 x 193 solve: {1e3 * value:.3f} ms")
-    return value
+SOFT = Chain(24, 1.0, 0.25, -1.0)
+Record = Callable[[str, float, int], None]
 
 
 def follow(tools: FamilyTools, stability: bool) -> FamilyWalk:
@@ -55,50 +41,72 @@ def follow(tools: FamilyTools, stability: bool) -> FamilyWalk:
     return walk
 
 
+@pytest.mark.parametrize("walker", ["series", "arclength"])
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
-def test_end_breather_family_with_and_without_multipliers(unit: float, corrector: str) -> None:
-    request = FamilyRequest(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, (0.2, 1.0, 3.0), 1e-9, corrector=corrector)
+def test_end_breather_family_with_and_without_multipliers(record: Record, corrector: str, walker: str) -> None:
+    request = FamilyRequest(SOFT, 1, 3.0, (0.2, 1.0, 3.0), 1e-9, corrector=corrector, walker=walker)
     started = time.perf_counter()
     tools = FamilyTools(request)
     FamilyWalk(tools)
     tools.ladder.corrector(tools.ladder.problem(8))
-    building = time.perf_counter() - started
+    print(f"\n{corrector}, {walker}: first build {time.perf_counter() - started:.3f} s")
     walk = follow(tools, stability=True)
     assert abs(walk.orbits[-1].Omega - 0.765958900020734) < 1e-9
-    points = len(walk.orbits)
-    print(f"{corrector}: {points} points; first build {building:.3f} s")
     for stability in (True, False):
         value = seconds(lambda s=stability: follow(tools, s), 9)  # type: ignore[misc]
         words = "with multipliers" if stability else "without"
-        print(
-            f"  {words:<17} {1e3 * value:7.1f} ms = {value / unit:6.0f} solves, {1e3 * value / points:.2f} ms a point"
-        )
+        record(f"end breather, {corrector}, {walker}, {words}", value, len(walk.orbits))
 
 
-def test_overhead_of_ipopt(unit: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time inside Ipopt's calls, and of it the part that is spent in our functions."""
-    calls: list[tuple[float, float, int]] = []
-    original = IpoptCorrector.correct
-
-    def timed(self: IpoptCorrector, guess: Array, row: Array, value: float) -> Correction:
-        started = time.perf_counter()
-        result = original(self, guess, row, value)
-        stats = self._solver.stats()
-        ours = sum(stats[f"t_wall_{name}"] for name in ("nlp_g", "nlp_jac_g", "nlp_hess_l", "nlp_f", "nlp_grad_f"))
-        calls.append((time.perf_counter() - started, ours, result.iterations))
-        return result
-
-    tools = FamilyTools(FamilyRequest(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, (), 1e-9))
-    follow(tools, stability=False)
-    monkeypatch.setattr(IpoptCorrector, "correct", timed)
+def test_twelve_families_with_stability(record: Record) -> None:
+    """Those of the paper's Fig. 3: six modes, hardening and softening, to S = 3."""
+    wanted = [(g, mode) for g in (1.0, -1.0) for mode in MODES]
+    every = [FamilyTools(FamilyRequest(Chain(24, 1.0, 0.25, g), mode, 3.0, (), 1e-8)) for g, mode in wanted]
+    for tools in every:
+        follow(tools, stability=True)
     started = time.perf_counter()
-    follow(tools, stability=False)
-    total = time.perf_counter() - started
-    inside, ours, iterations = (sum(column) for column in zip(*calls, strict=True))
-    print(
-        f"family {total / unit:.0f} solves: in Ipopt {inside / unit:.0f} ({len(calls)} calls, {iterations} iterations) "
-        f"of which our functions {ours / unit:.0f}, Ipopt and MUMPS themselves {(inside - ours) / unit:.0f}"
-    )
+    points = sum(len(follow(tools, stability=True).orbits) for tools in every)
+    record("twelve families with stability", time.perf_counter() - started, points)
+
+
+@pytest.mark.parametrize("walker", ["series", "arclength"])
+def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time inside the calls of each part, everything built; what the parts call of each other is counted once."""
+    tools = FamilyTools(FamilyRequest(SOFT, 1, 3.0, (), 1e-9, walker=walker))
+    follow(tools, stability=True)
+    spent: Counter[str] = Counter()
+    calls: Counter[str] = Counter()
+    inside: list[float] = []  # time of the parts that the current one has called, one entry for each that is open
+
+    def watch(owner: object, method: str, part: str) -> None:
+        original = getattr(owner, method)
+
+        def timed(*arguments: object, **more: object) -> object:
+            inside.append(0.0)
+            started = time.perf_counter()
+            result = original(*arguments, **more)
+            total = time.perf_counter() - started
+            spent[part] += total - inside.pop()
+            calls[part] += 1
+            if inside:
+                inside[-1] += total
+            return result
+
+        monkeypatch.setattr(owner, method, timed)
+
+    watch(IpoptCorrector, "correct", "Ipopt, with its evaluations")
+    watch(OrbitProblem, "evaluate", "residuals and Jacobians outside Ipopt")
+    watch(BorderedSolver, "factor", "factorisations outside Ipopt")
+    watch(TaylorRecursion, "series", "series")
+    watch(Ladder, "refined", "error estimates, but for the two above")
+    watch(multipliers, "floquets", "multipliers")
+    started = time.perf_counter()
+    walk = follow(tools, stability=True)
+    spent["the rest, Python"] = time.perf_counter() - started - sum(spent.values())
+    print(f"\n{walker}, {len(walk.orbits)} points")
+    for part, value in spent.most_common():
+        print(f"  {part:<42} {value / unit:6.0f} solves, {calls[part] or '':>4}")
+    assert calls["multipliers"] > 0
 
 
 LONG_CHAIN = """
@@ -106,24 +114,26 @@ import resource, time
 from casadi_skin import Chain
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.request import FamilyRequest, FamilyTools
+tools = FamilyTools(FamilyRequest(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
 started = time.perf_counter()
-tools = FamilyTools(FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
-tools.ladder.corrector(tools.ladder.problem(8))
-built = time.perf_counter()
 walk = FamilyWalk(tools)
 for _ in walk:
     pass
 assert abs(walk.orbits[-1].Omega - 2.3200364277694) < 1e-8, walk.orbits[-1].Omega
-print(f"built in {{built - started:.2f}} s, {{len(walk.orbits)}} points in {{time.perf_counter() - built:.1f}} s, "
-      f"peak memory {{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f}} GB")
+memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+print(time.perf_counter() - started, len(walk.orbits), memory)
 """
 
 
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
-def test_thousand_sites(corrector: str) -> None:
-    code = LONG_CHAIN.format(corrector=corrector)
+@pytest.mark.parametrize("sites", [24, 100, 300, 1000, 3000, 10000])
+def test_long_chains(record: Record, sites: int, corrector: str) -> None:
+    """First runs in processes of their own, everything built on the way: cost a point by the size."""
+    code = LONG_CHAIN.format(sites=sites, corrector=corrector)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    print(f"\nN = 1000, j = 1000, {corrector}: {done.stdout.strip()}")
+    value, points, memory = done.stdout.split()
+    record(f"N = j = {sites}, {corrector}, first run", float(value), int(points))
+    print(f"    peak memory {float(memory):.2f} GB")
 
 
 def test_import_and_help() -> None:

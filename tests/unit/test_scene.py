@@ -66,9 +66,7 @@ def test_a_chain_alone_asks_for_nothing_else() -> None:
     assert (scene.title, scene.spectrum, scene.family, scene.stability) == (None, None, None, None)
     assert scene.dynamics is None
     assert scene.accuracy.relative_tolerance == 1e-8
-    assert scene.method == MethodTable(
-        transcription="trigonometric", corrector="ipopt", walker=None, flow="splitting"
-    )
+    assert scene.method == MethodTable(transcription="trigonometric", corrector="ipopt", walker=None, flow="splitting")
 
 
 def test_the_scene_of_the_manual() -> None:

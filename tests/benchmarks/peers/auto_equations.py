@@ -4,7 +4,8 @@
     v(0) = 0,  sum_n w_n q_n(0)^2 = 1,  and q(1) = 0 on a quarter, v(1) = 0 on a whole period
 
 PAR(1) = S, PAR(2) = tau, PAR(3) = largest |multiplier|. No unfolding parameter and no phase condition are needed:
-v(0) = 0 fixes the phase, and with S free and the amplitude scaled out the problem is regular.
+v(0) = 0 fixes the phase, and with S free and the amplitude scaled out the problem is regular. In the gauge L is
+symmetric; in physical coordinates it is not, and w = 1.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ import math
 from collections.abc import Iterable
 from enum import Enum
 
+import numpy as np
 from family_case import FamilyCase
 
 TEMPLATE = """
 module family
   implicit none
   integer, parameter :: n = {n}
-  double precision, parameter :: g = {g}, diagonal = {diagonal}, s = {s}
+  double precision, parameter :: g = {g}, diagonal = {diagonal}
+  double precision, parameter :: left = {left}, right = {right}
   double precision, parameter :: w(n) = [ &
 {weights} ]
   double precision, parameter :: mode(n) = [ &
@@ -39,8 +42,8 @@ subroutine func(ndim, u, icp, par, ijac, f, dfdu, dfdp)
   tau = par(2)
   do i = 1, n
     force = -diagonal*u(i) - kappa*w(i)*u(i)**3
-    if (i > 1) force = force + s*u(i - 1)
-    if (i < n) force = force + s*u(i + 1)
+    if (i > 1) force = force + left*u(i - 1)
+    if (i < n) force = force + right*u(i + 1)
     f(i) = tau*u(n + i)
     f(n + i) = tau*force
   end do
@@ -48,8 +51,8 @@ subroutine func(ndim, u, icp, par, ijac, f, dfdu, dfdp)
   do i = 1, n
     dfdu(i, n + i) = tau
     dfdu(n + i, i) = tau*(-diagonal - 3*kappa*w(i)*u(i)**2)
-    if (i > 1) dfdu(n + i, i - 1) = tau*s
-    if (i < n) dfdu(n + i, i + 1) = tau*s
+    if (i > 1) dfdu(n + i, i - 1) = tau*left
+    if (i < n) dfdu(n + i, i + 1) = tau*right
   end do
   if (ijac == 1) return
   do i = 1, n
@@ -140,11 +143,17 @@ class Formulation(Enum):
     QUARTER = "quarter"
     REDUCED = "quarter, reduced system, multipliers"
     PERIOD = "whole period, multipliers"
+    PHYSICAL = "whole period, physical, multipliers"
+
+    @property
+    def whole(self) -> bool:
+        """Whether the interval is the period, of which AUTO computes multipliers itself; else it is a quarter."""
+        return self in (Formulation.PERIOD, Formulation.PHYSICAL)
 
     @property
     def part(self) -> float:
         """Length of the interval in periods."""
-        return 1.0 if self is Formulation.PERIOD else 0.25
+        return 1.0 if self.whole else 0.25
 
 
 def fortran_list(values: Iterable[float]) -> str:
@@ -159,19 +168,23 @@ def number(value: float) -> str:
 
 def equations(case: FamilyCase, formulation: Formulation) -> str:
     """Fortran source of the equations."""
-    chain, whole = case.chain, formulation is Formulation.PERIOD
-    after = {Formulation.PERIOD: OWN_MULTIPLIERS, Formulation.REDUCED: REDUCED_SYSTEM}.get(formulation, "")
+    chain, whole, reduced = case.chain, formulation.whole, formulation is Formulation.REDUCED
+    left, right, weights, mode = chain.coupling, chain.coupling, chain.weights, case.start
+    if formulation is Formulation.PHYSICAL:
+        left, right = 1.0 + chain.gamma, 1.0 - chain.gamma
+        weights, mode = np.ones(case.sites), chain.rho * case.start
     return TEMPLATE.format(
         n=case.sites,
         g=number(chain.g),
         diagonal=number(2.0 + chain.alpha),
-        s=number(chain.coupling),
-        weights=fortran_list(chain.weights),
-        mode=fortran_list(case.start),
+        left=number(left),
+        right=number(right),
+        weights=fortran_list(weights),
+        mode=fortran_list(mode),
         omega=number(case.omega),
         tau=number(formulation.part * 2.0 * math.pi / case.omega),
         end_first="n + 1" if whole else "1",
         end_last="2*n" if whole else "n",
-        using="use support, only: p0v, p1v" if formulation is Formulation.REDUCED else "",
-        after=after,
+        using="use support, only: p0v, p1v" if reduced else "",
+        after=OWN_MULTIPLIERS if whole else REDUCED_SYSTEM if reduced else "",
     )

@@ -35,7 +35,7 @@ class AutoSettings:
 
     def file(self, case: FamilyCase, formulation: Formulation) -> str:
         """The constants file."""
-        n, own = case.sites, formulation is Formulation.PERIOD
+        n, own = case.sites, formulation.whole
         constants: dict[str, object] = {
             "NDIM": 2 * n, "NBC": 2 * n + 1, "NINT": 0, "IPS": 7 if own else 4, "JAC": 1,
             "ICP": [1, 2, 3], "NPAR": 12,
@@ -54,12 +54,13 @@ class AutoSettings:
 # Found by trying, for an Omega good to 1e-8 at all points. Four points in each interval: the elimination inside an
 # interval costs NCOL^3, and more but shorter intervals are cheaper than NCOL = 5 to 7 at this accuracy, down to 4.
 # An adapted mesh gains nothing. Without multipliers one matrix a step is cheapest; with them the last matrix has to be
-# that of the orbit: with NWTN = 2 they are wrong by up to 0.16 between the S asked for. EPSU = 1e-5 is a quarter
-# cheaper, but leaves 3e-7 in Omega.
+# that of the orbit: with NWTN = 2 they are wrong by up to 0.05 between the S asked for, with 3 by up to 4e-3. EPSU =
+# 1e-5 is an eighth cheaper, but leaves 2e-7 in Omega. Orbits weigh little in the arclength: it takes longer steps.
 BEST = {
-    Formulation.QUARTER: AutoSettings(NTST=5, NCOL=4, DSMAX=0.5, ITNW=9, NWTN=1, THU=0.1),
+    Formulation.QUARTER: AutoSettings(NTST=5, NCOL=4, DSMAX=0.8, ITNW=9, NWTN=1, THU=0.03),
     Formulation.REDUCED: AutoSettings(NTST=5, NCOL=4, DSMAX=0.4, ITNW=5, NWTN=5, THU=0.1),
-    Formulation.PERIOD: AutoSettings(NTST=20, NCOL=4, DSMAX=0.5, ITNW=5, NWTN=5),
+    Formulation.PERIOD: AutoSettings(NTST=20, NCOL=4, DSMAX=0.5, ITNW=5, NWTN=5, THU=0.1),
+    Formulation.PHYSICAL: AutoSettings(NTST=20, NCOL=4, DSMAX=0.5, ITNW=5, NWTN=5),
 }
 
 
@@ -110,7 +111,7 @@ class AutoProgram:
         lines = (line.split() for line in (self.folder / "fort.7").read_text().splitlines())
         rows = np.array([[float(value) for value in line] for line in lines if line and line[0] != "0"])
         S, tau = rows[:, 4], rows[:, -2]
-        found = rows[:, -1] if self.formulation is Formulation.PERIOD else None
+        found = rows[:, -1] if self.formulation.whole else None
         if self.formulation is Formulation.REDUCED:
             found = self.reduced_multipliers(S)
         return Family(S, 2.0 * np.pi * self.formulation.part / tau, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,11 +22,12 @@ class FamilyCase:
 
     sites: int = 24
     at: tuple[float, ...] = (0.2, 1.0, 3.0)
+    gamma: float = 0.25
 
     @property
     def chain(self) -> Chain:
         """The chain of all measurements in this folder."""
-        return Chain(self.sites, 1.0, 0.25, -1.0)
+        return Chain(self.sites, 1.0, self.gamma, -1.0)
 
     @property
     def omega(self) -> float:
@@ -50,28 +52,37 @@ class Family:
 
 @dataclass(frozen=True)
 class Timed:
-    """A family with the wall times of all counted repeats, and of one 193 x 193 solve beside them, in seconds.
-
-    Least times are compared: what other programs on the machine add is never negative.
-    """
+    """A family with the times of all counted repeats, and of a 193 x 193 solve beside each of them, in seconds."""
 
     family: Family
-    seconds: tuple[float, ...]
-    unit: float
+    seconds: Array
+    units: Array
+
+    @property
+    def solves(self) -> Array:
+        """Times as multiples of the solve measured beside them."""
+        return self.seconds / self.units
 
 
 def timed(follow: Callable[[], Family], repeats: int) -> Timed:
-    """Follow the family once uncounted, then `repeats` times; the unit is timed before and after."""
+    """Follow the family once uncounted, then `repeats` times, each between two measurements of the unit."""
     family, units, seconds = follow(), [unit_seconds()], []
     for _ in range(repeats):
-        started = time.perf_counter()
+        started = processor_seconds()
         family = follow()
-        seconds.append(time.perf_counter() - started)
-    units.append(unit_seconds())
-    return Timed(family, tuple(seconds), min(units))
+        seconds.append(processor_seconds() - started)
+        units.append(unit_seconds())
+    beside = 0.5 * (np.array(units[1:]) + np.array(units[:-1]))
+    return Timed(family, np.array(seconds), beside)
 
 
-def unit_seconds(repeats: int = 500) -> float:
+def processor_seconds() -> float:
+    """Time of a processor spent by this process and by children that have ended; others do not stretch it."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def unit_seconds(repeats: int = 300) -> float:
     """Median time of one numpy.linalg.solve on a dense 193 x 193 system."""
     generator = np.random.default_rng(0)
     matrix, right = generator.normal(size=(193, 193)), generator.normal(size=193)

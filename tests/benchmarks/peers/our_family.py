@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from family_case import Array, Family, FamilyCase
@@ -13,8 +14,9 @@ from casadi_skin.families.request import FamilyRequest, FamilyTools
 
 # Name in the table: keywords of FamilyRequest. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
-    "this, ipopt": {"corrector": "ipopt"},
-    "this, newton": {"corrector": "newton"},
+    f"this, {corrector}, {walker}": {"corrector": corrector, "walker": walker}
+    for corrector in ("ipopt", "newton")
+    for walker in ("arclength", "series")
 }
 
 
@@ -52,7 +54,7 @@ def our_family(case: FamilyCase, tolerance: float, keywords: dict[str, str], sta
 def reference(case: FamilyCase, S: Array) -> Family:
     """The family at the given S > 0, in their order, at tolerance 1e-12."""
     asked = tuple(float(value) for value in np.unique(np.minimum([*S, *case.at], case.at[-1])))
-    exact = FamilyCase(case.sites, asked)
+    exact = replace(case, at=asked)
     family = our_family(exact, 1e-12, {"corrector": "newton"}, True)()
     assert family.multiplier is not None
     index = [int(np.argmin(abs(family.S - value))) for value in S]

@@ -143,6 +143,7 @@ class BvpWalk:
         )  # fmt: skip
         if found.status != 0:
             return None
+        assert found.p is not None
         tau, S = problem.of(found.p)
         return Orbit(found.sol, found.x, tau, S)
 

@@ -1,14 +1,17 @@
 """The same family by this package, AUTO-07p and scipy's solve_bvp, side by side in one run; errors asserted, not times.
 
 Run with `pytest -m benchmark -s tests/benchmarks/peers`, one thread (OMP_NUM_THREADS=1). Peers that are not installed
-are skipped. All follow j = 1, g = -1 from the linear mode to S = 3 with points exactly at S = 0.2, 1 and 3; errors are
-taken at every point, against this package at tolerance 1e-12, itself held to digits computed elsewhere.
+are skipped. All follow j = 1, g = -1 from the linear mode to S = 3 with points exactly at S = 0.2, 1 and 3, asked for
+an Omega good to 1e-8 there. Errors are taken at every point, against this package at tolerance 1e-12, itself held to
+digits computed elsewhere. Times are of a processor, as multiples of a dense 193 x 193 solve timed before and after.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from importlib.metadata import version
+from importlib.util import find_spec as installed
 from pathlib import Path
 
 import auto_family
@@ -16,28 +19,34 @@ import numpy as np
 import pytest
 import solve_bvp_family
 from auto_equations import Formulation
-from family_case import Family, FamilyCase, Timed, timed
+from family_case import Family, FamilyCase, Timed, timed, unit_seconds
 from our_family import VARIANTS, our_family, reference
 
 pytestmark = pytest.mark.benchmark
 
 REPEATS = {24: 7, 48: 3}  # counted runs by length of the chain
+ASKED = 1e-8  # error of Omega at the S asked for; settings are the cheapest that round to it
+PACKAGES = ("casadi", "numpy", "scipy", "bifpy")
 UNSTABLE = 1.01  # largest |multiplier| from which its error is compared: nearer 1 it is the root of that of the flow
 OUR_TOLERANCE = 1e-8
 HEADING = (
-    f"{'program':<46} {'points':>6} {'family, ms':>11} {'a point':>8} {'solves':>7}   "
-    "Omega at S = 0.2, 1, 3, worst             multiplier at 3, worst"
+    f"{'program':<50} {'points':>6} {'solves: median, range':>23} {'a point':>8}   "
+    "Omega at S = 0.2, 1, 3, worst             multiplier at 3, worst, of stable orbits"
 )
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of Omega at the S asked for and the worst of all points; the same of the largest |multiplier| at the last S."""
+    """Of Omega at the S asked for and the worst of all points; the same of the largest |multiplier| at the last S.
+
+    `stable_multiplier` is the largest distance from 1 at an orbit that is stable.
+    """
 
     Omega: tuple[float, ...]
     worst: float
-    multiplier: float | None
-    worst_multiplier: float | None
+    multiplier: float | None = None
+    worst_multiplier: float | None = None
+    stable_multiplier: float | None = None
 
 
 def errors(case: FamilyCase, family: Family) -> Errors:
@@ -49,10 +58,11 @@ def errors(case: FamilyCase, family: Family) -> Errors:
     assert max(abs(family.S[moving][asked] - case.at)) < 1e-6, "left the family"
     at = tuple(float(of_omega[i]) for i in asked)
     if family.multiplier is None:
-        return Errors(at, float(max(abs(of_omega))), None, None)
+        return Errors(at, float(max(abs(of_omega))))
     of_multiplier = family.multiplier[moving] - exact.multiplier
-    worst = float(max(abs(of_multiplier[exact.multiplier > UNSTABLE])))
-    return Errors(at, float(max(abs(of_omega))), float(of_multiplier[asked[-1]]), worst)
+    unstable, stable = exact.multiplier > UNSTABLE, exact.multiplier == 1.0
+    parts = (float(np.max(abs(of_multiplier[which]), initial=0.0)) for which in (unstable, stable))
+    return Errors(at, float(max(abs(of_omega))), float(of_multiplier[asked[-1]]), *parts)
 
 
 @dataclass
@@ -67,18 +77,17 @@ class Table:
         found = errors(self.case, measured.family)
         self.lines.append(self.line(name, measured, found))
         print(f"\n{self.lines[-1]}")
+        assert max(map(abs, found.Omega)) < 1.5 * ASKED
         return found
 
     @staticmethod
     def line(name: str, measured: Timed, found: Errors) -> str:
-        milliseconds = 1e3 * np.array(measured.seconds)
-        points, least = len(measured.family.S), float(milliseconds.min())
-        spread = f"{least:.0f}-{milliseconds.max():.0f}"
+        solves, points = measured.solves, len(measured.family.S)
+        cost = f"{np.median(solves):.0f}, {solves.min():.0f}-{solves.max():.0f}"
         at = " ".join(f"{value:8.1e}" for value in (*found.Omega, found.worst))
-        text = f"{name:<46} {points:>6} {spread:>11} {least / points:>8.1f} {1e-3 * least / measured.unit:>7.0f}   {at}"
-        if found.multiplier is None:
-            return text
-        return f"{text}   {found.multiplier:8.1e} {found.worst_multiplier:8.1e}"
+        text = f"{name:<50} {points:>6} {cost:>23} {np.median(solves) / points:>8.1f}   {at}"
+        of_multiplier = (found.multiplier, found.worst_multiplier, found.stable_multiplier)
+        return text + "  " + " ".join(f"{value:8.1e}" for value in of_multiplier if value is not None)
 
 
 @pytest.fixture(scope="module", params=list(REPEATS), ids=[f"N{sites}" for sites in REPEATS])
@@ -90,7 +99,8 @@ def table(request: pytest.FixtureRequest) -> Iterator[Table]:
         "\n\n"
         + "\n".join(
             [
-                f"N = {request.param}, {REPEATS[request.param]} repeats, least-most; a point and solves of the least",
+                f"N = {request.param}, {REPEATS[request.param]} repeats; a solve takes {1e3 * unit_seconds():.3f} ms",
+                "; ".join(f"{name} {version(name)}" for name in PACKAGES if installed(name)),
                 HEADING,
                 *table.lines,
             ]
@@ -113,9 +123,12 @@ def test_ours(table: Table, name: str, stability: bool) -> None:
     found = table.add(f"{name}, {OUR_TOLERANCE:g}{', multipliers' if stability else ''}", follow)
     assert found.worst < 1e-8
     assert found.worst_multiplier is None or found.worst_multiplier < 1e-7
+    assert not found.stable_multiplier
 
 
-@pytest.mark.parametrize("formulation", Formulation, ids=lambda value: value.name.lower())
+@pytest.mark.parametrize(
+    "formulation", [f for f in Formulation if f is not Formulation.PHYSICAL], ids=lambda value: value.name.lower()
+)
 def test_auto(table: Table, formulation: Formulation, tmp_path: Path) -> None:
     if message := auto_family.missing():
         pytest.skip(message)
@@ -124,6 +137,21 @@ def test_auto(table: Table, formulation: Formulation, tmp_path: Path) -> None:
     found = table.add(f"AUTO-07p, {formulation.value}", lambda: program.follow(settings))
     assert found.worst < 3e-8
     assert found.worst_multiplier is None or found.worst_multiplier < 1e-6
+
+
+def test_multipliers_of_auto_in_physical_coordinates(tmp_path: Path) -> None:
+    """Once, not timed: N = 48, gamma = 0.6, stable orbits to S = 0.2, in the gauge and in physical coordinates."""
+    if message := auto_family.missing():
+        pytest.skip(message)
+    case, of_stable = FamilyCase(48, (0.1, 0.2), gamma=0.6), []
+    for formulation in (Formulation.PERIOD, Formulation.PHYSICAL):
+        program = auto_family.AutoProgram(tmp_path / formulation.name, case, formulation)
+        found = errors(case, program.follow(auto_family.BEST[formulation]))
+        print(f"\nN = 48, gamma = 0.6, AUTO-07p, {formulation.value}: {found}")
+        assert max(map(abs, found.Omega)) < ASKED
+        of_stable.append(found.stable_multiplier or 0.0)
+    assert of_stable[0] < 1e-6
+    assert of_stable[1] > 1e3 * of_stable[0]  # digits lost to the envelope, not to the discretisation
 
 
 @pytest.mark.parametrize("name", solve_bvp_family.BEST)
@@ -138,4 +166,4 @@ def test_solve_bvp_with_multipliers(table: Table) -> None:
     walk = solve_bvp_family.BvpWalk(table.case, settings)
     found = table.add("solve_bvp and solve_ivp, S, longest steps", lambda: walk.family(multipliers=True))
     assert found.worst < 3e-8
-    assert abs(found.multiplier or 0.0) < 2e-7
+    assert abs(found.multiplier or 0.0) < 5e-7
