@@ -259,7 +259,7 @@ def _vector(name: str, given: ArrayLike, *sizes: int) -> Array:
 def _check_envelope(chain: Chain) -> None:
     if abs(chain.gamma) < 1 and -chain.log_rho.min() > LONGEST_ENVELOPE:
         raise ValueError(
-            f"coordinates: given gauge with N = {chain.sites}, gamma = {chain.gamma:g}, whose envelope spans "
+            f"coordinates: given gauge with N = {chain.sites}, gamma = {chain.gamma!r}, whose envelope spans "
             f"exp({chain.log_rho.min():.4g}); accepted: (N - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}, or physical"
         )
 

@@ -37,6 +37,10 @@ def scene_requests(scene: Scene) -> list[FamilyRequest]:
             flow=method.flow,
             walker=method.walker,
             degree=method.degree,
+            at_Omega=family.at_Omega,
+            at_period=family.at_period,
+            period_max=family.period_max,
+            max_points=family.max_points,
         )
         for mode in family.modes
     ]
@@ -72,9 +76,14 @@ def _dynamics(table: DynamicsTable, only_mode: int) -> str:
 def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str, str]]:
     request, tools = requests[0], FamilyTools(requests[0])
     modes = ", ".join(str(r.mode) for r in requests)
-    at = f", points exactly at S = {', '.join(f'{S:g}' for S in request.at)}" if request.at else ""
+    wanted = (("S", request.at), ("Omega", request.at_Omega), ("period", request.at_period))
+    exactly = [f"{name} = {', '.join(f'{value:g}' for value in values)}" for name, values in wanted if values]
+    at = f", points exactly at {'; '.join(exactly)}" if exactly else ""
+    end = f"S = {request.amplitude_max:g}"
+    if request.period_max is not None:
+        end += f" or a period of {request.period_max:g}, whichever comes first"
     lines = [
-        ("families", f"j = {modes}, to S = {request.amplitude_max:g}{at}"),
+        ("families", f"j = {modes}, to {end}{at}; {request.max_points} points at most"),
         ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
         ("symmetry", tools.symmetry.reason),
     ]
@@ -112,7 +121,7 @@ def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
         error = tools.ladder.error(problem, correction.z)
         finer = tools.ladder.finer(problem)
         at_top = finer is None or tools.ladder.finer(finer) is None  # the last rung has no error to show
-        if finer is None or at_top or error.relative(float(z[problem.Omega_index])) <= tools.request.tolerance:
+        if finer is None or at_top or error.relative(problem.frequency(z)) <= tools.request.tolerance:
             return problem, error
         problem, z = finer, problem.prolong(correction.z, finer)
 

@@ -111,7 +111,8 @@ class Run:
         finally:
             branch = walk.branch()
             self.branches.append(branch)
-        journal.append(EndRecord(request.mode, branch.end, branch.detail, branch.missed))
+        missed = (branch.missed, branch.missed_Omega, branch.missed_period)
+        journal.append(EndRecord(request.mode, branch.end, branch.detail, *missed))
 
     def _evolve(self) -> None:
         """The time evolution with its files, where the scene asks for one; nothing of it is imported elsewhere."""

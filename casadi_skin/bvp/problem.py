@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
+from enum import Enum
 from functools import cached_property
 from typing import Self
 
@@ -19,6 +20,13 @@ Indices = NDArray[np.int64]
 
 EPSILON = float(np.finfo(float).eps)
 FREQUENCY_WEIGHT = 20.0  # a relative change of 5 per cent in Omega counts as much as a wholly new profile
+
+
+class Scalar(Enum):
+    """The two unknowns beside the state values, by their place after these."""
+
+    OMEGA = 0
+    PARAMETER = 1
 
 
 def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, values: ca.MX) -> ca.MX:
@@ -83,11 +91,15 @@ class OrbitProblem(ABC):
         factors = self.model.shown
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 
+    def row_of(self, held: Scalar) -> Array:
+        """Row that holds Omega or the free parameter, shape (size,)."""
+        row = np.zeros(self.size)
+        row[self.index_of(held)] = 1.0
+        return row
+
     def parameter_row(self) -> Array:
         """Row that holds the free parameter, shape (size,)."""
-        row = np.zeros(self.size)
-        row[self.parameter_index] = 1.0
-        return row
+        return self.row_of(Scalar.PARAMETER)
 
     @abstractmethod
     def sample(self, z: Array, theta: Array) -> Array:
@@ -98,15 +110,31 @@ class OrbitProblem(ABC):
     def size(self) -> int:
         """Number of unknowns."""
 
+    def unknown_at(self, scalar: Scalar, value: float) -> float:
+        """The unknown that stands for Omega or the free parameter, where that has this value."""
+        return value
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of Omega or the free parameter among the unknowns."""
+        return self.states + scalar.value
+
     @property
     def Omega_index(self) -> int:
         """Place of Omega among the unknowns."""
-        return self.states
+        return self.index_of(Scalar.OMEGA)
+
+    def frequency(self, z: Array) -> float:
+        """Omega of z."""
+        return float(z[self.Omega_index])
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        """What a small step from z changes Omega by."""
+        return float(step[self.Omega_index])
 
     @property
     def parameter_index(self) -> int:
         """Place of the free parameter among the unknowns."""
-        return self.states + 1
+        return self.index_of(Scalar.PARAMETER)
 
     @cached_property
     def symbols(self) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -183,6 +211,17 @@ class OrbitProblem(ABC):
     def round_off(self) -> float:
         """Relative error of Omega and of the profile left where the equations are solved but for rounding; measured."""
         return 10.0 * EPSILON
+
+    def place(self, equation: int) -> str:
+        """Where an equation, counted from 0, holds, in words; transcriptions know more."""
+        return "the normalisation" if equation == self.size - 2 else f"equation {equation + 1} of {self.size - 1}"
+
+    def worst(self, z: Array) -> str:
+        """The largest residual at z and where it is, in words."""
+        residual = np.abs(self.evaluate(z)[0])
+        equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+        where = f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
+        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {where}"
 
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""

@@ -118,6 +118,13 @@ class TrigonometricProblem(OrbitProblem):
         )
         return z, residual, derivative + stiffness + borders
 
+    def place(self, equation: int) -> str:
+        """Where an equation, counted from 0, holds, in words."""
+        if equation >= self.states:
+            return super().place(equation)
+        site, node = divmod(equation, self.resolution)
+        return f"site {site + 1}, node {node + 1} of {self.resolution}"
+
     def _second_derivative(self, values: ca.MX) -> ca.MX:
         """Second derivatives at the nodes, shape (harmonics, sites).
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
 from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.locating import Locator
-from casadi_skin.continuation.points import End, Point, is_any
+from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.bordered import SingularError
 
@@ -48,7 +48,7 @@ class ArclengthWalk:
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
-        self.missed: list[float] = []
+        self.missed: list[Target] = []
 
     def __iter__(self) -> Iterator[Point]:
         sign = float(np.sign(self.settings.parameter_max))
@@ -84,7 +84,8 @@ class ArclengthWalk:
                 step *= 0.5
             else:  # perhaps for what the coarser rung leaves out
                 departure = self._departure(current, current.problem)
-        self.end = End.NO_STEP
+        self.end, advice = End.NO_STEP, "try another transcription or a larger tolerance"
+        self.detail = f"{self.detail or self.locator.failure}; {advice}".removeprefix("; ")
         return None
 
     def _departure(self, current: Point, problem: OrbitProblem) -> _Departure:
@@ -111,7 +112,7 @@ class ArclengthWalk:
         angle = departure.angle(tangent)
         if angle > self.settings.guard_angle:
             return None
-        point = self.locator.near(problem, correction, tangent, row, held=False)
+        point = self.locator.near(problem, correction, tangent, row)
         if point is None:
             self.end = End.RESOLUTION
             return None
@@ -138,22 +139,21 @@ class ArclengthWalk:
 
         Sets `end` where the stretch passes the walk's end, also where it folds back before it closes.
         """
-        settings, last = self.settings, self.settings.parameter_max
-        wanted = dict.fromkeys(settings.at, True)
-        wanted.setdefault(last, False)
+        ends, wanted = self.settings.ends, self.settings.wanted
         if current.parameter == 0.0:
-            wanted.setdefault(START_FRACTION * following.parameter, False)
-        ends = (current.parameter, following.parameter)
-        inside = tuple(v for v in wanted if not any(is_any(end, (v,)) for end in ends))
-        for value, point in self.locator.between(current, following, inside):
+            wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
+        inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
+        for target, point in self.locator.between(current, following, inside):
             if point is None:
-                self.missed.append(value)
+                self.missed.append(target)
+                self.detail = self.locator.failure
             else:
-                yield replace(point, requested=wanted[value])
-            if value == last:
+                yield replace(point, requested=wanted[target])
+            if target in ends:
                 self.end = End.REACHED
                 return
-        if is_any(following.parameter, (last,)):  # the step itself ended there
+        reached = tuple(target for target in ends if target.meets(following))
+        if reached:  # the step itself ended there
             self.end = End.REACHED
-            end = following.snapped((last,))
-            yield replace(end, requested=wanted[last], walked=False)
+            end = following.snapped((*reached, *self.settings.at))
+            yield replace(end, requested=any(t.meets(end) for t in self.settings.at), walked=False)

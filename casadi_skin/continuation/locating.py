@@ -1,4 +1,4 @@
-"""Corrected points of a branch: near a guess, at a value of the parameter, between two points already known.
+"""Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two points already known.
 
 The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
 """
@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
 from casadi_skin.continuation.hermite import LocalCurve
-from casadi_skin.continuation.points import Point, WalkSettings
+from casadi_skin.continuation.points import Point, Target, WalkSettings
 from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.bordered import SingularError, Solve
 from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
@@ -20,7 +20,9 @@ from casadi_skin.correctors.ladder import ErrorEstimate, Ladder, step_error
 ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
 COARSEN = 0.25  # of the tolerance: the error expected of a coarser rung; less than 1, or it is left again at once
 START_ERROR = 1e-4  # of the linear mode where a walk starts
-BESIDE = 1e-3  # reach of a correction to a value of the parameter that is the point's own but for round-off
+PATIENCE = 4  # rungs that may fail to halve, all together, an estimate that is small enough to mean something
+MEANINGFUL = 1e-3
+BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
 class Locator:
@@ -28,6 +30,7 @@ class Locator:
 
     def __init__(self, ladder: Ladder, settings: WalkSettings) -> None:
         self.ladder, self.settings = ladder, settings
+        self.failure = ""  # why the last correction came to nothing, in words
 
     # Geometry -------------------------------------------------------------------------------------------------------
 
@@ -66,28 +69,35 @@ class Locator:
     def correct(self, problem: OrbitProblem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
         """Corrected point within the guard's fraction of `reach` of the guess, or None."""
         correction = self.ladder.corrector(problem).correct(guess, row, value)
-        if not correction.converged or correction.z[problem.Omega_index] <= 0:
+        if not correction.converged or problem.frequency(correction.z) <= 0:
+            self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
             return None
         distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
-        return correction if distance <= self.settings.guard_distance * reach else None
+        allowed = self.settings.guard_distance * reach
+        if distance <= allowed:
+            return correction
+        at = f"Omega = {problem.frequency(guess):.10g}, parameter = {guess[problem.parameter_index]:.10g}"
+        self.failure = f"at {at} the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
+        return None
 
     def refined(
         self,
         problem: OrbitProblem,
         correction: Correction,
         row: Array,
-        held: bool,
+        held: Scalar | None = None,
         known: tuple[Point, float] | None = None,
     ) -> Point | None:
         """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
 
-        `held` tells that `row` holds the parameter. Where most of the error is what the corrector left over, a Newton
-        step and the corrector once more take it away; what stays after that, or what a finer rung does not lessen, is
-        round-off, and the point is kept with its estimate. `known` is the correction's point and relative error, where
-        these have been found. Raises SingularError.
+        `held` tells what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
+        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer rung
+        does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
+        relative error, where these have been found. Raises SingularError.
         """
         z, iterations, polished, placed = correction.z, correction.iterations, False, False
         coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
+        climbed: list[tuple[int, float]] = []
         while True:
             solve = self.factor(problem, z, row)
             if known is None:
@@ -97,7 +107,7 @@ class Locator:
             if point.at_round_off or relative <= self.settings.tolerance:
                 return point
             left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
-            algebraic = step_error(problem, z, left_over).relative(point.Omega)
+            algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
             if polished and algebraic > 0.25 * relative:
                 return replace(point, at_round_off=True)
             if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
@@ -108,6 +118,8 @@ class Locator:
                 polished, placed, target = False, True, problem.placed(z, problem)
                 guess = problem.prolong(z, target)
             else:
+                climbed.append((problem.resolution, relative))
+                _check_gain(climbed, point)
                 finer = self.ladder.finer(problem, z)
                 if finer is None or self.ladder.finer(finer) is None:
                     return None
@@ -120,7 +132,7 @@ class Locator:
             problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
 
     def near(
-        self, problem: OrbitProblem, correction: Correction, tangent: Array, row: Array, held: bool
+        self, problem: OrbitProblem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
     ) -> Point | None:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
         point, relative = self._measured(problem, correction, tangent, held)
@@ -128,24 +140,24 @@ class Locator:
         return point if finished else self.refined(problem, correction, row, held, (point, relative))
 
     def _measured(
-        self, problem: OrbitProblem, correction: Correction, tangent: Array, held: bool
+        self, problem: OrbitProblem, correction: Correction, tangent: Array, held: Scalar | None
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
-        error, better = self.ladder.refined(problem, correction.z, None if held else tangent)
-        relative = error.relative(float(correction.z[problem.Omega_index]))
+        error, better = self.ladder.refined(problem, correction.z, tangent, held)
+        relative = error.relative(problem.frequency(correction.z))
         at_round_off = self.settings.tolerance < relative <= error.round_off
         step, iterations = self.settings.first_step, correction.iterations
         point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
         return point, relative
 
     def _closing(
-        self, problem: OrbitProblem, target: OrbitProblem, guess: Array, row: Array, tangent: Array, held: bool
+        self, problem: OrbitProblem, target: OrbitProblem, guess: Array, row: Array, tangent: Array, held: Scalar | None
     ) -> Array:
         """The row that closes the equations of `target` as `row` closed those of `problem`."""
         if target is problem:
             return row
-        if held:
-            return np.asarray(target.parameter_row() * row[problem.parameter_index])
+        if held is not None:
+            return np.asarray(target.row_of(held) * row[problem.index_of(held)])
         return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
 
     def lighter(self, point: Point) -> OrbitProblem:
@@ -153,24 +165,24 @@ class Locator:
         allowed = COARSEN * self.settings.tolerance
         return self.ladder.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
 
-    # At a value of the parameter, between two points -----------------------------------------------------------------
+    # At a value of the parameter or of Omega, between two points -----------------------------------------------------
 
     def between(
-        self, current: Point, following: Point, values: tuple[float, ...]
-    ) -> Iterator[tuple[float, Point | None]]:
-        """Points with the free parameter at any of `values` between two points of the branch, in arclength order.
+        self, current: Point, following: Point, targets: tuple[Target, ...]
+    ) -> Iterator[tuple[Target, Point | None]]:
+        """Points at any of `targets` between two points of the branch, in arclength order.
 
-        Yields (value, point), and (value, None) where the corrector does not find the point that the branch passes.
+        Yields (target, point), and (target, None) where the corrector does not find the point that the branch passes.
         """
         curve, length = self.curve(current, following)
-        index = following.problem.parameter_index
-        places = sorted((s, v) for v in values for s in curve.crossings(index, v, length))
-        for sigma, value in places:
-            yield value, self._exactly(following.problem, curve, sigma, value, length)
+        problem = following.problem
+        places = [(sigma, target) for target in targets for sigma in curve.crossings(*target.unknown(problem), length)]
+        for sigma, target in sorted(places, key=lambda place: place[0]):
+            yield target, self._exactly(problem, curve, sigma, target, length)
 
-    def beside(self, point: Point, value: float) -> Point | None:
-        """The point with the free parameter at `value`, which is next to that of `point`; None where none is found."""
-        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, value, BESIDE)
+    def beside(self, point: Point, target: Target) -> Point | None:
+        """The point at a target that `point` meets but for round-off; None where none is found."""
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE)
 
     def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
         """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
@@ -188,24 +200,37 @@ class Locator:
         row = self.metric(problem, guess) * slope
         correction = self.correct(problem, guess, row, float(row @ guess), length)
         try:
-            point = None if correction is None else self.refined(problem, correction, row, held=False)
+            point = None if correction is None else self.refined(problem, correction, row)
         except SingularError:
             return None
         return None if point is None else replace(point, walked=False)
 
     def _exactly(
-        self, problem: OrbitProblem, curve: LocalCurve, sigma: float, value: float, length: float
+        self, problem: OrbitProblem, curve: LocalCurve, sigma: float, target: Target, length: float
     ) -> Point | None:
-        """The point with the free parameter at `value`, near curve(sigma); None where none is found there."""
+        """The point at a target near curve(sigma); None where none is found there."""
         guess = curve.at(sigma)
-        direction = float(np.sign(curve.slope(sigma)[problem.parameter_index]))
-        row = problem.parameter_row() * direction
+        index, value = target.unknown(problem)
+        direction = float(np.sign(curve.slope(sigma)[index]))
+        row = problem.row_of(target.held) * direction
         correction = self.correct(problem, guess, row, value * direction, length)
         if correction is None:
             return None
-        correction.z[problem.parameter_index] = value  # equal but for round-off of the held row
+        correction.z[index] = value  # equal but for round-off of the held row
         try:
-            point = self.refined(problem, correction, row, held=True)
+            point = self.refined(problem, correction, row, target.held)
         except SingularError:
             return None
         return None if point is None else replace(point, walked=False)
+
+
+def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
+    """Raises SingularError where finer rungs do not lessen the error: rounding is amplified there."""
+    if len(climbed) <= PATIENCE:
+        return
+    (coarse, before), (fine, now) = climbed[-1 - PATIENCE], climbed[-1]
+    if 0.5 * before < now < MEANINGFUL:
+        raise SingularError(
+            f"resolutions {coarse} to {fine} leave an error of {now:.1e} at parameter {point.parameter:.6g}, Omega = "
+            f"{point.Omega:.10g}: rounding is amplified there; try a tolerance above {now:.0e}"
+        )

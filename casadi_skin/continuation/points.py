@@ -7,10 +7,37 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+import numpy as np
+
+from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, Scalar
 from casadi_skin.correctors.ladder import ErrorEstimate, Refinement
 
 SAME = 1e-12  # relative difference below which a point walked is the one asked for
+NEXT = 1e-10  # and its distance along the branch
+RESOLVED = 1e-2  # units in the last place that a value changes by over that distance at least
+
+
+@dataclass(frozen=True)
+class Target:
+    """A value of the free parameter or of Omega at which a point is wanted exactly."""
+
+    held: Scalar
+    value: float
+
+    def unknown(self, problem: OrbitProblem) -> tuple[int, float]:
+        """The place in z of what is held, and its value there."""
+        return problem.index_of(self.held), problem.unknown_at(self.held, self.value)
+
+    def meets(self, point: Point) -> bool:
+        """Whether a point is at the value but for round-off, and next to where the branch has it.
+
+        The second says more where the value hardly changes along the branch; where it changes by less than its own
+        round-off, no point is known to be there.
+        """
+        index, value = self.unknown(point.problem)
+        gap = abs(float(point.z[index]) - value)
+        next_to = NEXT * abs(float(point.tangent[index]))
+        return gap <= min(SAME * abs(value), next_to) and next_to >= EPSILON * abs(value) * RESOLVED
 
 
 @dataclass(frozen=True)
@@ -19,7 +46,8 @@ class WalkSettings:
 
     parameter_max: float  # the walk ends at this value of the free parameter; its sign is the direction
     tolerance: float  # relative error of Omega and of the profile at every point
-    at: tuple[float, ...] = ()  # values of the free parameter at which points are wanted exactly
+    at: tuple[Target, ...] = ()  # where points are wanted exactly
+    Omega_end: float | None = None  # the walk ends at this value of Omega as well
     first_step: float = 0.01
     max_step: float = 0.2
     max_parameter_step: float = 1.0 / 30.0  # of parameter_max: points to draw, and to see stability change between
@@ -28,6 +56,17 @@ class WalkSettings:
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
     aim_angle: float = 8.0
+
+    @property
+    def ends(self) -> tuple[Target, ...]:
+        """Where the walk ends, whichever comes first."""
+        end = Target(Scalar.PARAMETER, self.parameter_max)
+        return (end,) if self.Omega_end is None else (end, Target(Scalar.OMEGA, self.Omega_end))
+
+    @property
+    def wanted(self) -> dict[Target, bool]:
+        """All that the walk stops at, and whether the point there was asked for."""
+        return dict.fromkeys(self.ends, False) | dict.fromkeys(self.at, True)
 
 
 class End(Enum):
@@ -38,6 +77,7 @@ class End(Enum):
     RESOLUTION = "the orbit needs a finer discretisation than the finest there is"
     RETURNED = "the family came back to zero amplitude"
     POINTS = "the limit on the number of points was reached"
+    LIMIT = "S no longer changes in double precision while the period grows"
     FLOW = "the flow map of the variational system cannot reach the tolerance"
 
 
@@ -64,33 +104,37 @@ class Point:
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return float(self.z[self.problem.Omega_index])
+        return self.problem.frequency(self.z)
 
-    def snapped(self, values: tuple[float, ...]) -> Point:
-        """This point, requested and with its parameter exact where that is one of `values` but for round-off."""
-        for value in values:
-            if is_any(self.parameter, (value,)):
-                z = self.z.copy()
-                z[self.problem.parameter_index] = value
-                return replace(self, z=z, requested=True)
-        return self
+    @property
+    def parameter_rate(self) -> float:
+        """Relative change of the free parameter along the branch, per that of Omega."""
+        by_Omega = abs(self.problem.frequency_step(self.z, self.tangent)) / self.Omega
+        by_parameter = abs(float(self.tangent[self.problem.parameter_index])) / abs(self.parameter)
+        return by_parameter / by_Omega if by_Omega > 0 else np.inf
 
-
-def is_any(parameter: float, values: tuple[float, ...]) -> bool:
-    """Whether the parameter is one of `values` but for round-off."""
-    return any(abs(parameter - value) <= SAME * abs(value) for value in values)
+    def snapped(self, targets: tuple[Target, ...]) -> Point:
+        """This point, requested and with its value exact where it meets any of `targets`."""
+        met = [target for target in targets if target.meets(self)]
+        if not met:
+            return self
+        z = self.z.copy()
+        for target in met:
+            index, value = target.unknown(self.problem)
+            z[index] = value
+        return replace(self, z=z, requested=True)
 
 
 class Walk(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
-    `end` tells why it stopped, `detail` where; `missed` lists requested values at which no point was found. `history`
+    `end` tells why it stopped, `detail` where; `missed` lists targets passed at which no point was found. `history`
     holds the last few points walked: a walk made from them goes on exactly as the one that was broken off.
     """
 
     history: tuple[Point, ...]
     end: End | None
     detail: str
-    missed: list[float]
+    missed: list[Target]
 
     def __iter__(self) -> Iterator[Point]: ...

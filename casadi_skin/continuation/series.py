@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
 from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.locating import Locator
-from casadi_skin.continuation.points import End, Point, is_any
+from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.correctors.bordered import SingularError, Solve
 
@@ -36,10 +36,10 @@ class Recursion(Protocol):
 
 @dataclass(frozen=True)
 class _Stop:
-    """A point to report at tau; `value` is the parameter to hold there, None where the coordinate is held."""
+    """A point to report at tau; `target` is what to hold there, None where the coordinate is held."""
 
     tau: float
-    value: float | None
+    target: Target | None
     requested: bool = False
 
 
@@ -61,7 +61,7 @@ class SeriesWalk:
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
-        self.missed: list[float] = []
+        self.missed: list[Target] = []
         self._recursion, self._precision = recursion, precision
 
     def __iter__(self) -> Iterator[Point]:
@@ -112,6 +112,8 @@ class SeriesWalk:
         residual, nonzeros = problem.evaluate(base.z)
         solve = self.locator.ladder.solver(problem).factor(base.z, nonzeros, row)
         z = base.z - solve(np.append(residual, 0.0))
+        if base.parameter == 0.0:
+            z[problem.parameter_index] = 0.0  # but for round-off, which must not skip tiny values asked for
         slope = base.step * self.locator.tangent(problem, z, solve)
         coefficients = self._recursion(problem).series(z, slope, solve)
         sizes = np.sqrt(np.sum(self.locator.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
@@ -120,7 +122,7 @@ class SeriesWalk:
         while stretch.length * base.step >= self.settings.min_step:
             end = stretch.at(stretch.length)
             allowed = precision * max(1.0, float(np.max(np.abs(end[: problem.states]))))
-            if end[problem.Omega_index] > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
+            if problem.frequency(end) > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
                 return stretch
             self.rejected += 1
             stretch = replace(stretch, length=SHRINK * stretch.length)
@@ -130,40 +132,38 @@ class SeriesWalk:
 
     def _points(self, base: Point, stretch: Stretch) -> Iterator[Point]:
         """Points of a stretch in arclength order; the last one is the next base, unless the walk ends before."""
-        problem, last = base.problem, 0.0
+        problem, last, ends = base.problem, 0.0, self.settings.ends
         stops = self._stops(base, stretch)
         for stop in stops:
-            reach = base.step * (stop.tau - last)
+            reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
             point = self._point(problem, stretch, stop, reach)
             if point is None:
-                if stop.value is None:
+                if stop.target is None:
                     self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
                     return
-                self.missed.append(stop.value)
+                self.missed.append(stop.target)
             else:
                 last = stop.tau
-                finished = stop.value != self.settings.parameter_max and (
-                    stop is stops[-1] or point.problem is not problem
-                )
+                finished = stop.target not in ends and (stop is stops[-1] or point.problem is not problem)
                 yield replace(point, requested=stop.requested, walked=finished, step=base.step * stretch.length)
                 if finished:
                     return
-            if stop.value == self.settings.parameter_max:
+            if stop.target in ends:
                 self.end = End.REACHED
                 return
 
     def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
         """Where points are reported: values asked for, and often enough to draw and to see stability change."""
-        settings, index = self.settings, base.problem.parameter_index
-        wanted = dict.fromkeys(settings.at, True)
-        wanted.setdefault(settings.parameter_max, False)
-        stops = [
-            _Stop(tau, value, wanted[value])
-            for tau, value in stretch.crossings(index, wanted)
-            if tau > AT_BASE or not is_any(base.parameter, (value,))
-        ]
+        wanted, ends = self.settings.wanted, self.settings.ends
+        stops = []
+        for held in Scalar:
+            by_value = {target.unknown(base.problem)[1]: target for target in wanted if target.held is held}
+            for tau, value in stretch.crossings(base.problem.index_of(held), by_value):
+                target = by_value[value]
+                if tau > AT_BASE or not target.meets(base):
+                    stops.append(_Stop(tau, target, wanted[target]))
         stops.sort(key=lambda stop: stop.tau)
-        final = next((stop.tau for stop in stops if stop.value == settings.parameter_max), stretch.length)
+        final = next((stop.tau for stop in stops if stop.target in ends), stretch.length)
         pieces = self._pieces(base, stretch, final)
         if base.parameter == 0.0:
             stops.append(_Stop(START_FRACTION * final / pieces, None))
@@ -196,20 +196,22 @@ class SeriesWalk:
         guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
         weights = self.locator.metric(problem, guess)
         tangent = slope / np.sqrt(np.sum(weights * slope**2))
-        if stop.value is None:
+        target = stop.target
+        if target is None:
             row, value = weights * tangent, float((weights * tangent) @ guess)
         else:
-            row = problem.parameter_row() * float(np.sign(slope[problem.parameter_index]))
-            value = stop.value * float(row[problem.parameter_index])
+            index, wanted = target.unknown(problem)
+            row = problem.row_of(target.held) * float(np.sign(slope[index]))
+            value = wanted * float(row[index])
         try:
             polished, tangent = self._polished(problem, guess, row, value)
             correction = self.locator.correct(problem, polished, row, value, reach)
             if correction is None:
-                self.detail = "the corrector does not find the point that the series predicts"
+                self.detail = f'{self.locator.failure}; try walker = "arclength"'
                 return None
-            if stop.value is not None:
-                correction.z[problem.parameter_index] = stop.value  # equal but for round-off of the held row
-            return self.locator.near(problem, correction, tangent, row, held=stop.value is not None)
+            if target is not None:
+                correction.z[index] = wanted  # equal but for round-off of the held row
+            return self.locator.near(problem, correction, tangent, row, None if target is None else target.held)
         except SingularError as error:
             self.detail = str(error)
             return None

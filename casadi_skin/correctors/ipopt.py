@@ -104,4 +104,6 @@ class IpoptCorrector:
         z = found.copy()
         if status is Status.CONVERGED and not np.all(np.isfinite(z)):
             status = Status.DIVERGED
+        if status is not Status.CONVERGED:
+            words = f"Ipopt: {words}; {self.problem.worst(guess)}"
         return Correction(z, status, int(stats["iter_count"]), words)

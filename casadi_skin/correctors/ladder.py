@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, Scalar
 from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.bordered import BorderedSolver
 
@@ -21,16 +21,19 @@ FOLD = 1e-4  # tangents that change the parameter by less than this part of it a
 class ErrorEstimate:
     """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component.
 
-    `round_off` is the part, relative like `relative`, below which no discretisation brings them.
+    `round_off` is the part, relative like `relative`, below which no discretisation brings them. `parameter` is the
+    relative error of the free parameter, 0 where the others are those at its value: only where Omega is held, or in the
+    neighbourhood of a fold, where they are those across the branch, is it not.
     """
 
     Omega: float
     profile: float
     round_off: float = 0.0
+    parameter: float = 0.0
 
     def relative(self, Omega: float) -> float:
-        """The larger of both, with that of Omega made relative."""
-        return max(self.Omega / Omega, self.profile)
+        """The largest of the three, with that of Omega made relative."""
+        return max(self.Omega / Omega, self.profile, self.parameter)
 
 
 @dataclass(frozen=True)
@@ -41,13 +44,15 @@ class Refinement:
     z: Array
 
 
-def step_error(problem: OrbitProblem, z: Array, step: Array) -> ErrorEstimate:
+def step_error(problem: OrbitProblem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
     """The error that a step from z to the better point makes up for; of the state, in what users see of it as well."""
+    parameter = abs(float(step[problem.parameter_index] / z[problem.parameter_index])) if with_parameter else 0.0
     move, state, shown = step[: problem.states], z[: problem.states], problem.shown
     profile = np.max(np.abs(move)) / np.max(np.abs(state))
     if shown is not None:
         profile = max(profile, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
-    return ErrorEstimate(SAFETY * abs(float(step[problem.Omega_index])), SAFETY * float(profile))
+    Omega = abs(problem.frequency_step(z, step))
+    return ErrorEstimate(SAFETY * Omega, SAFETY * float(profile), parameter=SAFETY * parameter)
 
 
 class Ladder:
@@ -116,32 +121,36 @@ class Ladder:
         return self.refined(problem, z, tangent)[0]
 
     def refined(
-        self, problem: OrbitProblem, z: Array, tangent: Array | None = None
+        self, problem: OrbitProblem, z: Array, tangent: Array | None = None, held: Scalar | None = None
     ) -> tuple[ErrorEstimate, Refinement | None]:
         """Error of z and the better orbit that shows it: one Newton step on the next finer rung, from z prolonged.
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
-        and the round-off of the residual as well. The free parameter is held; with `tangent` (unit in the metric) the
-        step is taken across it and then brought back to the parameter along it, but for the neighbourhood of a fold.
-        Infinite and None at the top of the ladder. Raises SingularError.
+        and the round-off of the residual as well. What is `held` keeps its value. Where that is None, `tangent` (unit
+        in the metric) tells the way of the branch: the step is taken across it and then brought back to the parameter
+        along it, but for the neighbourhood of a fold; without a tangent the free parameter is held. Infinite and None
+        at the top of the ladder. Raises SingularError.
         """
         finer = self.finer(problem)
         if finer is None:
             return ErrorEstimate(np.inf, np.inf), None
         long_z = problem.prolong(z, finer)
-        row = finer.parameter_row()
-        along = None if tangent is None else problem.prolong(tangent, finer)
+        row = finer.row_of(held or Scalar.PARAMETER)
+        along = None if tangent is None or held is not None else problem.prolong(tangent, finer)
         if along is not None:
             row = finer.metric(long_z, 1.0) * along
         residual, nonzeros = finer.evaluate(long_z)
         solve = self.solver(finer).factor(long_z, nonzeros, row)
         step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
-        error = step_error(finer, long_z, step)
+        moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
+        error = step_error(finer, long_z, step, moves)
         error = replace(error, Omega=max(error.Omega, problem.round_off * float(z[problem.Omega_index])))
         if error.relative(float(z[problem.Omega_index])) < NEAR_ROUND_OFF:
             noise = problem.rounding(z) * np.append(finer.probe, 0.0)
             response = _at_parameter(finer, long_z, solve(noise), along)
-            error = _no_better(error, step_error(finer, long_z, response), problem, z)
+            error = _no_better(error, step_error(finer, long_z, response, moves), problem, z)
+            if held is Scalar.OMEGA and tangent is not None:
+                error = replace(error, parameter=max(error.parameter, _by_constants(problem, z, tangent)))
         return error, Refinement(finer, long_z - step)
 
 
@@ -150,12 +159,29 @@ def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | N
     index = problem.parameter_index
     if along is None or abs(along[index]) <= FOLD * abs(z[index]):
         return step
-    return np.asarray(step - along * (step[index] / along[index]))
+    brought_back = np.asarray(step - along * (step[index] / along[index]))
+    brought_back[index] = 0.0  # but for round-off
+    return brought_back
 
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
     """The error, but not below the response to rounding and what rounded constants do."""
     Omega = float(z[problem.Omega_index])
-    floor = ErrorEstimate(max(response.Omega, problem.round_off * Omega), max(response.profile, problem.round_off))
-    error = ErrorEstimate(max(error.Omega, floor.Omega), max(error.profile, floor.profile))
-    return replace(error, round_off=floor.relative(Omega))
+    floor = replace(
+        response,
+        Omega=max(response.Omega, problem.round_off * Omega),
+        profile=max(response.profile, problem.round_off),
+    )
+    return ErrorEstimate(
+        max(error.Omega, floor.Omega),
+        max(error.profile, floor.profile),
+        floor.relative(Omega),
+        max(error.parameter, floor.parameter),
+    )
+
+
+def _by_constants(problem: OrbitProblem, z: Array, tangent: Array) -> float:
+    """Relative error of the parameter at a held Omega by rounded constants, which put Omega off at a held parameter."""
+    by_Omega = abs(problem.frequency_step(z, tangent)) / problem.frequency(z)
+    by_parameter = abs(float(tangent[problem.parameter_index] / z[problem.parameter_index]))
+    return problem.round_off * by_parameter / max(by_Omega, EPSILON)

@@ -26,7 +26,7 @@ class NewtonCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
-        if guess[self.problem.Omega_index] <= 0:
+        if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
         last = np.inf
@@ -40,9 +40,9 @@ class NewtonCorrector:
             z = z - step
             length = float(np.sqrt(np.sum(weights * step**2)))
             if not np.isfinite(length) or length > max(1.0, 10.0 * last):
-                return Correction(guess, Status.DIVERGED, iteration)
+                return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
             if length <= self.tolerance or (length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance):
                 return Correction(z, Status.CONVERGED, iteration)
             last = length
-        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations)
+        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))

@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+
+from casadi_skin.arguments import number, numbers
+from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.families.branch import Branch
+from casadi_skin.families.branch import SLOW, Branch
 from casadi_skin.families.events import StabilityChange, locate_change
 from casadi_skin.families.multipliers import floquets_of
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import MAX_POINTS, TWO_PI, FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
+UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 TOGETHER = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
 
 
@@ -41,6 +46,7 @@ class FamilyWalk:
         self._waiting: deque[Point] = deque()  # walked, but not yet among the orbits
         self._end: End | None = None
         self._detail = ""
+        self._stopped: End | None = None  # the reason why no more points are taken from the walk
 
     def __iter__(self) -> Iterator[Orbit | StabilityChange]:
         results = self._results()
@@ -54,12 +60,26 @@ class FamilyWalk:
     def _results(self) -> Iterator[Orbit | StabilityChange]:
         together = min(self.tools.flow.batch, TOGETHER) if self.stability else 1
         for point in self._walk:
+            if len(self.orbits) + len(self._waiting) == self.tools.request.max_points:
+                self._stopped = End.POINTS
+                break
             self._waiting.append(point)
             if len(self._waiting) == together:
                 yield from self._finish_waiting()
             if self._end is not None:
                 return
+            if self._at_limit(point):
+                self._stopped = End.LIMIT
+                break
         yield from self._finish_waiting()
+
+    def _at_limit(self, point: Point) -> bool:
+        """Whether all that is left to ask for is an S that the family does not come to."""
+        request = self.tools.request
+        if request.chain.g > 0 or SLOW * point.Omega > self.tools.start.Omega or request.period_max is not None:
+            return False
+        slowest = min((*request.at_Omega, *(TWO_PI / period for period in request.at_period)), default=np.inf)
+        return point.Omega < slowest and point.parameter_rate <= UNCHANGED
 
     def _finish_waiting(self) -> Iterator[Orbit | StabilityChange]:
         """The orbits of the points that wait, with their stability and its changes, in order."""
@@ -92,16 +112,22 @@ class FamilyWalk:
     def branch(self) -> Branch:
         """What has been computed so far."""
         request = self.tools.request
-        end = self._end or (None if self._waiting else self._walk.end)
-        missed = {request.S_of(kappa) for kappa in self._walk.missed}
+        end = self._end or (None if self._waiting else self._stopped or self._walk.end)
+        in_S = {request.S_of(t.value) for t in self._walk.missed if t.held is Scalar.PARAMETER}
+        in_Omega = {t.value for t in self._walk.missed if t.held is Scalar.OMEGA}
+        in_period = {T for T in request.at_period if TWO_PI / T in in_Omega}
+        in_Omega &= set(request.at_Omega)
         if end is End.REACHED:
-            missed |= set(request.at) - {orbit.S for orbit in self.orbits}
-        return self.finished(end, self._detail or self._walk.detail, tuple(sorted(missed)))
+            in_S |= set(request.at) - {orbit.S for orbit in self.orbits}
+            in_Omega |= set(request.at_Omega) - {orbit.Omega for orbit in self.orbits}
+            in_period |= set(request.at_period) - {orbit.period for orbit in self.orbits}
+        missed = (tuple(sorted(in_S)), tuple(sorted(in_Omega)), tuple(sorted(in_period)))
+        return self.finished(end, self._detail or self._walk.detail, missed)
 
-    def finished(self, end: End | None, detail: str, missed: tuple[float, ...]) -> Branch:
-        """The branch of what has been computed, with a known end."""
+    def finished(self, end: End | None, detail: str, missed: Sequence[tuple[float, ...]]) -> Branch:
+        """The branch of what has been computed, with a known end; `missed` in S, in Omega and in the period."""
         orbits, changes = tuple(self.orbits), tuple(self.changes)
-        return Branch(self.tools, self.tools.start, orbits, changes, self.stability, end, detail, missed)
+        return Branch(self.tools, self.tools.start, orbits, changes, self.stability, end, detail, *missed)
 
 
 def follow_family(
@@ -119,18 +145,28 @@ def follow_family(
     symmetry: SymmetryClass | None = None,
     walker: str | None = None,
     degree: int | None = None,
+    at_Omega: Sequence[float] = (),
+    at_period: Sequence[float] = (),
+    period_max: float | None = None,
+    max_points: int = MAX_POINTS,
     progress: Callable[[Orbit], None] | None = None,
 ) -> Branch:
     """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
 
-    Points exactly at the values of `at` are among the orbits; `tolerance` bounds the relative error of Omega, profile
-    and multipliers; `progress` is called with each orbit. A family that ends early is returned with `complete` False
-    and a `reason`. Raises ValueError for arguments out of range. Method: collocation and pseudo-arclength
-    continuation in the gauge (paper, Sec. II; Keller 1977).
+    Points exactly at the S of `at`, the frequencies `at_Omega` and the periods `at_period` are among the orbits, as
+    often as the family passes them. It ends at the period `period_max` where that comes before `amplitude_max`, as it
+    does for softening orbits that have no larger S, and after `max_points` points wherever it is then. `tolerance`
+    bounds the relative error of Omega, profile and multipliers; `progress` is called with each orbit. A family that
+    ends early is returned with `complete` False and a `reason`. Raises ValueError for arguments out of range. Method:
+    collocation and pseudo-arclength continuation in the gauge (paper, Sec. II; Keller 1977).
     """
-    wanted = tuple(float(S) for S in at)
+    asked = (("at", at), ("at_Omega", at_Omega), ("at_period", at_period))
+    wanted, wanted_Omega, wanted_period = (numbers(name, values) for name, values in asked)
     methods = (transcription, corrector, flow, symmetry, walker, degree)
-    request = FamilyRequest(chain, mode, float(amplitude_max), wanted, tolerance, *methods)
+    longest = None if period_max is None else number("period_max", period_max)
+    largest = number("amplitude_max", amplitude_max, "a finite number > 0")
+    passed = (wanted_Omega, wanted_period, longest, max_points)
+    request = FamilyRequest(chain, mode, largest, wanted, tolerance, *methods, *passed)
     walk = FamilyWalk(FamilyTools(request), stability, events)
     for result in walk:
         if progress is not None and isinstance(result, Orbit):

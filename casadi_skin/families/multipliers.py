@@ -28,6 +28,7 @@ def orbit_state(point: Point) -> OrbitState:
     off = z.copy()
     off[: problem.states] *= 1.0 + point.error.profile
     off[problem.Omega_index] += point.error.Omega
+    off[problem.parameter_index] *= 1.0 + point.error.parameter
     return OrbitState(problem, z, OrbitState(problem, off))
 
 

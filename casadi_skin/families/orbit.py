@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
+from casadi_skin.families.faint import log_positions
 from casadi_skin.families.multipliers import accelerations, floquets_of, orbit_state
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
@@ -31,6 +32,7 @@ class Orbit:
     point: Point
     known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
     asked_S: float | None = None  # the S that the orbit was asked for at, which kappa/g need not give back exactly
+    asked_period: float | None = None  # likewise, which 2 pi/Omega need not give back exactly
 
     @property
     def chain(self) -> Chain:
@@ -50,12 +52,21 @@ class Orbit:
     @property
     def period(self) -> float:
         """Period 2 pi/Omega."""
-        return 2.0 * np.pi / self.Omega
+        return self.tools.request.period_of(self.Omega) if self.asked_period is None else self.asked_period
 
     @property
     def Omega_error(self) -> float:
         """Estimated absolute error of Omega."""
         return self.point.error.Omega
+
+    @property
+    def S_error(self) -> float:
+        """Estimated absolute error of S: 0 where the other errors are those at the S that it has.
+
+        Not 0 for an orbit asked for by its Omega or period, which has these exactly, and where S hardly changes along
+        the family: near its folds, and where S has come to a limit that the period has not.
+        """
+        return self.point.error.parameter * self.S
 
     @property
     def profile_error(self) -> float:
@@ -119,6 +130,28 @@ class Orbit:
         """Displacements at t = 0, where all velocities vanish, shape (sites,)."""
         start: Array = self.evaluate(0.0)[0]
         return start
+
+    @cached_property
+    def _log_profile(self) -> tuple[Array, Array]:
+        """Natural logarithms of |y_n(0)| and the signs, each (sites,)."""
+        logs, signs = log_positions(self.tools, self.point)
+        logs, signs = logs + self.tools.core.log_rho + np.log(abs(self._scale)), signs * np.sign(self._scale)
+        if logs.size == self.chain.sites:
+            return logs, signs
+        everywhere, none = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
+        edge = -1 if self.chain.gamma > 0 else 0
+        everywhere[edge], none[edge] = logs[0], signs[0]
+        return everywhere, none
+
+    @property
+    def log10_profile(self) -> Array:
+        """log10 |y_n(0)|, shape (sites,): right far below the smallest double; -inf where a site rests."""
+        return np.asarray(self._log_profile[0] / np.log(10.0))
+
+    @property
+    def profile_sign(self) -> Array:
+        """Signs of y_n(0), shape (sites,), for `log10_profile`; 0 where a site rests."""
+        return self._log_profile[1]
 
     @cached_property
     def energy(self) -> float:

@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import number, numbers, shown
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.locating import Locator
-from casadi_skin.continuation.points import Point, Walk, WalkSettings
+from casadi_skin.continuation.points import SAME, Point, Target, Walk, WalkSettings
 from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
@@ -37,16 +38,20 @@ from casadi_skin.theory.linear import standing_wave
 if TYPE_CHECKING:
     from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 
+TWO_PI = 2.0 * math.pi
 HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
 SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
 LARGEST = 10_000_000  # sites times harmonics squared: what fits into about a gigabyte
+CHEAP = 1_000_000  # the same: what takes a fraction of a second to solve
 COLLOCATIONS: Mapping[str, type[GaussProblem | RadauProblem]] = MappingProxyType(
     {"gauss": GaussProblem, "radau": RadauProblem}
 )
+MAX_POINTS = 2000  # of a family: ten times what those need that do not wander from one resonance to the next
 QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 DEGREE_RANGE = (2, 12)
 SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
@@ -56,6 +61,9 @@ SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
 @dataclass(frozen=True)
 class FamilyRequest:
     """One family of `chain`: from linear mode `mode` to S = `amplitude_max`, with points exactly at the S of `at`.
+
+    Also exactly at the frequencies `at_Omega` and periods `at_period`, where the family passes them. It ends at the
+    period `period_max` where that comes first, and after `max_points` points wherever it is then.
 
     `symmetry` may name a larger part of the period than the model's class needs (not trigonometric). Raises ValueError
     naming the argument, what was given and what is accepted.
@@ -72,8 +80,13 @@ class FamilyRequest:
     symmetry: SymmetryClass | None = None
     walker: str | None = None
     degree: int | None = None
+    at_Omega: tuple[float, ...] = ()
+    at_period: tuple[float, ...] = ()
+    period_max: float | None = None
+    max_points: int = MAX_POINTS
 
     def __post_init__(self) -> None:
+        self._check_types()
         chain = self.chain
         if chain.g == 0:
             raise ValueError("g: given 0; accepted: not 0 (the family is the linear mode at every amplitude)")
@@ -100,21 +113,54 @@ class FamilyRequest:
         ):
             if getattr(self, name) not in accepted:
                 names = ", ".join(word for word in accepted if word)
-                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: {names}")
+                raise ValueError(f"{name}: given {shown(getattr(self, name))}; accepted: {names}")
         if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == "trigonometric":
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
         if self.walker == "series" and self.transcription != "trigonometric":
             raise ValueError(f'walker: given "series"; accepted with {self.transcription}: arclength')
         self._check_degree()
+        self._check_periods()
+
+    def _check_types(self) -> None:
+        """Raises TypeError, and ValueError for numbers that are not finite."""
+        if not isinstance(self.chain, Chain):
+            raise TypeError(f"chain: given {shown(self.chain)}; accepted: a Chain")
+        number("amplitude_max", self.amplitude_max, "a finite number > 0")
+        number("tolerance", self.tolerance, "1e-13 to 1e-2")
+        for name in ("at", "at_Omega", "at_period"):
+            numbers(name, getattr(self, name))
+            if not isinstance(getattr(self, name), tuple):
+                raise TypeError(f"{name}: given {shown(getattr(self, name))}; accepted: a tuple of finite numbers")
+        if self.period_max is not None:
+            number("period_max", self.period_max)
+        if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
+            raise TypeError(f"symmetry: given {shown(self.symmetry)}; accepted: a SymmetryClass")
 
     def _check_degree(self) -> None:
         low, high = DEGREE_RANGE
         if self.degree is None:
             return
         if self.transcription not in COLLOCATIONS:
-            raise ValueError(f"degree: given {self.degree!r}; accepted: with {' or '.join(COLLOCATIONS)} only")
+            raise ValueError(f"degree: given {shown(self.degree)}; accepted: with {' or '.join(COLLOCATIONS)} only")
         if not (isinstance(self.degree, int) and low <= self.degree <= high):
-            raise ValueError(f"degree: given {self.degree!r}; accepted: a whole number from {low} to {high}")
+            raise ValueError(f"degree: given {shown(self.degree)}; accepted: a whole number from {low} to {high}")
+
+    def _check_periods(self) -> None:
+        linear = TWO_PI / self.chain.linear_frequency(self.mode)
+        if self.period_max is not None and not linear * (1.0 + SAME) < self.period_max < math.inf:
+            accepted = f"a finite number > {linear:.12g} (the period of linear mode {self.mode})"
+            raise ValueError(f"period_max: given {self.period_max!r}; accepted: {accepted}")
+        longest = math.inf if self.period_max is None else self.period_max
+        for name, values, within in (
+            ("at_Omega", self.at_Omega, [TWO_PI / value <= longest for value in self.at_Omega if value > 0]),
+            ("at_period", self.at_period, [value <= longest for value in self.at_period]),
+        ):
+            positive = all(0 < value < math.inf for value in values)
+            if not positive or len(set(values)) < len(values) or not all(within):
+                most = "" if self.period_max is None else f", with periods up to period_max = {longest:g}"
+                raise ValueError(f"{name}: given {list(values)}; accepted: finite numbers > 0, each once{most}")
+        if not (isinstance(self.max_points, int) and self.max_points >= 1):
+            raise ValueError(f"max_points: given {shown(self.max_points)}; accepted: a whole number >= 1")
 
     @property
     def way(self) -> str:
@@ -132,7 +178,15 @@ class FamilyRequest:
     def walk_settings(self) -> WalkSettings:
         """The walk in kappa = g S, the model's free parameter; a quick look has half the points."""
         g, end = self.chain.g, self.chain.g * self.amplitude_max
-        settings = WalkSettings(end, self.tolerance, tuple(g * S for S in self.at))
+        at = [Target(Scalar.PARAMETER, g * S) for S in self.at]
+        at += [Target(Scalar.OMEGA, Omega) for Omega in (*self.at_Omega, *self._Omega_of_period)]
+        settings = WalkSettings(
+            end,
+            self.tolerance,
+            tuple(dict.fromkeys(at)),
+            None if self.period_max is None else TWO_PI / self.period_max,
+            max_points=self.max_points,
+        )
         if self.tolerance < QUICK_LOOK:
             return settings
         return replace(settings, max_step=2.0 * settings.max_step, max_parameter_step=2.0 * settings.max_parameter_step)
@@ -141,6 +195,18 @@ class FamilyRequest:
         """S of a value of kappa = g S; exactly the S asked for where kappa came from one."""
         asked = {self.chain.g * S: S for S in (*self.at, self.amplitude_max)}
         return asked.get(kappa, kappa / self.chain.g)
+
+    @property
+    def _Omega_of_period(self) -> dict[float, float]:
+        """Frequencies of the periods asked for, with these."""
+        return {TWO_PI / period: period for period in self.at_period}
+
+    def period_of(self, Omega: float) -> float:
+        """Period at Omega; exactly the period asked for where Omega came from one."""
+        asked = self._Omega_of_period
+        if self.period_max is not None:
+            asked[TWO_PI / self.period_max] = self.period_max
+        return asked.get(Omega, TWO_PI / Omega)
 
 
 class FamilyTools:
@@ -201,6 +267,7 @@ class FamilyTools:
         if self.request.transcription in COLLOCATIONS:
             return Ladder(self._problem, self._corrector, INTERVALS)
         fits = [H for H in HARMONICS if self.core.sites * H**2 <= LARGEST]
+        fits += [H for H in MANY_HARMONICS if self.core.sites * H**2 <= CHEAP]
         return Ladder(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
 
     @cached_property

@@ -19,6 +19,7 @@ from casadi_skin.figures.style import (
     title,
 )
 from casadi_skin.models.chain import Chain
+from casadi_skin.theory.linear import standing_wave
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from casadi_skin.families.orbit import Orbit
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
+DEEPEST = -290.0  # log10 of sizes that are drawn as they are
 MARKED_SITES = 60  # profiles of longer chains are lines without markers, of the sites that move
 
 
@@ -37,10 +39,20 @@ def linear_mode(chain: Chain, mode: int) -> Array:
     return np.asarray(u / np.linalg.norm(u) * np.sign(u[np.argmax(np.abs(u))]))
 
 
-def _sizes(y: Array) -> Array:
-    """|y_n| with nan for zeros, and for nodes that are zero to round-off beside their neighbours, shape (sites,)."""
-    size = np.pad(np.abs(y), 1)
-    return np.where(size[1:-1] > 1e-13 * np.maximum(size[:-2], size[2:]), size[1:-1], np.nan)
+def _logarithms(orbit: Orbit) -> Array:
+    """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (sites,)."""
+    logs = orbit.log10_profile - 0.5 * np.log10(orbit.S)
+    around = np.pad(logs, 1, constant_values=-np.inf)
+    return np.where(logs > np.maximum(around[:-2], around[2:]) - 13.0, logs, np.nan)
+
+
+def _log_mode(chain: Chain, mode: int) -> Array:
+    """log10 of the linear mode with norm 1, nan at nodes, shape (sites,)."""
+    wave = np.abs(standing_wave(chain.sites, mode))
+    with np.errstate(divide="ignore"):
+        logs = (np.log(np.where(wave > 1e-13, wave, 0.0)) + chain.log_rho) / np.log(10.0)
+    logs -= np.log10(np.linalg.norm(chain.right_eigenvector(mode)))
+    return np.where(np.isfinite(logs), logs, np.nan)
 
 
 def moving(profiles: Array) -> tuple[int, int]:
@@ -73,20 +85,36 @@ def _looks(keys: Sequence[tuple[float, int]], marked: bool) -> dict[tuple[float,
 def _draw_profiles(
     panels: Sequence[Axes], branch: Branch, orbits: dict[tuple[float, int], Orbit], looks: dict[Any, dict[str, Any]]
 ) -> None:
-    """Profiles over the linear mode: as they are in the first panel, sizes in the second, if there is one."""
+    """Profiles over the linear mode: as they are in the first panel, sizes in the second, if there is one.
+
+    Sizes that would come near the smallest double are drawn as powers of ten.
+    """
+    from matplotlib.ticker import MaxNLocator
+
     mode = linear_mode(branch.tools.request.chain, branch.tools.request.mode)
     n, dot = np.arange(1, mode.size + 1), "o" if mode.size == 1 else None
-    profiles = {key: orbit.profile / np.sqrt(orbit.S) for key, orbit in orbits.items()}
-    for axes, as_sizes in zip(panels, (False, True), strict=False):
-        axes.plot(n, _sizes(mode) if as_sizes else mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
-        for key, y in profiles.items():
-            signed = y * (np.sign(y @ mode) or 1.0)
-            axes.plot(n, _sizes(y) if as_sizes else signed, **looks[key])
+    first, *second = panels
+    first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
+    for key, orbit in orbits.items():
+        y = orbit.profile / np.sqrt(orbit.S)
+        first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
+    for axes in second:
+        logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
+        mode_logs = _log_mode(branch.tools.request.chain, branch.tools.request.mode)
+        deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
+        axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
+        for key, values in logs.items():
+            axes.plot(n, values if deep else 10.0**values, **looks[key])
+        if deep:
+            axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+            axes.yaxis.set_major_formatter(lambda power, _: rf"$10^{{{power:.0f}}}$")
+        else:
+            axes.set_yscale("log")
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
     panels[0].set_title(f"$j = {branch.tools.request.mode}$", loc="left")
     panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
     for axes in panels[1:]:
-        axes.set(yscale="log", ylabel=r"$|y_n(0)|\,/\,\Vert y\Vert$")
+        axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
 
 
 def profile_figure(branches: Sequence[Branch]) -> Figure | None:
@@ -101,8 +129,8 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     if not chosen:
         return None
     profiles = np.array([orbit.profile for _, orbits in chosen for orbit in orbits.values()])
-    sizes = np.apply_along_axis(_sizes, 1, profiles)
-    steep = bool(np.any(np.nanmax(sizes, axis=1) > 1e3 * np.nanmin(sizes, axis=1)))
+    logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
+    steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
     keys = sorted({key for _, orbits in chosen for key in orbits})
     rows, columns = len(chosen), 2 if steep else 1
     with style():

@@ -13,6 +13,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import number, shown
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
@@ -26,7 +27,7 @@ def _is_whole(number: object) -> bool:
 class Chain:
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
 
-    Raises ValueError when a parameter is out of range or not finite.
+    Raises ValueError when a parameter is out of range or not finite, TypeError when it is no number.
     """
 
     sites: int
@@ -36,10 +37,9 @@ class Chain:
 
     def __post_init__(self) -> None:
         if not _is_whole(self.sites) or self.sites < 1:
-            raise ValueError(f"sites: given {self.sites!r}; accepted: a whole number >= 1")
+            raise ValueError(f"sites: given {shown(self.sites)}; accepted: a whole number >= 1")
         for name in ("alpha", "gamma", "g"):
-            if not np.isfinite(getattr(self, name)):
-                raise ValueError(f"{name}: given {getattr(self, name)!r}; accepted: a finite number")
+            number(name, getattr(self, name))
         if abs(self.gamma) > 1:
             raise ValueError(
                 f"gamma: given {self.gamma!r}; accepted: -1 <= gamma <= 1 (frequencies are complex beyond)"
@@ -76,7 +76,7 @@ class Chain:
     def linear_frequency(self, mode: int) -> float:
         """Frequency omega_j of one mode; raises ValueError for a mode that is not there or does not oscillate."""
         if not _is_whole(mode) or not 1 <= mode <= self.sites:
-            raise ValueError(f"mode: given {mode!r}; accepted: 1..{self.sites}")
+            raise ValueError(f"mode: given {shown(mode)}; accepted: 1..{self.sites}")
         square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, mode))
         if square <= 0:
             raise ValueError(

@@ -49,6 +49,7 @@ class OrbitRecord(msgspec.Struct, frozen=True, tag="orbit"):
     floquet: FloquetRecord | None
     constants: bytes = b""  # of the problem: the mesh
     at_round_off: bool = False
+    parameter_error: float = 0.0
 
 
 class ChangeRecord(msgspec.Struct, frozen=True, tag="change"):
@@ -65,6 +66,8 @@ class EndRecord(msgspec.Struct, frozen=True, tag="end"):
     end: End | None
     detail: str
     missed: tuple[float, ...]
+    missed_Omega: tuple[float, ...] = ()
+    missed_period: tuple[float, ...] = ()
 
 
 Record = OrbitRecord | ChangeRecord | EndRecord
@@ -96,6 +99,7 @@ def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
         floquet=floquet,
         constants=point.problem.constants.astype("<f8").tobytes(),
         at_round_off=point.at_round_off,
+        parameter_error=point.error.parameter,
     )
 
 
@@ -104,7 +108,7 @@ def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
         problem=tools.ladder.problem(record.resolution).with_constants(_doubles(record.constants)),
         z=_doubles(record.z),
         tangent=_doubles(record.tangent),
-        error=ErrorEstimate(record.Omega_error, record.profile_error),
+        error=ErrorEstimate(record.Omega_error, record.profile_error, parameter=record.parameter_error),
         step=record.step,
         iterations=record.iterations,
         requested=record.requested,
@@ -183,5 +187,6 @@ def restore(records: Sequence[Record], tools: FamilyTools, stability: bool, even
     walk = FamilyWalk(tools, stability, events, orbits, changes)
     for record in mine:
         if isinstance(record, EndRecord):
-            return walk.finished(record.end, record.detail, record.missed)
+            missed = (record.missed, record.missed_Omega, record.missed_period)
+            return walk.finished(record.end, record.detail, missed)
     return walk

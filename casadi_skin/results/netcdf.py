@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
 
 PARTS = ("real", "imaginary")
+EMPTY = 9.969209968386869e36  # the fill value of netCDF for doubles
 
 
 def _versions() -> dict[str, str]:
@@ -41,12 +42,24 @@ def _put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDAr
     data = np.asarray(values)
     if np.iscomplexobj(data):
         dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
-    if not np.all(np.isfinite(data)):
-        raise ArithmeticError(f"{name} holds a value that is not finite: it is not written")
+    faulty = np.argwhere(~np.isfinite(data))
+    if faulty.size:
+        place = ", ".join(f"{dimension} {i}" for dimension, i in zip(dimensions, faulty[0].tolist(), strict=True))
+        raise ArithmeticError(f"{name}: {data[tuple(faulty[0])]} at {place} (counted from 0); it is not written")
     kind = "i4" if data.dtype.kind in "bi" else "f8"
     variable = file.createVariable(name, kind, dimensions)
     variable[:] = data.astype(kind)
     variable.long_name = meaning  # type: ignore[attr-defined]
+
+
+def _put_logarithms(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
+    """log10 |y_n(0)| and signs; a site at rest has no logarithm and is left empty (`_FillValue`, sign 0)."""
+    logarithms, signs = np.stack([o.log10_profile for o in orbits]), np.stack([o.profile_sign for o in orbits])
+    at_rest = np.isneginf(logarithms) & (signs == 0)
+    meaning = "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0"
+    _put(file, "log10_profile", ("point", "site"), np.where(at_rest, EMPTY, logarithms), meaning)
+    setattr(file.variables["log10_profile"], "_FillValue", EMPTY)  # noqa: B010
+    _put(file, "profile_sign", ("point", "site"), signs.astype(int), "sign of y_n at t = 0")
 
 
 def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title: str, vectors: bool) -> None:
@@ -107,11 +120,12 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     columns = {
         "mode": ([o.tools.request.mode for o in orbits], "linear mode j that the family grows from"),
         "index": (index, "place along the family"),
-        "requested": ([o.point.requested for o in orbits], "1 where S was asked for"),
+        "requested": ([o.point.requested for o in orbits], "1 where S, Omega or the period was asked for"),
         "S": ([o.S for o in orbits], "total amplitude: sum of y_n^2 at t = 0"),
         "Omega": ([o.Omega for o in orbits], "frequency"),
         "Omega_shift": ([o.Omega_shift for o in orbits], "Omega - omega_j"),
         "Omega_error": ([o.Omega_error for o in orbits], "estimated absolute error of Omega"),
+        "S_error": ([o.S_error for o in orbits], "estimated absolute error of S"),
         "profile_error": ([o.profile_error for o in orbits], "estimated relative error of the profile"),
         "energy": ([o.energy for o in orbits], "Hamiltonian of the gauge with rho = 1 at the favoured edge"),
         "residual": ([o.residual for o in orbits], "largest residual relative to the largest term"),
@@ -121,6 +135,7 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     for name, (values, meaning) in columns.items():
         _put(file, name, ("point",), np.array(values), meaning)
     _put(file, "profile", ("point", "site"), np.array([o.profile for o in orbits]), "displacements y_n at t = 0")
+    _put_logarithms(file, orbits)
     harmonics = max(o.harmonics for o in orbits)
     file.createDimension("harmonic", harmonics)
     coefficients = np.stack([o.coefficients(harmonics) for o in orbits])

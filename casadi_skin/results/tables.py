@@ -46,6 +46,7 @@ def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]
         "residual": orbit.residual,
         "profile_error": orbit.profile_error,
         "at_round_off": int(orbit.at_round_off),
+        "S_error": orbit.S_error,
     }
 
 
@@ -82,16 +83,25 @@ def spectrum_rows(chain: Chain) -> list[dict[str, Cell]]:
 
 
 def _text(value: Cell) -> str:
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ArithmeticError(f"a result is {value}: it is not written")
-        return f"{value:.17g}"
-    return str(value)
+    return f"{value:.17g}" if isinstance(value, float) else str(value)
+
+
+def _line(row: Mapping[str, Cell], columns: Sequence[str], place: int) -> list[str]:
+    """Cells of a row in text; raises ArithmeticError naming row and column of a value that is not finite."""
+    for column in columns:
+        value = row[column]
+        if isinstance(value, float) and not math.isfinite(value):
+            named = ", ".join(f"{name} {row[name]}" for name in ("mode", "point", "S", "t") if name in row)
+            raise ArithmeticError(f"{column}: {value} in row {place} ({named}); it is not written")
+    return [_text(row[column]) for column in columns]
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Cell]]) -> None:
-    """Write rows under `columns`, replacing the file in one step; raises ArithmeticError on a value not finite."""
+    """Write rows under `columns`, replacing the file in one step.
+
+    Raises ArithmeticError on a value that is not finite, naming its row (from 1) and column.
+    """
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows([_text(row[column]) for column in columns] for row in rows)
+        writer.writerows(_line(row, columns, place) for place, row in enumerate(rows, start=1))

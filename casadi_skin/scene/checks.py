@@ -5,6 +5,7 @@ import math
 from casadi_skin.scene.faults import SceneError, refusal, shown
 from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
 
+NEAREST = 1e-12  # relative, of the end of a family to its start
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 
 
@@ -39,7 +40,9 @@ def check_family(scene: Scene) -> None:
     for mode in family.modes:
         _check_gauge(chain, mode)
         _check_frequency(chain, mode)
+        _check_period(chain, family, mode)
     _check_at(family)
+    _check_at_periods(family)
 
 
 def _check_modes(chain: ChainTable, modes: tuple[int, ...]) -> None:
@@ -65,13 +68,42 @@ def _check_gauge(chain: ChainTable, mode: int) -> None:
 
 def _check_frequency(chain: ChainTable, mode: int) -> None:
     """Refuse a mode that does not oscillate: omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)) <= 0."""
-    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
-    # 2 - 2 s cos(q) without subtracting equal numbers: 1 - s = gamma^2/(1 + s), 1 - cos(q) = 2 sin^2(q/2)
-    stiffness = 2 * chain.gamma**2 / (1 + s) + 4 * s * math.sin(mode * math.pi / (2 * chain.sites + 2)) ** 2
+    stiffness = _stiffness(chain, mode)
     if chain.alpha + stiffness <= 0:
         given = f"mode {mode}, which has omega^2 = {chain.alpha + stiffness:.6g} at alpha = {chain.alpha!r}"
         accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-stiffness:.12g}"
         raise refusal("[family] mode", given, accepted)
+
+
+def _stiffness(chain: ChainTable, mode: int) -> float:
+    """omega_j^2 - alpha."""
+    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
+    # 2 - 2 s cos(q) without subtracting equal numbers: 1 - s = gamma^2/(1 + s), 1 - cos(q) = 2 sin^2(q/2)
+    return 2 * chain.gamma**2 / (1 + s) + 4 * s * math.sin(mode * math.pi / (2 * chain.sites + 2)) ** 2
+
+
+def _check_period(chain: ChainTable, family: FamilyTable, mode: int) -> None:
+    """Refuse an end at a period that the linear mode, where the family starts, has or exceeds."""
+    if family.period_max is None:
+        return
+    linear = 2 * math.pi / math.sqrt(chain.alpha + _stiffness(chain, mode))
+    if family.period_max <= linear * (1 + NEAREST):
+        accepted = f"a finite number > {linear:.12g} (the period of linear mode {mode})"
+        raise refusal("[family] period_max", repr(family.period_max), accepted)
+
+
+def _check_at_periods(family: FamilyTable) -> None:
+    longest = math.inf if family.period_max is None else family.period_max
+    for key, values in (("at_Omega", family.at_Omega), ("at_period", family.at_period)):
+        for item, value in enumerate(values, start=1):
+            if value in values[: item - 1]:
+                raise refusal(f"[family] {key}", f"{value!r} as item {item} again", "each number once")
+            if key == "at_period" and value > longest:
+                accepted = f"numbers <= period_max = {longest!r}"
+                raise refusal(f"[family] {key}", f"{value!r} as item {item}", accepted)
+            if key == "at_Omega" and 2 * math.pi / value > longest:
+                accepted = f"numbers >= 2 pi/period_max = {2 * math.pi / longest:.12g}"
+                raise refusal(f"[family] {key}", f"{value!r} as item {item}", accepted)
 
 
 def _check_at(family: FamilyTable) -> None:

@@ -29,6 +29,8 @@ PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "stand
 
 _MAX_SITES = 10_000_000
 _MAX_SAMPLES = 1_000_000
+_MAX_POINTS = 1_000_000
+_POINTS = 2000  # the same as in families.request, which loads numerics
 
 
 def _one_of(names: Iterable[str]) -> str:
@@ -73,9 +75,33 @@ class FamilyTable(Table, frozen=True):
         tuple[_Positive, ...],
         Meta(title="Points at these S", description="a list of numbers > 0, ascending up to amplitude_max"),
     ] = ()
+    at_Omega: Annotated[
+        tuple[_Positive, ...],
+        Meta(title="Points at these frequencies", description="a list of numbers > 0, each once"),
+    ] = ()
+    at_period: Annotated[
+        tuple[_Positive, ...],
+        Meta(title="Points at these periods", description="a list of numbers > 0, each once, up to period_max"),
+    ] = ()
+    period_max: Annotated[
+        _Positive | None,
+        Meta(
+            title="Period at which a family ends that has not come to amplitude_max",
+            description="a finite number > 0, above the period of the linear mode (left out: no end)",
+        ),
+    ] = None
+    max_points: Annotated[
+        Annotated[int, Meta(ge=1, le=_MAX_POINTS)],
+        Meta(
+            title="Points after which a family ends wherever it is",
+            description=f"a whole number >= 1 and <= {_MAX_POINTS} (left out: {_POINTS})",
+        ),
+    ] = _POINTS
     film: Annotated[
         bool,
-        Meta(title="Film (GIF) of the mode at the last point of `at`, or else at the end", description="true or false"),
+        Meta(
+            title="Film (GIF) of the mode at the last point asked for, or else at the end", description="true or false"
+        ),
     ] = False
 
     @property

@@ -61,7 +61,11 @@ class CvodesFlow:
             with interrupts_deferred():
                 return np.array(self._function(local)(start, parameters)[1])
         except RuntimeError as error:
-            raise FlowError(f"cvodes: {str(error).splitlines()[0]}") from error
+            place = f"the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
+            raise FlowError(
+                f"cvodes fails with a local tolerance of {local:.0e} along {place}: {_words(error)}; try a larger "
+                "tolerance or flow splitting"
+            ) from error
 
     def transition(self, problem: OrbitProblem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
@@ -80,3 +84,9 @@ class CvodesFlow:
         pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
         difference = SAFETY * (fine - coarse)
         return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)
+
+
+def _words(error: RuntimeError) -> str:
+    """The line of CasADi's message that tells what went wrong, without the place in its sources."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1][:200] if lines else "no reason given"

@@ -125,7 +125,9 @@ class SteppedFlow(ABC):
             if met.all():
                 self._rung = self._lower(rung, float(np.max(truncation)), tolerance)
                 return [done[i] for i in range(len(orbits))]
-            rung = self._higher(rung, float(np.max(truncation[~met])), tolerance)
+            worst = int(np.argmax(np.where(met, -np.inf, truncation)))
+            place = _place(waiting[worst], errors[worst], self.model.size)
+            rung = self._higher(rung, float(np.max(truncation[~met])), tolerance, place)
             places, maps = places[~met], {r: m[~met] for r, m in maps.items()}
 
     def _extrapolated(self, rung: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
@@ -152,12 +154,22 @@ class SteppedFlow(ABC):
         expected = truncation * (self.ladder[rung] / self.ladder[rung - 1]) ** self.orders[-1]
         return rung - 1 if rung > len(self.orders) and HEADROOM * expected <= tolerance else rung
 
-    def _higher(self, rung: int, truncation: float, tolerance: float) -> int:
+    def _higher(self, rung: int, truncation: float, tolerance: float, place: str) -> int:
         """The rung that should do where one did not; raises FlowError at the end of the ladder."""
         steps = self.ladder[rung]
         if rung + 1 == len(self.ladder):
-            raise FlowError(f"the {self.method} leaves {truncation:.1e} with {steps} steps; asked: {tolerance:.1e}")
+            raise FlowError(
+                f"the {self.method} leaves {truncation:.1e} with {steps} steps; asked: {tolerance:.1e}; worst {place}; "
+                "try a larger tolerance or another flow (splitting, gauss, cvodes, rk4)"
+            )
         if not np.isfinite(truncation):
             return rung + 1
         needed = steps * (truncation / tolerance) ** (1.0 / self.orders[-1])
         return next((r for r in range(rung + 1, len(self.ladder)) if self.ladder[r] >= needed), rung + 1)
+
+
+def _place(orbit: OrbitState, errors: Array, size: int) -> str:
+    """The orbit and the component, counted from 1, whose transition is least accurate, in words."""
+    components = np.linalg.norm(errors, axis=1)
+    component = int(np.argmax(np.nan_to_num(components, nan=np.inf))) % size + 1
+    return f"at site {component} of the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"

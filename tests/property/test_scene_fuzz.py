@@ -1,12 +1,14 @@
 """Whatever a scene file holds, it is a Scene or one line that says why not."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from casadi_skin.cli import main
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_scene
 
 QUICK = settings(
@@ -132,6 +134,47 @@ def test_mutated_scenes(tables: dict[str, Any]) -> None:
 def test_one_value_replaced(place: tuple[str, str], value: Any) -> None:
     name, key = place
     parse(text_of(VALID | {name: VALID[name] | {key: value}}))
+
+
+@QUICK
+@given(
+    st.sampled_from([name for name, value in VALID.items() if isinstance(value, dict)]),
+    st.sampled_from(["again", "array", "deep", "long", "unicode", "empty", "date"]),
+    st.integers(1, 2000),
+)
+def test_structure_that_no_scene_has(name: str, how: str, size: int) -> None:
+    odd = {
+        "again": f"[{name}]\n",
+        "array": f"[[{name}]]\n",
+        "deep": f"[{'.'.join([name] + ['a'] * size)}]\n",
+        "long": f"{'x' * size} = '{'y' * size}'\n",
+        "unicode": f'"{chr(0x3B1 + size % 500)}" = 1\n',
+        "empty": f"{name} = []\n",
+        "date": f"{name} = 1979-05-27T07:32:00Z\n",
+    }[how]
+    for text in (odd + text_of(VALID), text_of(VALID) + odd, odd):
+        assert parse(text) is None
+
+
+@QUICK
+@given(st.lists(st.sampled_from([0.0, -0.0, 5e-324, 1e308, float("nan"), float("inf"), -1.0, 0.5]), max_size=4))
+def test_lists_of_amplitudes(at: list[float]) -> None:
+    scene = parse(text_of({"chain": VALID["chain"], "family": {"mode": 1, "amplitude_max": 1.0, "at": at}}))
+    ascending = all(0 < a <= 1 for a in at) and all(a < b for a, b in zip(at, at[1:], strict=False))
+    assert (scene is not None) == ascending
+
+
+@pytest.mark.parametrize("text", ["", "[chain]", "\x00", "[chain]\nsites = 3.5\nalpha = 1\ngamma = 0\ng = 1"])
+def test_refusals_leave_with_status_2_and_one_line(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fuzz.toml"
+    path.write_text(text)
+    for command in ("run", "check", "spectrum"):
+        assert main([command, str(path)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"casadi-skin: {path}: ")
+        assert error.count("\n") == 1
 
 
 @QUICK

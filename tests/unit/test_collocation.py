@@ -14,7 +14,7 @@ from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.bvp.butcher import gauss_table, radau_table
 from casadi_skin.bvp.collocation import CollocationProblem
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.problem import OrbitProblem, Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.correctors.ipopt import IpoptCorrector
@@ -230,7 +230,7 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
     assert even.imbalance(z) > 1.3 > problem.imbalance(point.z)
     correction = tools.ladder.corrector(even).correct(z, even.parameter_row(), point.parameter)
     assert tools.ladder.error(even, correction.z).relative(point.Omega) > 1e-8
-    found = tools.locator.refined(even, correction, -even.parameter_row(), held=True)
+    found = tools.locator.refined(even, correction, -even.parameter_row(), Scalar.PARAMETER)
     assert found is not None
     assert found.problem.resolution == problem.resolution
     assert found.error.relative(found.Omega) <= 1e-8

@@ -115,6 +115,7 @@ def test_whole_numbers_serve_as_floats() -> None:
         chain(alpha="0.0", gamma="0.0", sites="10_000_000") + family(),
         CHAIN + family(at="[]"),
         CHAIN + family(at="[3.0]"),
+        CHAIN + family(at_Omega="[0.9, 0.95]", at_period="[7, 6.5]", period_max="7", max_points="1"),
         CHAIN + "[accuracy]\ntolerance = 1e-13\n[method]\n",
         CHAIN + "[accuracy]\ntolerance = 1e-2\n",
         CHAIN + FAMILY + "[stability]\nevents = false\n",
@@ -179,7 +180,8 @@ def test_same_request_ignores_the_title_alone() -> None:
         (CHAIN + "[spectrum]\nmodes = 3", "[spectrum] modes: unknown key; accepted: no keys"),
         (
             CHAIN + family(amplitude="2.0"),
-            "[family] amplitude: unknown key; did you mean 'amplitude_max'? (accepted: mode, amplitude_max, at, film)",
+            "[family] amplitude: unknown key; did you mean 'amplitude_max'? (accepted: mode, amplitude_max, at, "
+            "at_Omega, at_period, period_max, max_points, film)",
         ),
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g"),
@@ -209,6 +211,7 @@ SITES = "accepted: a whole number >= 1 and <= 10000000"
 FINITE = "accepted: a finite number"
 MODES = "accepted: a mode from 1 to sites, or a list of such modes"
 AT = "accepted: a list of numbers > 0, ascending up to amplitude_max"
+POINTS = "accepted: a whole number >= 1 and <= 1000000 (left out: 2000)"
 
 
 @pytest.mark.parametrize(
@@ -277,6 +280,34 @@ def test_chain_values(changes: dict[str, str], message: str) -> None:
             {"at": "[0.2, 0.2]"},
             "[family] at: given 0.2 as item 2 after 0.2; accepted: numbers in strictly ascending order",
         ),
+        ({"at_Omega": "0.5"}, "[family] at_Omega: given 0.5 (a float); accepted: a list of numbers > 0, each once"),
+        ({"at_Omega": "[-0.5]"}, "[family] at_Omega: given -0.5 as item 1; accepted: a list of numbers > 0, each once"),
+        ({"at_Omega": "[0.9, 0.5, 0.9]"}, "[family] at_Omega: given 0.9 as item 3 again; accepted: each number once"),
+        (
+            {"at_Omega": "[0.9, 0.5]", "period_max": "10"},
+            "[family] at_Omega: given 0.5 as item 2; accepted: numbers >= 2 pi/period_max = 0.628318530718",
+        ),
+        (
+            {"at_period": "[8.0, nan]"},
+            "[family] at_period: given nan as item 2; accepted: a list of numbers > 0, each once, up to period_max",
+        ),
+        ({"at_period": "[7, 7.0]"}, "[family] at_period: given 7.0 as item 2 again; accepted: each number once"),
+        (
+            {"at_period": "[8, 12]", "period_max": "10"},
+            "[family] at_period: given 12.0 as item 2; accepted: numbers <= period_max = 10.0",
+        ),
+        (
+            {"period_max": "6"},
+            "[family] period_max: given 6.0; accepted: a finite number > 6.04942085495 (the period of linear mode 1)",
+        ),
+        (
+            {"period_max": "inf"},
+            "[family] period_max: given inf; accepted: a finite number > 0, above the period of the linear mode "
+            "(left out: no end)",
+        ),
+        ({"max_points": "0"}, f"[family] max_points: given 0; {POINTS}"),
+        ({"max_points": "1e3"}, f"[family] max_points: given 1000.0 (a float); {POINTS}"),
+        ({"max_points": "1_000_001"}, f"[family] max_points: given 1000001; {POINTS}"),
     ],
 )
 def test_family_values(changes: dict[str, str], message: str) -> None:

@@ -1,0 +1,1 @@
+"""What the commands do, a function a command: parsed words in, exit status out."""

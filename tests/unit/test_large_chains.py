@@ -1,0 +1,122 @@
+"""Long and steep chains: no overflow, no NaN, and profiles in logarithms far below the smallest double."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import netcdf_file
+
+from casadi_skin import Chain, Orbit, follow_family
+from casadi_skin.families.faint import _continued
+from casadi_skin.figures.profiles import profile_figure
+from casadi_skin.figures.style import save
+from casadi_skin.results.netcdf import EMPTY, write_netcdf
+from casadi_skin.results.tables import write_csv
+from casadi_skin.theory.multiple_scales import frequency_slope
+
+Array = NDArray[np.float64]
+
+
+def breather(sites: int, gamma: float, g: float, **options: str) -> Orbit:
+    mode = sites if g > 0 else 1
+    return follow_family(Chain(sites, 1.0, gamma, g), mode, 1.0, corrector="newton", **options).orbits[-1]  # type: ignore[arg-type]
+
+
+def far_to_near(orbit: Orbit, values: Array) -> Array:
+    return values if orbit.chain.gamma >= 0 else values[::-1]
+
+
+def tail(orbit: Orbit) -> Array:
+    """log10 of the fundamental of the linear tail but for a constant, from the far end on, by 2 s cosh(kappa)."""
+    chain, n = orbit.chain, np.arange(1, orbit.chain.sites + 1)
+    kappa = np.arccosh(abs(orbit.Omega**2 - 2.0 - chain.alpha) / (2.0 * chain.coupling))
+    growth = kappa * n + np.log1p(-np.exp(-2.0 * kappa * n))
+    return np.asarray((far_to_near(orbit, chain.log_rho) + growth) / np.log(10.0))
+
+
+@pytest.mark.parametrize(
+    ("sites", "gamma", "g", "options", "smallest"),
+    [
+        (200, 0.99, 1.0, {}, -372.4237),
+        (200, -0.99, -1.0, {}, -374.3432),
+        (200, -0.99, 1.0, {"walker": "arclength"}, -372.4237),
+        (200, 1.0 - 1e-9, 1.0, {}, -1765.4168),
+        pytest.param(1000, 0.25, 1.0, {}, -181.6282, marks=pytest.mark.slow),
+        pytest.param(1000, 0.25, 1.0, {"walker": "arclength"}, -181.6282, marks=pytest.mark.slow),
+        pytest.param(1000, 0.99, 1.0, {}, -1869.5259, marks=pytest.mark.slow),
+        pytest.param(3000, 0.7, 1.0, {}, -1219.3243, marks=pytest.mark.slow),
+    ],
+)
+def test_tails_are_right_down_to_the_far_end(
+    sites: int, gamma: float, g: float, options: dict[str, str], smallest: float
+) -> None:
+    orbit = breather(sites, gamma, g, **options)
+    logs = far_to_near(orbit, orbit.log10_profile)
+    last = 3 * sites // 4
+    np.testing.assert_allclose(np.diff(logs)[:last], np.diff(tail(orbit))[:last], atol=1e-10)
+    assert abs(logs[0] - smallest) < 1e-3
+    sign = far_to_near(orbit, orbit.profile_sign)[:last]
+    assert np.all(sign[1:] * sign[:-1] == (-1.0 if g > 0 else 1.0))
+
+
+def test_logarithms_are_those_of_the_profile_where_it_is_accurate() -> None:
+    for mode in (1, 12, 24):
+        orbit = follow_family(Chain(24, 1.0, 0.25, -1.0), mode, 0.5, corrector="newton").orbits[-1]
+        np.testing.assert_allclose(orbit.profile_sign * 10.0**orbit.log10_profile, orbit.profile, rtol=1e-12)
+
+
+def test_closed_form_of_the_tail_in_and_beside_the_band() -> None:
+    # Recursion from the fixed end, harmonic by harmonic, with Omega = 1.5: 1 in the band, 3 above it.
+    alpha, coupling, Omega, sites = 1.0, 0.9, 1.5, 12
+    waves = np.zeros((2, sites + 2))
+    waves[:, 1] = 1.0
+    for k, wave in zip((1, 3), waves, strict=True):
+        for d in range(1, sites + 1):
+            wave[d + 1] = (2.0 + alpha - (k * Omega) ** 2) / coupling * wave[d] - wave[d - 1]
+    waves *= np.array([[0.3], [0.1]]) / waves[:, -1:]
+    logs, signs = _continued(waves[:, -1], Omega, alpha, coupling, sites)
+    np.testing.assert_allclose(signs * np.exp(logs), waves.sum(axis=0)[1:-1], rtol=1e-10, atol=1e-13)
+
+
+def test_shift_at_the_smallest_amplitude() -> None:
+    for sites, gamma in ((24, 0.99), (200, 0.7), (200, -0.25)):
+        for mode in (1, sites):
+            chain = Chain(sites, 1.0, gamma, 1.0)
+            for walker in ("series", "arclength"):
+                branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
+                slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
+                found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
+                assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
+
+
+def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
+    branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
+    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
+        assert file.variables["log10_profile"][-1].min() < -1000.0
+        assert set(np.unique(file.variables["profile_sign"][:])) == {-1, 1}
+    figure = profile_figure([branch])
+    assert figure is not None
+    assert figure.axes[1].get_ylim()[0] < -1000.0
+    assert save(figure, tmp_path / "profile")
+
+
+def test_sites_at_rest_are_empty(tmp_path: Path) -> None:
+    branch = follow_family(Chain(3, 1.0, 1.0, 1.0), 3, 0.5, corrector="newton")
+    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
+        logs = file.variables["log10_profile"]
+        assert np.all(logs[:, :2] == EMPTY)
+        assert logs._FillValue == EMPTY
+        np.testing.assert_allclose(10.0 ** logs[:, 2], np.sqrt(branch.S), rtol=1e-12)
+        assert np.all(file.variables["profile_sign"][:, :2] == 0)
+
+
+def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
+    rows = [{"mode": 1, "point": k, "S": 0.1, "Omega": value} for k, value in enumerate((1.0, np.nan))]
+    with pytest.raises(ArithmeticError, match=r"^Omega: nan in row 2 \(mode 1, point 1, S 0.1\); it is not written$"):
+        write_csv(tmp_path / "family.csv", ("mode", "point", "S", "Omega"), rows)
+    assert not (tmp_path / "family.csv").exists()

@@ -1,0 +1,318 @@
+"""Points at values of Omega, of the period and of S: hand-made curves in both walkers, then families of chains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from math import factorial
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin.bvp.problem import OrbitProblem, Scalar
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.continuation.arclength import ArclengthWalk
+from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.points import End, Point, Target, WalkSettings
+from casadi_skin.continuation.series import SeriesWalk
+from casadi_skin.correctors.bordered import Solve
+from casadi_skin.correctors.ladder import ErrorEstimate, Ladder
+from casadi_skin.correctors.newton import NewtonCorrector
+from casadi_skin.families.follow import FamilyWalk
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.results.journal import EndRecord, orbit_record, restore
+
+Array = NDArray[np.float64]
+
+# Omega of the hand-made curve over the parameter: it passes 2 at 0.2, 0.5 and 0.8.
+COURSE = 2.0 + 8.0 * Polynomial.fromroots([0.2, 0.5, 0.8])
+
+
+class Graph(OrbitProblem):
+    """A curve with no orbit in it: one state that is 1, and Omega a polynomial of the parameter."""
+
+    symmetry = SymmetryClass.QUARTER
+    states = 1
+    shown = None
+
+    def __init__(self, resolution: int) -> None:
+        self.resolution = resolution
+
+    @property
+    def size(self) -> int:
+        return 3
+
+    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        z = ca.MX.sym("z", 3)
+        Omega = sum(float(c) * z[2] ** k for k, c in enumerate(COURSE.coef))
+        residual = ca.vertcat(z[0] - 1.0, z[1] - Omega)
+        return z, residual, ca.jacobian(residual, z)
+
+    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
+        return np.array([positions[0], Omega, parameter])
+
+    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
+        return z.copy()
+
+    def _spread(self, factors: Array) -> Array:
+        return factors
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return np.full((theta.size, 1), z[0])
+
+
+class Expansion:
+    """The power series of the hand-made curve, in which the parameter is linear."""
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
+        coefficients = np.zeros((9, 3))
+        coefficients[0], coefficients[1] = z, slope
+        for k in (2, 3):
+            coefficients[k, 1] = COURSE.deriv(k)(z[2]) / factorial(k) * slope[2] ** k
+        coefficients[4:] = 1e-30  # what no series has is no reason for a stretch to end
+        return coefficients
+
+
+def walked(walker: str, settings: WalkSettings) -> tuple[ArclengthWalk | SeriesWalk, list[Point]]:
+    ladder = Ladder(Graph, lambda problem: NewtonCorrector(problem, 1e-13), (1, 2, 3))
+    locator = Locator(ladder, settings)
+    start = locator.start(np.ones(1), float(COURSE(0.0)))
+    walk: ArclengthWalk | SeriesWalk
+    if walker == "arclength":
+        walk = ArclengthWalk(locator, (start,))
+    else:
+        walk = SeriesWalk(locator, (start,), lambda problem: Expansion(), lambda problem: 1e-9)
+    return walk, list(walk)
+
+
+WALKERS = pytest.mark.parametrize("walker", ["arclength", "series"])
+
+
+@WALKERS
+def test_every_passage_of_a_value_of_Omega_is_a_point(walker: str) -> None:
+    at = (Target(Scalar.OMEGA, 2.0), Target(Scalar.PARAMETER, 0.3), Target(Scalar.OMEGA, 1.9))
+    walk, points = walked(walker, WalkSettings(1.0, 1e-9, at))
+    assert walk.end is End.REACHED
+    assert walk.missed == []
+    asked = [p for p in points if p.requested]
+    below = [float(r.real) for r in (COURSE - 1.9).roots() if abs(r.imag) < 1e-12 and 0 < r.real < 1]
+    expected = sorted([0.2, 0.5, 0.8, 0.3, *below])
+    np.testing.assert_allclose([p.parameter for p in asked], expected, rtol=1e-11)
+    assert sum(p.Omega == 2.0 for p in asked) == 3
+    assert sum(p.Omega == 1.9 for p in asked) == len(below)
+    assert sum(p.parameter == 0.3 for p in asked) == 1
+    along = [p.parameter for p in points]
+    assert along == sorted(along)
+    assert len(set(along)) == len(along)
+
+
+@WALKERS
+@pytest.mark.parametrize("wanted", [(), (Target(Scalar.OMEGA, 2.0),)], ids=["plain", "asked for as well"])
+def test_a_walk_ends_at_a_value_of_Omega(walker: str, wanted: tuple[Target, ...]) -> None:
+    walk, points = walked(walker, WalkSettings(1.0, 1e-9, wanted, Omega_end=2.0))
+    assert walk.end is End.REACHED
+    last = points[-1]
+    assert last.Omega == 2.0
+    assert last.parameter == pytest.approx(0.2, rel=1e-11)
+    assert last.requested is bool(wanted)
+    assert [p.requested for p in points[:-1]] == [False] * (len(points) - 1)
+
+
+@WALKERS
+def test_the_first_end_that_is_reached_counts(walker: str) -> None:
+    _, points = walked(walker, WalkSettings(0.15, 1e-9, Omega_end=2.0))
+    assert points[-1].parameter == 0.15
+    assert points[-1].Omega < 2.0
+
+
+@WALKERS
+def test_a_value_of_Omega_that_is_not_passed_is_not_missed_by_the_walk(walker: str) -> None:
+    walk, points = walked(walker, WalkSettings(1.0, 1e-9, (Target(Scalar.OMEGA, 50.0),)))
+    assert walk.end is End.REACHED
+    assert walk.missed == []
+    assert not any(p.requested for p in points)
+
+
+def point_at(z: tuple[float, float, float], tangent: tuple[float, float, float]) -> Point:
+    return Point(Graph(1), np.array(z), np.array(tangent), ErrorEstimate(0.0, 0.0), 0.1, 1)
+
+
+def test_a_point_is_snapped_to_all_that_it_meets() -> None:
+    point = point_at((1.0, 2.0 + 1e-13, 0.5 - 1e-13), (0.0, 0.05, 0.5))
+    targets = (Target(Scalar.OMEGA, 2.0), Target(Scalar.PARAMETER, 0.5), Target(Scalar.PARAMETER, 0.6))
+    snapped = point.snapped(targets)
+    assert (snapped.Omega, snapped.parameter, snapped.requested) == (2.0, 0.5, True)
+    assert point.snapped(targets[2:]) is point
+
+
+@pytest.mark.parametrize("slope", [1e-6, 1e-12, 0.0])
+def test_a_value_that_hardly_changes_along_the_branch_is_not_met_from_afar(slope: float) -> None:
+    target = Target(Scalar.PARAMETER, 3.0)
+    assert target.meets(point_at((1.0, 2.0, 3.0 - 1e-12), (0.0, 0.05, 0.5)))
+    assert not target.meets(point_at((1.0, 2.0, 3.0 - 1e-12), (0.0, 0.05, slope)))
+    assert target.meets(point_at((1.0, 2.0, 3.0), (0.0, 0.05, slope))) is (slope == 1e-6)
+
+
+# Families of chains -------------------------------------------------------------------------------------------------
+
+FOLDED = Chain(4, 1.219, 0.57, 1.0)  # mode 3 folds in S
+
+
+@cache
+def folded(walker: str, at_Omega: tuple[float, ...] = (), at_period: tuple[float, ...] = ()) -> Branch:
+    return follow_family(
+        FOLDED, 3, 10.0, at=(1.0,), at_Omega=at_Omega, at_period=at_period, corrector="newton", walker=walker
+    )
+
+
+@WALKERS
+def test_points_at_Omega_and_period_are_among_the_orbits_and_are_what_the_branch_gives(walker: str) -> None:
+    plain = folded(walker)
+    low, high = np.quantile(plain.Omega, [0.3, 0.7])
+    period = 2 * np.pi / float(0.5 * (low + high))
+    branch = folded(walker, (float(low), float(high)), (period,))
+    asked = [o for o in branch.orbits if o.point.requested]
+    for value in (float(low), float(high)):
+        crossings = int(np.sum(np.diff(np.sign(plain.Omega - value)) != 0))
+        found = [o for o in asked if value == o.Omega]
+        assert len(found) == crossings > 0
+        for which, orbit in enumerate(found):
+            other = plain.at(Omega=value, which=which)
+            assert other.Omega == value
+            assert abs(other.S - orbit.S) <= other.S_error + orbit.S_error
+            assert 0.0 < orbit.S_error <= 1e-8 * orbit.S
+    assert [o.period for o in asked].count(period) >= 1
+    assert plain.at(period=period).period == period
+    other = branch.at(period=period)
+    assert abs(plain.at(period=period).S - other.S) <= 1e-8 * other.S
+    assert branch.complete
+    assert [o.S_error for o in asked if o.S == 1.0] == [0.0] * sum(o.S == 1.0 for o in asked)
+
+
+def test_what_a_branch_does_not_pass_is_named() -> None:
+    branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at_Omega=[9.0], at_period=[100.0], corrector="newton")
+    assert branch.end is End.REACHED
+    assert not branch.complete
+    assert (branch.missed, branch.missed_Omega, branch.missed_period) == ((), (9.0,), (100.0,))
+    assert "no orbit was found at Omega = 9: the family was followed from" in branch.reason
+    assert "no orbit was found at period = 100: " in branch.reason
+
+
+def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    true_correct, wanted = NewtonCorrector.correct, 1.48
+
+    def correct(self: NewtonCorrector, guess: Array, row: Array, value: float):  # type: ignore[no-untyped-def]
+        correction = true_correct(self, guess, row, value)
+        return replace(correction, z=2 * correction.z) if abs(value) == wanted else correction
+
+    monkeypatch.setattr(NewtonCorrector, "correct", correct)
+    branch = follow_family(Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton")
+    assert branch.missed_Omega == (wanted,)
+    assert "no orbit was found at Omega = 1.48, which the family passes" in branch.reason
+    assert [o.Omega for o in branch.orbits if o.point.requested] == [1.5]
+    with pytest.raises(ArithmeticError, match=r"at: no orbit was found at Omega = 1\.48"):
+        branch.at(Omega=wanted)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "at: given nothing; accepted: one of S, Omega, period"),
+        ({"S": 0.5, "Omega": 1.5}, "at: given S and Omega; accepted: one of S, Omega, period"),
+        ({"Omega": -1.0}, r"at: given Omega = -1\.0; accepted: a finite number > 0"),
+        ({"period": np.inf}, "at: given period = inf; accepted: a finite number > 0"),
+        ({"Omega": 7.0}, r"at: given Omega = 7\.0, which = 0; the branch covers .* and passes Omega 0 times"),
+        ({"Omega": 1.5, "which": 1}, "passes Omega 1 times"),
+        ({"Omega": 1.5, "which": -1}, "which: given -1"),
+    ],
+)
+def test_at_refuses_what_it_cannot_mean(given: dict[str, float], message: str) -> None:
+    branch = follow_family(Chain(2, 1.0, 0.0, 1.0), 1, 1.0, corrector="newton")
+    with pytest.raises(ValueError, match=message):
+        branch.at(**given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"at_Omega": (1.0, 1.0)}, "at_Omega: given .*each once"),
+        ({"at_Omega": (0.0,)}, "at_Omega: given .*finite numbers > 0"),
+        ({"at_period": (np.inf,)}, "at_period: given .*finite numbers"),
+        ({"at_period": (9.0,), "period_max": 8.0}, "at_period: given .*up to period_max = 8"),
+        ({"at_Omega": (0.1,), "period_max": 8.0}, "at_Omega: given .*up to period_max = 8"),
+        ({"period_max": 3.0}, r"period_max: given 3\.0; accepted: a finite number > 3\.6275\d* \(the period of linear"),
+        ({"period_max": np.nan}, "period_max: given nan"),
+        ({"max_points": 0}, "max_points: given 0; accepted: a whole number >= 1"),
+        ({"max_points": 2.5}, r"max_points: given 2\.5"),
+    ],
+)
+def test_requests_out_of_range_are_refused_by_name(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, **given)  # type: ignore[arg-type]
+
+
+# The limit on points ------------------------------------------------------------------------------------------------
+
+WANDERING = Chain(5, 0.71, 0.3, -1.0)
+
+
+@WALKERS
+@pytest.mark.parametrize("limit", [1, 137])
+def test_a_family_ends_after_its_points_and_tells_what_it_did(walker: str, limit: int) -> None:
+    branch = follow_family(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=limit)
+    assert len(branch) == limit
+    assert branch.end is End.POINTS
+    assert not branch.complete
+    assert f"{limit} points, largest S = {branch.S.max():.6g}" in branch.reason
+    assert f"max_points above {limit}" in branch.reason
+    assert "does not exist" not in branch.reason
+
+
+def test_a_family_of_exactly_as_many_points_is_complete() -> None:
+    chain = Chain(2, 1.0, 0.3, 1.0)
+    whole = follow_family(chain, 1, 1.0, corrector="newton")
+    assert follow_family(chain, 1, 1.0, corrector="newton", max_points=len(whole)).complete
+    assert not follow_family(chain, 1, 1.0, corrector="newton", max_points=len(whole) - 1).complete
+
+
+@WALKERS
+def test_points_before_an_interruption_count(walker: str) -> None:
+    request = FamilyRequest(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
+    whole = list(FamilyWalk(FamilyTools(request)))
+    cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
+    again = FamilyWalk(FamilyTools(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    list(again)
+    assert len(again.orbits) == 60
+    assert again.branch().end is End.POINTS
+    assert again.branch().S[-1] == pytest.approx(whole[-1].S, rel=1e-9)
+
+
+@WALKERS
+def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:
+    period = 2 * np.pi / 0.13
+    request = FamilyRequest(
+        Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
+        at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
+    )  # fmt: skip
+    whole = [o for o in FamilyWalk(FamilyTools(request)) if isinstance(o, Orbit)]
+    cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
+    walk = restore([orbit_record(o, False) for o in whole[: cut + 1]], FamilyTools(request), False, False)
+    assert isinstance(walk, FamilyWalk)
+    list(walk)
+    again = walk.branch()
+    assert again.complete
+    assert [o.Omega for o in again.orbits] == [o.Omega for o in whole]
+    assert [o.S_error for o in again.orbits] == [o.S_error for o in whole]
+    assert [o.period for o in again.orbits if o.point.requested][-1] == period
+
+
+def test_what_was_missed_is_kept_in_the_journal() -> None:
+    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
+    restored = restore([EndRecord(1, End.REACHED, "", (), (9.0,), (100.0,))], tools, False, False)
+    assert isinstance(restored, Branch)
+    assert (restored.missed, restored.missed_Omega, restored.missed_period) == ((), (9.0,), (100.0,))
+    assert not restored.complete
