@@ -60,6 +60,7 @@ class OrbitProblem(ABC):
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
     constants: Array = np.zeros(0)
+    holds_linear_modes: bool = False  # exactly, at every resolution
 
     @abstractmethod
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -102,6 +103,14 @@ class OrbitProblem(ABC):
     def Omega_index(self) -> int:
         """Place of Omega among the unknowns."""
         return self.states
+
+    def frequency(self, z: Array) -> float:
+        """Omega of z."""
+        return float(z[self.Omega_index])
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        """What a small step from z changes Omega by."""
+        return float(step[self.Omega_index])
 
     @property
     def parameter_index(self) -> int:

@@ -56,7 +56,8 @@ class Locator:
             z = problem.pack(positions, Omega, 0.0)
             solve = self.factor(problem, z, direction * problem.parameter_row())
             own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
-            if own.relative(Omega) <= min(self.settings.tolerance, START_ERROR):
+            enough = min(self.settings.tolerance, START_ERROR)
+            if problem.holds_linear_modes or own.relative(problem.frequency(z)) <= enough:
                 break
         tangent = self.tangent(problem, z, solve)
         return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
@@ -66,7 +67,7 @@ class Locator:
     def correct(self, problem: OrbitProblem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
         """Corrected point within the guard's fraction of `reach` of the guess, or None."""
         correction = self.ladder.corrector(problem).correct(guess, row, value)
-        if not correction.converged or correction.z[problem.Omega_index] <= 0:
+        if not correction.converged or problem.frequency(correction.z) <= 0:
             return None
         distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
         return correction if distance <= self.settings.guard_distance * reach else None
@@ -132,7 +133,7 @@ class Locator:
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
         error, better = self.ladder.refined(problem, correction.z, None if held else tangent)
-        relative = error.relative(float(correction.z[problem.Omega_index]))
+        relative = error.relative(problem.frequency(correction.z))
         at_round_off = self.settings.tolerance < relative <= error.round_off
         step, iterations = self.settings.first_step, correction.iterations
         point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)

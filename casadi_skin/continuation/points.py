@@ -64,7 +64,7 @@ class Point:
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return float(self.z[self.problem.Omega_index])
+        return self.problem.frequency(self.z)
 
     def snapped(self, values: tuple[float, ...]) -> Point:
         """This point, requested and with its parameter exact where that is one of `values` but for round-off."""

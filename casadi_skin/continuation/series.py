@@ -120,7 +120,7 @@ class SeriesWalk:
         while stretch.length * base.step >= self.settings.min_step:
             end = stretch.at(stretch.length)
             allowed = precision * max(1.0, float(np.max(np.abs(end[: problem.states]))))
-            if end[problem.Omega_index] > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
+            if problem.frequency(end) > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
                 return stretch
             self.rejected += 1
             stretch = replace(stretch, length=SHRINK * stretch.length)

@@ -47,7 +47,7 @@ def step_error(problem: OrbitProblem, z: Array, step: Array) -> ErrorEstimate:
     profile = np.max(np.abs(move)) / np.max(np.abs(state))
     if shown is not None:
         profile = max(profile, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
-    return ErrorEstimate(SAFETY * abs(float(step[problem.Omega_index])), SAFETY * float(profile))
+    return ErrorEstimate(SAFETY * abs(problem.frequency_step(z, step)), SAFETY * float(profile))
 
 
 class Ladder:
@@ -137,8 +137,8 @@ class Ladder:
         solve = self.solver(finer).factor(long_z, nonzeros, row)
         step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
         error = step_error(finer, long_z, step)
-        error = replace(error, Omega=max(error.Omega, problem.round_off * float(z[problem.Omega_index])))
-        if error.relative(float(z[problem.Omega_index])) < NEAR_ROUND_OFF:
+        error = replace(error, Omega=max(error.Omega, problem.round_off * problem.frequency(z)))
+        if error.relative(problem.frequency(z)) < NEAR_ROUND_OFF:
             noise = problem.rounding(z) * np.append(finer.probe, 0.0)
             response = _at_parameter(finer, long_z, solve(noise), along)
             error = _no_better(error, step_error(finer, long_z, response), problem, z)
@@ -155,7 +155,7 @@ def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | N
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
     """The error, but not below the response to rounding and what rounded constants do."""
-    Omega = float(z[problem.Omega_index])
+    Omega = problem.frequency(z)
     floor = ErrorEstimate(max(response.Omega, problem.round_off * Omega), max(response.profile, problem.round_off))
     error = ErrorEstimate(max(error.Omega, floor.Omega), max(error.profile, floor.profile))
     return replace(error, round_off=floor.relative(Omega))

@@ -26,7 +26,7 @@ class NewtonCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
-        if guess[self.problem.Omega_index] <= 0:
+        if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
         last = np.inf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,6 +68,13 @@ class Branch:
         """Estimated absolute error of the multipliers of each orbit, shape (points,); see `Orbit.multiplier_error`."""
         return np.array([o.multiplier_error for o in self.orbits])
 
+    @cached_property
+    def threshold(self) -> float | None:
+        """S at which the end breather of the infinite chain is born; None where the tail is not eliminated."""
+        from casadi_skin.families.threshold import threshold
+
+        return threshold(self.tools.request.chain) if self.tools.request.tailed else None
+
     @property
     def complete(self) -> bool:
         """Whether the family reached what was asked and no requested point is missing."""
@@ -86,7 +94,7 @@ class Branch:
         words = f"{self.end.value} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
         if self.detail:
             words += f": {self.detail}"
-        omega = self.tools.core.linear_frequency(self.tools.core_mode)
+        omega = self.tools.linear_frequency
         if request.chain.g < 0 and last.Omega < 0.3 * omega:
             words += (
                 f"; the period, {last.Omega and omega / last.Omega:.3g} times the linear one, grows without bound: a "

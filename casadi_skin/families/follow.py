@@ -106,7 +106,7 @@ class FamilyWalk:
 
 def follow_family(
     chain: Chain,
-    mode: int,
+    mode: int | str,
     amplitude_max: float,
     *,
     at: Sequence[float] = (),
@@ -119,6 +119,7 @@ def follow_family(
     symmetry: SymmetryClass | None = None,
     walker: str | None = None,
     degree: int | None = None,
+    tail: str | None = None,
     progress: Callable[[Orbit], None] | None = None,
 ) -> Branch:
     """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
@@ -129,8 +130,10 @@ def follow_family(
     continuation in the gauge (paper, Sec. II; Keller 1977).
     """
     wanted = tuple(float(S) for S in at)
-    methods = (transcription, corrector, flow, symmetry, walker, degree)
-    request = FamilyRequest(chain, mode, float(amplitude_max), wanted, tolerance, *methods)
+    if stability and tail is None and not chain.infinite:
+        tail = "full"  # all sites take part in it
+    methods = (transcription, corrector, flow, symmetry, walker, degree, tail)
+    request = FamilyRequest(chain, chain.mode_number(mode), float(amplitude_max), wanted, tolerance, *methods)
     walk = FamilyWalk(FamilyTools(request), stability, events)
     for result in walk:
         if progress is not None and isinstance(result, Orbit):

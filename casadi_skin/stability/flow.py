@@ -25,7 +25,7 @@ class OrbitState:
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return float(self.z[self.problem.Omega_index])
+        return self.problem.frequency(self.z)
 
     @property
     def parameter(self) -> float:
