@@ -19,7 +19,7 @@ def shown(value: object) -> str:
 
 def number(name: str, value: object, accepted: str = "a finite number") -> float:
     """The value as a float; raises TypeError where it is no real number and ValueError where it is not finite."""
-    if not isinstance(value, Real) or isinstance(value, bool):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name}: given {shown(value)}; accepted: {accepted}")
     try:
         found = float(value)

@@ -7,6 +7,7 @@ import time
 from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.correctors.ladder import ErrorEstimate
+from casadi_skin.families.layout import Alone, Tailed
 from casadi_skin.families.request import FamilyRequest, FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.scene import DynamicsTable, Scene
@@ -87,7 +88,10 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
         ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
         ("symmetry", tools.symmetry.reason),
     ]
-    if tools.core.sites != request.chain.sites:
+    if isinstance(tools.layout, Tailed):
+        words = f"{tools.core.sites} at the edge, where the cubic term is felt; the linear tail is eliminated exactly"
+        lines.append(("unknown sites", words))
+    elif isinstance(tools.layout, Alone):
         lines.append(("unknown sites", "the edge site alone: at |gamma| = 1 no other site moves in the gauge"))
     started = time.perf_counter()
     problem, error = _first_problem(tools)
@@ -99,7 +103,7 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
             f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it",
         ),
         ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
-        ("first error", f"{error.relative(tools.core.linear_frequency(tools.core_mode)):.1e} estimated at the start"),
+        ("first error", f"{error.relative(tools.linear_frequency):.1e} estimated at the start"),
     ]
     built = f"model in the gauge, collocation equations, {request.corrector} corrector"
     if scene.stability is not None:

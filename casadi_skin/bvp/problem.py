@@ -68,6 +68,7 @@ class OrbitProblem(ABC):
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
     constants: Array = np.zeros(0)
+    holds_linear_modes: bool = False  # exactly, at every resolution
 
     @abstractmethod
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -218,7 +219,10 @@ class OrbitProblem(ABC):
 
     def worst(self, z: Array) -> str:
         """The largest residual at z and where it is, in words."""
-        residual = np.abs(self.evaluate(z)[0])
+        try:
+            residual = np.abs(self.evaluate(z)[0])
+        except ArithmeticError as error:
+            return str(error)
         equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         where = f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
         return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {where}"

@@ -61,6 +61,8 @@ class TrigonometricProblem(OrbitProblem):
     Raises ValueError for a model that is not of second order, reversible with even positions, and odd.
     """
 
+    holds_linear_modes = True
+
     def __init__(self, model: OdeModel, harmonics: int) -> None:
         even_positions = model.reversal == (1,) * model.size + (-1,) * model.size
         odd = model.half_period == (-1,) * model.full_size

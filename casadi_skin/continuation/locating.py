@@ -59,7 +59,8 @@ class Locator:
             z = problem.pack(positions, Omega, 0.0)
             solve = self.factor(problem, z, direction * problem.parameter_row())
             own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
-            if own.relative(Omega) <= min(self.settings.tolerance, START_ERROR):
+            enough = min(self.settings.tolerance, START_ERROR)
+            if problem.holds_linear_modes or own.relative(problem.frequency(z)) <= enough:
                 break
         tangent = self.tangent(problem, z, solve)
         return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)

@@ -54,6 +54,7 @@ class IpoptCorrector:
         options = {
             "jac_g": jac_g,
             "hess_lag": hess_lag,
+            "no_nlp_grad": True,  # the gradient of the Lagrangian, which nothing asks for
             "print_time": False,
             "calc_lam_x": False,
             "calc_lam_p": False,

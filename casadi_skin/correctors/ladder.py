@@ -144,8 +144,8 @@ class Ladder:
         step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
         moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
         error = step_error(finer, long_z, step, moves)
-        error = replace(error, Omega=max(error.Omega, problem.round_off * float(z[problem.Omega_index])))
-        if error.relative(float(z[problem.Omega_index])) < NEAR_ROUND_OFF:
+        error = replace(error, Omega=max(error.Omega, problem.round_off * problem.frequency(z)))
+        if error.relative(problem.frequency(z)) < NEAR_ROUND_OFF:
             noise = problem.rounding(z) * np.append(finer.probe, 0.0)
             response = _at_parameter(finer, long_z, solve(noise), along)
             error = _no_better(error, step_error(finer, long_z, response, moves), problem, z)
@@ -166,7 +166,7 @@ def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | N
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
     """The error, but not below the response to rounding and what rounded constants do."""
-    Omega = float(z[problem.Omega_index])
+    Omega = problem.frequency(z)
     floor = replace(
         response,
         Omega=max(response.Omega, problem.round_off * Omega),

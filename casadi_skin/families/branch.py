@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,6 +77,13 @@ class Branch:
         """Estimated absolute error of the multipliers of each orbit, shape (points,); see `Orbit.multiplier_error`."""
         return np.array([o.multiplier_error for o in self.orbits])
 
+    @cached_property
+    def threshold(self) -> float | None:
+        """S at which the end breather of the infinite chain is born; None where the tail is not eliminated."""
+        from casadi_skin.families.threshold import threshold
+
+        return threshold(self.tools.request.chain) if self.tools.request.tailed else None
+
     @property
     def complete(self) -> bool:
         """Whether the family reached what was asked and no requested point is missing."""
@@ -104,7 +112,7 @@ class Branch:
         """Where the last orbit is a slow one: how slow, and whether S has come to a limit short of the S given."""
         last, request = self.orbits[-1], self.tools.request
         point = last.point
-        slower = self.tools.core.linear_frequency(self.tools.core_mode) / point.Omega
+        slower = self.tools.linear_frequency / point.Omega
         if request.chain.g > 0 or slower < SLOW:
             return ""
         words = f"; the period is {slower:.3g} times the linear one"
@@ -142,7 +150,7 @@ class Branch:
             first = S[turns[0]]
             words += f", S turns back {turns.size} times, first at S = {first:.6g}"
             less = f"amplitude_max up to {0.999 * first:.4g}, before S first turns back, " if first > 0 else ""
-        lowest, highest = (self.tools.core.linear_frequency(j) for j in (1, self.tools.core.sites))
+        lowest, highest = np.sqrt(np.maximum(self.tools.core.band(), 0.0)).tolist()
         last = self.orbits[-1].Omega
         odd = [k for k in range(3, int(highest / last) + 1, 2) if k * last >= lowest]
         if odd and self.tools.core.sites > 1:

@@ -132,7 +132,7 @@ class FamilyWalk:
 
 def follow_family(
     chain: Chain,
-    mode: int,
+    mode: int | str,
     amplitude_max: float,
     *,
     at: Sequence[float] = (),
@@ -149,6 +149,7 @@ def follow_family(
     at_period: Sequence[float] = (),
     period_max: float | None = None,
     max_points: int = MAX_POINTS,
+    tail: str | None = None,
     progress: Callable[[Orbit], None] | None = None,
 ) -> Branch:
     """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
@@ -166,7 +167,10 @@ def follow_family(
     longest = None if period_max is None else number("period_max", period_max)
     largest = number("amplitude_max", amplitude_max, "a finite number > 0")
     passed = (wanted_Omega, wanted_period, longest, max_points)
-    request = FamilyRequest(chain, mode, largest, wanted, tolerance, *methods, *passed)
+    if stability and tail is None and isinstance(chain, Chain) and not chain.infinite:
+        tail = "full"  # all sites take part in it
+    number_of_mode = chain.mode_number(mode) if isinstance(chain, Chain) else mode
+    request = FamilyRequest(chain, number_of_mode, largest, wanted, tolerance, *methods, *passed, tail)
     walk = FamilyWalk(FamilyTools(request), stability, events)
     for result in walk:
         if progress is not None and isinstance(result, Orbit):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.continuation.points import Point
+from casadi_skin.correctors.ladder import Refinement
+from casadi_skin.families.layout import Tailed
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
@@ -32,6 +35,27 @@ def orbit_state(point: Point) -> OrbitState:
     return OrbitState(problem, z, OrbitState(problem, off))
 
 
+def on_all_sites(tools: FamilyTools, point: Point) -> Point:
+    """A point of a family whose tail is eliminated as one of `tools.whole`, where every site is an unknown.
+
+    Raises ValueError where these are too many.
+    """
+    layout = tools.layout
+    if not isinstance(layout, Tailed):
+        return point
+
+    def whole(problem: OrbitProblem, z: Array) -> Refinement:
+        H = problem.resolution
+        theta = (np.arange(H) + 0.5) * np.pi / (2 * H)
+        positions = layout.positions(problem, z, theta)
+        unknowns = np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
+        return Refinement(tools.whole.ladder.problem(H), unknowns)
+
+    here = whole(point.problem, point.z)
+    better = None if point.better is None else whole(point.better.problem, point.better.z)
+    return replace(point, problem=here.problem, z=here.z, tangent=np.zeros(here.z.size), better=better)
+
+
 def accelerations(tools: FamilyTools, orbits: Sequence[OrbitState]) -> Array:
     """q'' at phase zero, shape (orbits, core sites)."""
     starts = np.stack([orbit.problem.sample(orbit.z, np.zeros(1))[0] for orbit in orbits], axis=1)
@@ -44,6 +68,8 @@ def floquets_of(tools: FamilyTools, points: Sequence[Point]) -> list[Floquet]:
 
     Raises FlowError where the flow map cannot reach the tolerance for any of them.
     """
+    if isinstance(tools.layout, Tailed):
+        return floquets_of(tools.whole, [on_all_sites(tools, point) for point in points])
     states = [orbit_state(point) for point in points]
     with one_thread():
         results = floquets(tools.flow, states, lambda orbits: accelerations(tools, orbits), tools.request.tolerance)

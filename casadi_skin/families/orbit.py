@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.tailed import Regime, TailedProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
 from casadi_skin.families.faint import log_positions
-from casadi_skin.families.multipliers import accelerations, floquets_of, orbit_state
+from casadi_skin.families.layout import Alone, Tailed
+from casadi_skin.families.multipliers import accelerations, floquets_of, on_all_sites, orbit_state
 from casadi_skin.families.request import FamilyTools
 from casadi_skin.models.chain import Chain
+from casadi_skin.stability.flow import Transition
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.multipliers import floquet_vectors
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
-from casadi_skin.theory.linear import standing_wave
 
 TIE = 1e-10  # relative difference of displacements that count as equal
 
@@ -89,9 +91,17 @@ class Orbit:
         """Scaled gauge positions q at phases theta, shape (len(theta), core sites)."""
         return self.point.problem.sample(self.point.z, theta)
 
-    def evaluate(self, t: ArrayLike) -> Array:
-        """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive."""
-        return self._physical(self._gauge(self.Omega * np.atleast_1d(np.asarray(t, dtype=float))))
+    def evaluate(self, t: ArrayLike, sites: ArrayLike | None = None) -> Array:
+        """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive.
+
+        `sites` are numbers from 1 to N, all by default. In an infinite chain they are 0, -1, -2, ... from the edge for
+        gamma > 0 and 1, 2, 3, ... for gamma < 0, by default those of the nonlinear core. Raises ValueError for others.
+        """
+        return self._displacements(self.Omega * np.atleast_1d(np.asarray(t, dtype=float)), sites)
+
+    def _displacements(self, theta: Array, sites: ArrayLike | None = None) -> Array:
+        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
+        return self._scale * self.tools.layout.displacements(self.point.problem, self.point.z, theta, numbers)
 
     @cached_property
     def _scale(self) -> float:
@@ -104,15 +114,6 @@ class Orbit:
         tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE) * np.max(np.abs(start)))
         return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / np.linalg.norm(start))
 
-    def _physical(self, gauge: Array) -> Array:
-        """Displacements of scaled gauge positions, shape (rows, core sites) -> (rows, sites)."""
-        core = self._scale * self.tools.core.rho * gauge
-        if core.shape[1] == self.chain.sites:
-            return np.asarray(core, dtype=float)
-        everywhere = np.zeros((core.shape[0], self.chain.sites))
-        everywhere[:, -1 if self.chain.gamma > 0 else 0] = core[:, 0]
-        return everywhere
-
     @property
     def harmonics(self) -> int:
         """Number of odd harmonics that carry the orbit at its tolerance."""
@@ -123,7 +124,7 @@ class Orbit:
         """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites)."""
         theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
         to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
-        return self._physical(to_coefficients @ self._gauge(theta))
+        return np.asarray(to_coefficients @ self._displacements(theta))
 
     @cached_property
     def profile(self) -> Array:
@@ -135,13 +136,21 @@ class Orbit:
     def _log_profile(self) -> tuple[Array, Array]:
         """Natural logarithms of |y_n(0)| and the signs, each (sites,)."""
         logs, signs = log_positions(self.tools, self.point)
-        logs, signs = logs + self.tools.core.log_rho + np.log(abs(self._scale)), signs * np.sign(self._scale)
-        if logs.size == self.chain.sites:
-            return logs, signs
-        everywhere, none = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
-        edge = -1 if self.chain.gamma > 0 else 0
-        everywhere[edge], none[edge] = logs[0], signs[0]
-        return everywhere, none
+        layout = self.tools.layout
+        if isinstance(layout, Alone):
+            everywhere, none = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
+            everywhere[layout.edge], none[layout.edge] = logs[0], signs[0]
+            logs, signs = everywhere, none
+        elif isinstance(layout, Tailed):
+            core, order = layout.shown, slice(None) if self.chain.gamma >= 0 else slice(None, None, -1)
+            inside = logs[order], signs[order]
+            logs, signs = layout.log_positions(self.point.problem, self.point.z)
+            place = core - (1 if np.isfinite(self.chain.sites) else core[0])
+            logs[place], signs[place] = inside
+            logs = logs - np.arctanh(abs(self.chain.gamma)) * layout.distances(None)
+        else:
+            logs = logs + layout.core.log_rho
+        return logs + np.log(abs(self._scale)), signs * np.sign(self._scale)
 
     @property
     def log10_profile(self) -> Array:
@@ -155,9 +164,8 @@ class Orbit:
 
     @cached_property
     def energy(self) -> float:
-        """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to."""
-        q = self._gauge(np.zeros(1))[0]
-        return self.S * float(self.tools.hamiltonian(q, np.zeros(q.size), self.point.parameter))
+        """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to; of an infinite tail, infinite."""
+        return self.S * self.tools.layout.energy(self.point.problem, self.point.z, self.tools.hamiltonian)
 
     @cached_property
     def Omega_shift(self) -> float:
@@ -166,23 +174,22 @@ class Orbit:
         The fundamental harmonic of the equations projected on the linear mode gives Omega^2 - omega_j^2 as a ratio
         of sums over the cubic term, with no cancellation.
         """
-        core, mode = self.tools.core, self.tools.core_mode
-        omega = core.linear_frequency(mode)
-        nodes = max(32, 2 * self.point.problem.resolution)
-        theta = (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
-        q, phi = self._gauge(theta), standing_wave(core.sites, mode)
-        cosine = np.cos(theta)
-        overlap = float(cosine @ q @ phi)
-        cubic = float(cosine @ (core.weights * q**3) @ phi)
-        by_projection = self.point.parameter * cubic / overlap / (self.Omega + omega)
-        amplification = np.linalg.norm(cosine @ q) * np.linalg.norm(phi) / abs(overlap)
-        subtraction_is_better = 100.0 * amplification * abs(by_projection) > omega
-        return float(self.Omega - omega if subtraction_is_better else by_projection)
+        return self.tools.layout.Omega_shift(self.point.problem, self.point.z)
+
+    @property
+    def regime(self) -> Regime | None:
+        """Whether Omega, or three times it, is pinned to the band; None where the tail is not eliminated."""
+        problem = self.point.problem
+        return problem.regime(self.point.z) if isinstance(problem, TailedProblem) else None
 
     # Stability ------------------------------------------------------------------------------------------------------
 
-    def _acceleration(self) -> Array:
-        return np.asarray(accelerations(self.tools, [orbit_state(self.point)])[0])
+    def _transition(self) -> tuple[Transition, Array]:
+        """Transition matrix of all sites, and q'' at phase zero."""
+        tools, point = self.tools, on_all_sites(self.tools, self.point)
+        tools = tools.whole if isinstance(tools.layout, Tailed) else tools
+        acceleration = accelerations(tools, [orbit_state(point)])[0]
+        return tools.flow.transition(point.problem, point.z), np.asarray(acceleration)
 
     def floquet(self) -> Floquet:
         """Multipliers and the kind of instability; at |gamma| = 1 without the Jordan block's algebraic growth.
@@ -205,19 +212,17 @@ class Orbit:
 
         Columns go with `floquet().multipliers`. Raises ValueError at |gamma| = 1, where the gauge has no image of them.
         """
-        if self.tools.core.sites != self.chain.sites:
+        if abs(self.chain.gamma) == 1.0:
             raise ValueError(
                 "floquet_vectors: at |gamma| = 1 the vectors form Jordan chains that the gauge does not have"
             )
-        transition = self.tools.flow.transition(self.point.problem, self.point.z)
-        return floquet_vectors(transition, self._acceleration(), self.chain.rho)
+        return floquet_vectors(*self._transition(), self.chain.rho)
 
     def transient_growth(self, quarters: int = 40) -> TransientGrowth:
         """Largest amplification of perturbations at multiples of a quarter period, in physical coordinates.
 
         Raises ValueError at |gamma| = 1 or without the splitting flow.
         """
-        if self.tools.core.sites != self.chain.sites or self.tools.request.flow != "splitting":
+        if abs(self.chain.gamma) == 1.0 or self.tools.request.flow != "splitting":
             raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
-        transition = self.tools.flow.transition(self.point.problem, self.point.z)
-        return transient_growth(transition, self._acceleration(), self.chain.log_rho, self.period, quarters)
+        return transient_growth(*self._transition(), self.chain.log_rho, self.period, quarters)

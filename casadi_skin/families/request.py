@@ -14,10 +14,11 @@ import numpy as np
 
 from casadi_skin.arguments import number, numbers, shown
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
+from casadi_skin.bvp.problem import OrbitProblem, Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.bvp.tailed import TailedProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.locating import Locator
@@ -26,14 +27,14 @@ from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
 from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.models.chain import Chain
+from casadi_skin.families.layout import Alone, Tailed, Whole
+from casadi_skin.models.chain import FIRST, LAST, Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowMap
 from casadi_skin.stability.gauss_flow import GaussFlow
 from casadi_skin.stability.rk4 import RungeKuttaFlow
 from casadi_skin.stability.splitting import SplittingFlow
-from casadi_skin.theory.linear import standing_wave
 
 if TYPE_CHECKING:
     from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
@@ -52,9 +53,14 @@ COLLOCATIONS: Mapping[str, type[GaussProblem | RadauProblem]] = MappingProxyType
     {"gauss": GaussProblem, "radau": RadauProblem}
 )
 MAX_POINTS = 2000  # of a family: ten times what those need that do not wander from one resonance to the next
+NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles tell modes apart; measured
 QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
+LONGEST_WHOLE = 5000  # sites of a chain whose stability is computed: all of them take part
 DEGREE_RANGE = (2, 12)
 SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
+NEGLIGIBLE = 1e-16  # of the cubic term: what of it the tail may leave out
+PAYS, PAYS_FROM = 8, 500  # times the core's sites, and sites, from which on the elimination of the tail is cheaper
+LONGEST_CORE = 5000
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
 
 
@@ -84,16 +90,23 @@ class FamilyRequest:
     at_period: tuple[float, ...] = ()
     period_max: float | None = None
     max_points: int = MAX_POINTS
+    tail: str | None = None
 
     def __post_init__(self) -> None:
         self._check_types()
         chain = self.chain
         if chain.g == 0:
             raise ValueError("g: given 0; accepted: not 0 (the family is the linear mode at every amplitude)")
-        chain.linear_frequency(self.mode)
+        square = chain.linear_frequency(self.mode) ** 2
+        if chain.sites > 1 and 0.0 < 4.0 * chain.coupling < NARROWEST_BAND * square:
+            raise ValueError(
+                f"alpha: given {chain.alpha!r}, beside which the band is {4 * chain.coupling / square:.0e} wide:"
+                " doubles do not tell its modes apart; "
+                f"accepted: alpha up to {4.0 * chain.coupling / NARROWEST_BAND:.3g}"
+            )
         if abs(chain.gamma) == 1.0:
             edge = chain.sites if chain.g > 0 else 1
-            if self.mode != edge:
+            if chain.mode_number(self.mode) != edge:
                 raise ValueError(
                     f"mode: given {self.mode}; accepted at |gamma| = 1 with g = {chain.g:g}: {edge} (all frequencies "
                     "meet, and only the family in which the edge site alone moves exists in the gauge)"
@@ -110,6 +123,7 @@ class FamilyRequest:
             ("corrector", ("ipopt", "newton")),
             ("walker", (None, "arclength", "series")),
             ("flow", ("splitting", "cvodes", "gauss", "rk4")),
+            ("tail", (None, "eliminated", "full")),
         ):
             if getattr(self, name) not in accepted:
                 names = ", ".join(word for word in accepted if word)
@@ -120,6 +134,12 @@ class FamilyRequest:
             raise ValueError(f'walker: given "series"; accepted with {self.transcription}: arclength')
         self._check_degree()
         self._check_periods()
+        obstacle = self._obstacle
+        if obstacle and (self.tail == "eliminated" or chain.infinite):
+            given = "an infinite chain" if chain.infinite else '"eliminated"'
+            raise ValueError(f"{'sites' if chain.infinite else 'tail'}: given {given}; {obstacle}")
+        if self.tail == "full" and chain.infinite:
+            raise ValueError('tail: given "full" with an infinite chain; accepted: eliminated')
 
     def _check_types(self) -> None:
         """Raises TypeError, and ValueError for numbers that are not finite."""
@@ -135,6 +155,44 @@ class FamilyRequest:
             number("period_max", self.period_max)
         if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
             raise TypeError(f"symmetry: given {shown(self.symmetry)}; accepted: a SymmetryClass")
+
+    # The tail of a long chain ---------------------------------------------------------------------------------------
+
+    @property
+    def core_sites(self) -> int:
+        """Number of sites at the edge outside of which the cubic term is below round-off, counted to LONGEST_CORE."""
+        chain, reach = self.chain, max(1.0, self.amplitude_max)
+        decay, sites = 2.0 * math.atanh(abs(chain.gamma)), 2
+        while sites <= LONGEST_CORE and sites * decay < 2.0 * math.log(sites + 1) + math.log(reach / NEGLIGIBLE):
+            sites += max(1, sites // 64)
+        return sites
+
+    @property
+    def tailed(self) -> bool:
+        """Whether the tail is eliminated: where that was asked for, or else pays."""
+        if self.tail is not None or self.chain.infinite:
+            return self.tail != "full"
+        return not self._obstacle and self.chain.sites >= max(PAYS_FROM, PAYS * self.core_sites)
+
+    @property
+    def _obstacle(self) -> str:
+        """Why the tail cannot be eliminated; empty where it can."""
+        chain = self.chain
+        if self.mode != chain.mode_number(LAST if chain.g > 0 else FIRST):
+            wanted = "the highest mode with g > 0, or the lowest with g < 0 (others have no limit for long chains)"
+        elif not 0.0 < abs(chain.gamma) < 1.0:
+            wanted = "0 < |gamma| < 1, where a tail exists and is linear"
+        elif self.transcription != "trigonometric" or self.walker == "series":
+            wanted = "transcription trigonometric with walker arclength"
+        elif self.core_sites > LONGEST_CORE:
+            wanted = f"a gamma at which fewer than {LONGEST_CORE} sites are nonlinear"
+        elif self.core_sites + 2 > chain.sites:
+            wanted = f"more than {self.core_sites + 2} sites: so many are nonlinear at this gamma"
+        elif chain.g < 0 and 9.0 * chain.band()[0] <= chain.band()[1]:
+            wanted = "an alpha so large that three times the lowest frequency lies above the band"
+        else:
+            return ""
+        return f"accepted: {wanted}"
 
     def _check_degree(self) -> None:
         low, high = DEGREE_RANGE
@@ -165,7 +223,8 @@ class FamilyRequest:
     @property
     def way(self) -> str:
         """The walker asked for, or the fastest for the transcription: series have half the cost of predicted steps."""
-        return self.walker or ("series" if self.transcription == "trigonometric" else "arclength")
+        whole_cosines = self.transcription == "trigonometric" and not self.tailed
+        return self.walker or ("series" if whole_cosines else "arclength")
 
     @property
     def collocation_degree(self) -> int:
@@ -220,15 +279,44 @@ class FamilyTools:
         self._recursions: dict[int, TaylorRecursion] = {}
 
     @cached_property
+    def layout(self) -> Whole | Tailed:
+        """Which sites are unknown: all, those where the cubic term is felt, or at |gamma| = 1 the edge site alone."""
+        request, chain = self.request, self.request.chain
+        if abs(chain.gamma) == 1.0:
+            return Alone(Chain(1, chain.alpha, 0.0, chain.g), 1, chain)
+        if request.tailed:
+            return Tailed(
+                chain, replace(chain, sites=request.core_sites, gamma=abs(chain.gamma)), -1 if chain.g > 0 else 1
+            )
+        return Whole(chain, request.mode)
+
+    @property
     def core(self) -> Chain:
-        """The chain whose gauge is solved: the edge site alone at |gamma| = 1, where it moves by itself."""
-        chain = self.request.chain
-        return chain if abs(chain.gamma) < 1.0 else Chain(1, chain.alpha, 0.0, chain.g)
+        """The chain whose equations are solved in the gauge."""
+        return self.layout.core
+
+    @property
+    def linear_frequency(self) -> float:
+        """Frequency of the linear mode that the family grows from."""
+        alone = isinstance(self.layout, Alone)
+        return self.core.linear_frequency(1) if alone else self.request.chain.linear_frequency(self.request.mode)
+
+    @property
+    def linear(self) -> tuple[Chain, int] | None:
+        """Chain and mode whose closed formulas hold for the family; None in an infinite chain."""
+        if isinstance(self.layout, Alone):
+            return self.core, 1
+        return None if self.request.chain.infinite else (self.request.chain, self.request.mode)
 
     @cached_property
-    def core_mode(self) -> int:
-        """The mode of `core` that the family grows from."""
-        return self.request.mode if self.core.sites == self.request.chain.sites else 1
+    def whole(self) -> FamilyTools:
+        """Tools of the same family with every site an unknown; raises ValueError where these are too many."""
+        chain = self.request.chain
+        if chain.sites > LONGEST_WHOLE:
+            raise ValueError(
+                f"sites: given {chain.sites}; stability is that of all sites, accepted: up to {LONGEST_WHOLE}"
+            )
+        return FamilyTools(replace(self.request, tail="full"))
 
     @cached_property
     def model(self) -> OdeModel:
@@ -252,13 +340,6 @@ class FamilyTools:
         return self.request.symmetry or symmetry_class(self.model)
 
     @cached_property
-    def mode_positions(self) -> Array:
-        """The linear mode in the gauge with sum_n w_n q_n^2 = 1, largest displacement positive, shape (sites,)."""
-        q = standing_wave(self.core.sites, self.core_mode)
-        q = q / np.sqrt(np.sum(self.core.weights * q**2))
-        return np.asarray(q * np.sign(q[np.argmax(np.abs(self.core.rho * q))]))
-
-    @cached_property
     def ladder(self) -> Ladder:
         """Discretisations from coarse to fine with their correctors."""
         if self.request.transcription == "shooting":
@@ -278,7 +359,9 @@ class FamilyTools:
     @cached_property
     def start(self) -> Point:
         """The linear mode at S = 0 with the tangent of the family."""
-        return self.locator.start(self.mode_positions, self.core.linear_frequency(self.core_mode))
+        layout = self.layout
+        frequency = layout.start if isinstance(layout, Tailed) else self.linear_frequency
+        return self.locator.start(layout.mode, frequency)
 
     def walk(self, history: tuple[Point, ...]) -> Walk:
         """The way along the family from the last points walked, or from `start`."""
@@ -308,6 +391,8 @@ class FamilyTools:
         return PolynomialForm.of(self.model)
 
     def _problem(self, resolution: int) -> OrbitProblem:
+        if isinstance(self.layout, Tailed):
+            return TailedProblem(self.model, resolution, self.layout.parameter(resolution))
         if self.request.transcription == "trigonometric":
             return TrigonometricProblem(self.model, resolution)
         if self.request.transcription == "shooting":

@@ -71,12 +71,8 @@ def _draw_family(axes: Axes, branch: Branch, path: Array, shift: bool, colour: A
     if len(pieces) > 1:
         joints = np.array([piece[-1] for _, piece in pieces[:-1]])
         axes.plot(*joints.T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
-    core, S = branch.tools.core, np.array([0.0, path[:, 0].max()])
-    parameters = (core.sites, core.alpha, core.gamma, core.g, branch.tools.core_mode)
-    theory = multiple_scales.frequency_slope(*parameters) * S if shift else multiple_scales.frequency(*parameters, S)
-    axes.plot(
-        S, theory, color="black", lw=0.8, ls=(0, (1.0, 3.0)), label="multiple scales, first order in $S$", zorder=4
-    )
+    if branch.tools.linear is not None:
+        _draw_theory(axes, *branch.tools.linear, np.array([0.0, path[:, 0].max()]), shift)
     marked = [i + 1 for i, orbit in enumerate(branch.orbits) if orbit.point.requested]
     if marked:
         axes.plot(*path[marked].T, "o", ms=4, mfc="white", mec=colour, label="requested", zorder=6, clip_on=False)
@@ -84,9 +80,19 @@ def _draw_family(axes: Axes, branch: Branch, path: Array, shift: bool, colour: A
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)
 
 
+def _draw_theory(axes: Axes, chain: Chain, mode: int, S: Array, shift: bool) -> None:
+    parameters = (chain.sites, chain.alpha, chain.gamma, chain.g, mode)
+    theory = multiple_scales.frequency_slope(*parameters) * S if shift else multiple_scales.frequency(*parameters, S)
+    axes.plot(
+        S, theory, color="black", lw=0.8, ls=(0, (1.0, 3.0)), label="multiple scales, first order in $S$", zorder=4
+    )
+
+
 def draw_band(axes: Axes, chain: Chain, offset: float = 0.0) -> None:
-    """From omega_1 to omega_N of the finite chain, a line where they are the same; less `offset`."""
-    squares = linear.squared_frequency(chain.sites, chain.alpha, chain.gamma, np.array([1, chain.sites]))
+    """From omega_1 to omega_N of the chain, a line where they are the same; less `offset`."""
+    modes = np.array([1, chain.sites])
+    finite = not chain.infinite
+    squares = linear.squared_frequency(chain.sites, chain.alpha, chain.gamma, modes) if finite else chain.band()
     low, high = np.sqrt(np.maximum(squares, 0.0)) - offset
     is_line = squares[1] - squares[0] <= 1e-12 * abs(squares[1])
     label, width = ("linear frequency", 2.5) if is_line else ("linear band", 0.0)

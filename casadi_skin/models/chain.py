@@ -18,6 +18,8 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
 
+FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
+
 
 def _is_whole(number: object) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool)
@@ -27,7 +29,9 @@ def _is_whole(number: object) -> bool:
 class Chain:
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
 
-    Raises ValueError when a parameter is out of range or not finite, TypeError when it is no number.
+    `sites` may be `math.inf`: a chain whose other end is infinitely far from the edge that its modes lean to. It has
+    its edge modes, "first" and "last", and no arrays over its sites. Raises ValueError when a parameter is out of
+    range or not finite, TypeError when it is no number.
     """
 
     sites: int
@@ -36,14 +40,34 @@ class Chain:
     g: float
 
     def __post_init__(self) -> None:
-        if not _is_whole(self.sites) or self.sites < 1:
-            raise ValueError(f"sites: given {shown(self.sites)}; accepted: a whole number >= 1")
+        if self.sites != np.inf and (not _is_whole(self.sites) or self.sites < 1):
+            raise ValueError(f"sites: given {shown(self.sites)}; accepted: a whole number >= 1, or inf")
         for name in ("alpha", "gamma", "g"):
             number(name, getattr(self, name))
         if abs(self.gamma) > 1:
             raise ValueError(
                 f"gamma: given {self.gamma!r}; accepted: -1 <= gamma <= 1 (frequencies are complex beyond)"
             )
+
+    @property
+    def infinite(self) -> bool:
+        """Whether the far end is infinitely far."""
+        return self.sites == np.inf
+
+    def mode_number(self, mode: int | str) -> int:
+        """The number of a mode that may be named "first" or "last"; in an infinite chain these are 1 and -1.
+
+        Raises ValueError for a mode that is not there.
+        """
+        if self.infinite:
+            if mode not in (FIRST, LAST, 1, -1):
+                raise ValueError(f"mode: given {mode!r}; accepted in an infinite chain: {FIRST}, {LAST}")
+            return 1 if mode in (FIRST, 1) else -1
+        if isinstance(mode, str) and mode in (FIRST, LAST):
+            return 1 if mode == FIRST else self.sites
+        if not _is_whole(mode) or not 1 <= int(mode) <= self.sites:
+            raise ValueError(f"mode: given {mode!r}; accepted: 1..{self.sites}, {FIRST}, {LAST}")
+        return int(mode)
 
     # The gauge ------------------------------------------------------------------------------------------------------
 
@@ -54,7 +78,9 @@ class Chain:
 
     @cached_property
     def log_rho(self) -> Array:
-        """Logarithm of the gauge factor rho_n, shape (sites,)."""
+        """Logarithm of the gauge factor rho_n, shape (sites,); raises ValueError for an infinite chain."""
+        if self.infinite:
+            raise ValueError("sites: an infinite chain has no array over its sites")
         return linear.log_envelope(self.sites, self.gamma)
 
     @cached_property
@@ -73,11 +99,13 @@ class Chain:
         """Frequencies omega_j, j = 1..N, closed form, (sites,); raises ValueError where one does not oscillate."""
         return np.array([self.linear_frequency(j) for j in range(1, self.sites + 1)])
 
-    def linear_frequency(self, mode: int) -> float:
+    def linear_frequency(self, mode: int | str) -> float:
         """Frequency omega_j of one mode; raises ValueError for a mode that is not there or does not oscillate."""
-        if not _is_whole(mode) or not 1 <= mode <= self.sites:
-            raise ValueError(f"mode: given {shown(mode)}; accepted: 1..{self.sites}")
-        square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, mode))
+        number = self.mode_number(mode)
+        if self.infinite:
+            square = self.band()[0 if number == 1 else 1]
+        else:
+            square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, number))
         if square <= 0:
             raise ValueError(
                 f"mode {mode} does not oscillate: omega^2 = {square:g}; accepted: alpha > {self.alpha - square:g}"

@@ -6,6 +6,7 @@ from casadi_skin.scene.faults import SceneError, refusal, shown
 from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
+NARROWEST_BAND = 1e-10  # the same as in families.request
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 
 
@@ -73,6 +74,11 @@ def _check_frequency(chain: ChainTable, mode: int) -> None:
         given = f"mode {mode}, which has omega^2 = {chain.alpha + stiffness:.6g} at alpha = {chain.alpha!r}"
         accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-stiffness:.12g}"
         raise refusal("[family] mode", given, accepted)
+    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
+    if chain.sites > 1 and 0 < 4 * s < NARROWEST_BAND * (chain.alpha + stiffness):
+        reason = "beside a larger one doubles do not tell the modes of the band apart"
+        accepted = f"with a [family] up to {4 * s / NARROWEST_BAND:.3g} ({reason})"
+        raise refusal("[chain] alpha", repr(chain.alpha), accepted)
 
 
 def _stiffness(chain: ChainTable, mode: int) -> float:

@@ -117,8 +117,8 @@ def families_figure(data: PaperData) -> Drawn:
 
 
 def _theory(branch: Branch, S: Array) -> Array:
-    core = branch.tools.core
-    return multiple_scales.frequency(core.sites, core.alpha, core.gamma, core.g, branch.tools.core_mode, S)
+    chain, mode = branch.tools.request.chain, branch.tools.request.mode
+    return multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, S)
 
 
 def theory_figure(data: PaperData) -> Drawn:

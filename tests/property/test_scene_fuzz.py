@@ -1,6 +1,7 @@
 """Whatever a scene file holds, it is a Scene or one line that says why not."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -160,7 +161,7 @@ def test_structure_that_no_scene_has(name: str, how: str, size: int) -> None:
 @given(st.lists(st.sampled_from([0.0, -0.0, 5e-324, 1e308, float("nan"), float("inf"), -1.0, 0.5]), max_size=4))
 def test_lists_of_amplitudes(at: list[float]) -> None:
     scene = parse(text_of({"chain": VALID["chain"], "family": {"mode": 1, "amplitude_max": 1.0, "at": at}}))
-    ascending = all(0 < a <= 1 for a in at) and all(a < b for a, b in zip(at, at[1:], strict=False))
+    ascending = all(0 < a <= 1 for a in at) and all(a < b for a, b in pairwise(at))
     assert (scene is not None) == ascending
 
 

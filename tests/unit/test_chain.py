@@ -50,7 +50,7 @@ def test_a_number_of_sites_that_is_not_a_positive_whole_number_is_refused(sites:
         Chain(sites, 1.0, 0.25, 1.0)
 
 
-@pytest.mark.parametrize("sites", [float("nan"), float("inf"), 3.0, None])
+@pytest.mark.parametrize("sites", [float("nan"), -float("inf"), 3.0, None])
 def test_a_number_of_sites_that_no_chain_can_be_built_with_is_refused_by_name(sites: Any) -> None:
     with pytest.raises(ValueError, match="sites: given"):
         Chain(sites, 1.0, 0.25, 1.0)

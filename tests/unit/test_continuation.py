@@ -152,7 +152,7 @@ def walked_with(chain: Chain, mode: int, amplitude_max: float, **changes: float)
     """A walk with changed settings and its points."""
     tools = FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
     locator = Locator(tools.ladder, replace(tools.request.walk_settings(), **changes))  # type: ignore[arg-type]
-    start = locator.start(tools.mode_positions, tools.core.linear_frequency(mode))
+    start = locator.start(tools.layout.mode, tools.core.linear_frequency(mode))
     walk = ArclengthWalk(locator, (start,))
     return walk, list(walk)
 

@@ -73,6 +73,9 @@ class Given:
     Omega_index: int = 0
     parameter_index: int = 1
 
+    def frequency(self, z: Array) -> float:
+        return float(z[0])
+
     def sample(self, z: Array, theta: Array) -> Array:
         return np.asarray(self.path(theta / z[0]).T)
 

@@ -120,3 +120,39 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     with pytest.raises(ArithmeticError, match=r"^Omega: nan in row 2 \(mode 1, point 1, S 0.1\); it is not written$"):
         write_csv(tmp_path / "family.csv", ("mode", "point", "S", "Omega"), rows)
     assert not (tmp_path / "family.csv").exists()
+
+
+@pytest.mark.parametrize("corrector", ["newton", "ipopt"])
+def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
+    for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
+        found = [
+            follow_family(Chain(sites, 1.0, gamma, -g), mode, 1.0 / g, corrector=corrector).orbits[-1].Omega
+            for g in (1e-8, 1.0, 1e8)
+        ]
+        np.testing.assert_allclose(found, found[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1e-8, 1e6])
+def test_soft_and_stiff_sites(alpha: float) -> None:
+    for mode in (1, 24):
+        branch = follow_family(Chain(24, alpha, 0.25, 1.0), mode, 0.5, at=(1e-14,), corrector="newton")
+        assert branch.complete
+        slope = frequency_slope(24, alpha, 0.25, 1.0, mode)
+        found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
+        assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-8
+
+
+def test_stiffnesses_without_a_family_are_refused_with_their_bound() -> None:
+    with pytest.raises(ValueError, match=r"^mode 1 does not oscillate: .*; accepted: alpha > -0\.0"):
+        follow_family(Chain(24, -0.2, 0.25, 1.0), 1, 0.5)
+    with pytest.raises(ValueError, match=r"^alpha: given 1000000000000\.0, .*; accepted: alpha up to 3\.87e\+10$"):
+        follow_family(Chain(24, 1e12, 0.25, 1.0), 1, 0.5)
+
+
+def test_the_largest_residual_is_named_by_its_place() -> None:
+    branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 0.1, corrector="newton")
+    problem, z = branch.orbits[-1].point.problem, branch.orbits[-1].point.z.copy()
+    z[4] *= 2.0
+    words = problem.worst(z)
+    assert words.startswith("largest residual ")
+    assert "at site 2, node " in words

@@ -44,7 +44,7 @@ def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tup
     """Coefficients of a family at its linear mode, in kappa = g S itself."""
     tools = tools_of(chain, mode, 3.0)
     problem = TrigonometricProblem(tools.model, harmonics)
-    z = problem.pack(tools.mode_positions, chain.linear_frequency(mode), 0.0)
+    z = problem.pack(tools.layout.mode, chain.linear_frequency(mode), 0.0)
     solve = tools.ladder.solver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     unit = np.zeros(problem.size)
     unit[-1] = 1.0

@@ -231,7 +231,7 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
         orbit = followed(chain, mode, S, 1e-12).at(S)
         problem, z = orbit.point.problem, orbit.point.z
         exact = orbit.floquet()
-        found = floquet(kind(orbit.tools.model, tolerance).transition(problem, z), orbit._acceleration())
+        found = floquet(kind(orbit.tools.model, tolerance).transition(problem, z), orbit._transition()[1])
         assert np.all(np.abs(found.mu - exact.mu) <= found.mu_error + exact.mu_error + 1e-12)
         assert found.mu_error.max() <= 100 * max(tolerance, 1e-7)
 
@@ -266,7 +266,7 @@ def test_half_a_period_gives_the_multipliers_of_a_quarter(sites: int) -> None:
         transition = flow.transition(orbit.point.problem, orbit.point.z)
         assert transition.fraction == 0.5
         np.testing.assert_allclose(transition.matrix, gauge_transition(orbit, 0.5), rtol=0, atol=1e-8)
-        half = floquet(transition, orbit._acceleration())
+        half = floquet(transition, orbit._transition()[1])
         assert half.power == 1
         assert half.trivial_deviation < 1e-8
         assert half.stable == orbit.floquet().stable
@@ -484,7 +484,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     z = orbit.point.z.copy()
     z[orbit.point.problem.Omega_index] *= 1 + 1e-5
-    wrong = floquet(orbit.tools.flow.transition(orbit.point.problem, z), orbit._acceleration())
+    wrong = floquet(orbit.tools.flow.transition(orbit.point.problem, z), orbit._transition()[1])
     assert orbit.floquet().trivial_deviation < 1e-11
     assert wrong.trivial_deviation > 1e-6
 

@@ -1,0 +1,276 @@
+"""The linear tail of a long chain, site by site in closed form: what its end asks of the nonlinear core.
+
+Where w_n q_n^2 is below round-off the sites of the gauge are linear and every odd harmonic k is by itself: a_n solves
+s (a_(n-1) + a_(n+1)) = (2 + alpha - k^2 Omega^2) a_n with a_0 = 0, so that a_n ~ sin(n theta) in the band and
+sinh(n kappa) beside it. With c sites in the tail and the first of the core, the ratio of the last two is all that the
+core needs: tan(psi) = e a_(c-1)/a_c, e = +1 at the lower edge of the band and -1 at the upper one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+
+EDGE_ANGLE = 0.25 * np.pi  # psi of the band edge, in the limit of a long tail
+LONGEST = 40.0  # of c kappa: beyond it the far end of the tail is not felt
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Where a harmonic is: phase theta > 0 a site in the band, or decay kappa > 0 beside it, and psi with d psi."""
+
+    theta: float
+    kappa: float
+    psi: float
+    slope: float  # d psi / d theta or d psi / d kappa
+
+
+@dataclass(frozen=True)
+class Tail:
+    """A tail of which the first site of the core is number `sites` from its fixed end; `sites` may be infinite."""
+
+    sites: float
+    alpha: float
+    coupling: float  # s = sqrt(1 - gamma^2)
+
+    # One harmonic, from its angle or from its frequency -------------------------------------------------------------
+
+    def wave(self, psi: float) -> Wave:
+        """The wave of angle psi > 0: in the band for psi above that of its edge, counted on through the lobes.
+
+        Raises ArithmeticError for psi <= 0, which no frequency has.
+        """
+        if not psi > 0.0:
+            raise ArithmeticError(f"no wave has the angle {psi:g}")
+        edge = self.edge_angle
+        if psi >= edge:
+            return self._in_band(psi)
+        return self._beside(psi)
+
+    @property
+    def edge_angle(self) -> float:
+        """Angle psi at which a harmonic is exactly at the edge of the band."""
+        return float(np.arctan2(self.sites - 1.0, self.sites)) if np.isfinite(self.sites) else EDGE_ANGLE
+
+    def _in_band(self, psi: float) -> Wave:
+        from scipy.optimize import brentq
+
+        c = self.sites
+        if not np.isfinite(c):
+            return Wave(0.0, 0.0, psi, np.inf)
+        lobe = np.floor((psi + 0.5 * np.pi) / np.pi)  # sin(c theta) vanishes at psi = lobe pi - pi / 2
+
+        def angle(phase: float) -> float:
+            return _angle_in_band(phase, c) - psi
+
+        low, high = lobe * np.pi, (lobe + 1.0) * np.pi
+        if angle(low if lobe else 1e-300) >= 0.0:
+            phase = low
+        else:
+            phase = float(brentq(angle, low, high, xtol=1e-300, rtol=1e-15))
+        return Wave(phase / c, 0.0, psi, _slope_in_band(phase / c, c))
+
+    def _beside(self, psi: float) -> Wave:
+        from scipy.optimize import brentq
+
+        c, ratio = self.sites, float(np.tan(psi))
+        kappa = -float(np.log(ratio))
+        if np.isfinite(c) and c * kappa < LONGEST:
+            upper = kappa * (1.0 + 1e-10)  # the root is below kappa, but perhaps by less than rounding
+            kappa = float(brentq(lambda k: _ratio_beside(k, c) - ratio, 0.0, upper, xtol=1e-300, rtol=1e-15))
+        return Wave(0.0, kappa, psi, _slope_beside(kappa, c))
+
+    def wave_at(self, beyond: float) -> Wave:
+        """The wave of a harmonic whose (k Omega)^2 is `beyond` outside its edge of the band, in units of 4 s.
+
+        Raises ArithmeticError in the band, where nothing decays.
+        """
+        if beyond <= 0.0:
+            raise ArithmeticError("a harmonic lies in the band: the tail carries it away")
+        kappa = 2.0 * float(np.arcsinh(np.sqrt(beyond)))
+        ratio = _ratio_beside(kappa, self.sites)
+        return Wave(0.0, kappa, float(np.arctan(ratio)), _slope_beside(kappa, self.sites))
+
+    # Frequencies ----------------------------------------------------------------------------------------------------
+
+    def edge_squared(self, edge: int) -> float:
+        """Square of the frequency at the lower (+1) or upper (-1) edge of the band."""
+        return 2.0 + self.alpha - 2.0 * edge * self.coupling
+
+    def outside(self, wave: Wave) -> float:
+        """How far (k Omega)^2 of a wave is outside the edge it belongs to, in units of 4 s; negative in the band."""
+        return float(np.sinh(0.5 * wave.kappa) ** 2 - np.sin(0.5 * wave.theta) ** 2)
+
+    def outside_slope(self, wave: Wave) -> float:
+        """Derivative of `outside` by psi."""
+        if wave.kappa > 0.0:
+            return float(0.5 * np.sinh(wave.kappa) / wave.slope)
+        if wave.theta > 0.0:
+            return float(-0.5 * np.sin(wave.theta) / wave.slope)
+        return 0.0 if not np.isfinite(self.sites) else -_edge_slope(self.sites)
+
+
+def _angle_in_band(phase: float, c: float) -> float:
+    """psi of c theta = phase, counted on through the lobes."""
+    theta, lobe = phase / c, np.floor(phase / np.pi)
+    inside = phase - lobe * np.pi
+    return float(lobe * np.pi + np.arctan2(np.sin(inside - theta), np.sin(inside)))
+
+
+def _slope_in_band(theta: float, c: float) -> float:
+    """d psi / d theta."""
+    a, b = np.sin((c - 1.0) * theta), np.sin(c * theta)
+    da, db = (c - 1.0) * np.cos((c - 1.0) * theta), c * np.cos(c * theta)
+    return float((b * da - a * db) / (a * a + b * b)) if theta > 0.0 else np.inf
+
+
+def _ratio_beside(kappa: float, c: float) -> float:
+    """sinh((c - 1) kappa) / sinh(c kappa)."""
+    if not np.isfinite(c):
+        return float(np.exp(-kappa))
+    if kappa == 0.0:
+        return (c - 1.0) / c
+    return float(np.exp(-kappa) * np.expm1(-2.0 * (c - 1.0) * kappa) / np.expm1(-2.0 * c * kappa))
+
+
+def _slope_beside(kappa: float, c: float) -> float:
+    """d psi / d kappa."""
+    t = _ratio_beside(kappa, c)
+    if np.isfinite(c) and c * kappa < LONGEST:
+        # d/dkappa of sinh((c-1) kappa)/sinh(c kappa) = (c - 1) cosh((c-1) kappa)/sinh(c kappa) - c t coth(c kappa)
+        both = np.sinh(c * kappa)
+        slope = ((c - 1.0) * np.cosh((c - 1.0) * kappa) - c * t * np.cosh(c * kappa)) / both
+    else:
+        slope = -t
+    return float(slope / (1.0 + t * t))
+
+
+def _edge_slope(c: float) -> float:
+    """d(theta^2/4)/d psi at theta = 0, from sin((c-1) theta)/sin(c theta) = (c-1)/c (1 + (2 c - 1) theta^2/6 + ...)."""
+    t = (c - 1.0) / c
+    return float(0.25 * (1.0 + t * t) * 6.0 / (t * (2.0 * c - 1.0)))
+
+
+@dataclass(frozen=True)
+class TailValues:
+    """What the core needs at one value u of the parameter, and derivatives by u.
+
+    Harmonic k = 2 h + 1 has a_(c-1) = across[h] b and a_c = down[h] b: across = e sin(psi_k), down = cos(psi_k).
+    """
+
+    Omega: float
+    Omega_slope: float
+    across: Array
+    across_slope: Array
+    down: Array
+    down_slope: Array
+    psi: Array
+
+
+@dataclass(frozen=True)
+class TailParameter:
+    """A parameter u of the family of an edge mode that resolves Omega where it is pinned to an edge of the band.
+
+    At the upper edge u = psi_1. At the lower one, from which a softening mode falls into the gap, u = psi_1 - psi_3:
+    with N infinite Omega does not change below the threshold, where psi_1 does, nor when 3 Omega has come down to the
+    upper edge, where psi_3 does. Omega(u) is smooth and monotone for finite N, whatever its length.
+    """
+
+    tail: Tail
+    edge: int  # +1 for the lower edge of the band, -1 for the upper one
+    harmonics: int
+
+    def __post_init__(self) -> None:
+        if self.edge > 0 and 9.0 * self.tail.edge_squared(1) <= self.tail.edge_squared(-1):
+            raise ValueError("three times the lowest frequency lies in the band: nothing of the tail is bound")
+
+    @cached_property
+    def _turn(self) -> tuple[float, float]:
+        """psi_1 and psi_3 in the middle of the gap: below it psi_3 is solved for, above it psi_1."""
+        squared = 0.5 * (self.tail.edge_squared(1) + self.tail.edge_squared(-1) / 9.0)
+        return self._psi(1, squared), self._psi(3, squared)
+
+    def _beyond(self, k: int, Omega_squared: float) -> float:
+        """How far (k Omega)^2 is outside its edge, in units of 4 s."""
+        edge = self.edge if k == 1 else -1
+        return edge * (self.tail.edge_squared(edge) - k**2 * Omega_squared) / (4.0 * self.tail.coupling)
+
+    def _beside(self, k: int, Omega_squared: float) -> Wave:
+        return self.tail.wave_at(self._beyond(k, Omega_squared))
+
+    def _psi(self, k: int, Omega_squared: float) -> float:
+        return self._beside(k, Omega_squared).psi
+
+    def _squared(self, k: int, wave: Wave) -> float:
+        """Omega^2 of a wave of harmonic k."""
+        edge = self.edge if k == 1 else -1
+        return (self.tail.edge_squared(edge) - 4.0 * edge * self.tail.coupling * self.tail.outside(wave)) / k**2
+
+    def of_frequency(self, Omega: float) -> float:
+        """u where the frequency is `Omega`, bound beside the band; NaN where it is pinned or not there."""
+        bound = [1] if self.edge < 0 else [1, 3]
+        if min(self._beyond(k, Omega**2) for k in bound) <= 0.0:
+            return float("nan")
+        return self._psi(1, Omega**2) - (0.0 if self.edge < 0 else self._psi(3, Omega**2))
+
+    def at(self, psi: float) -> float:
+        """u where psi_1 is `psi`."""
+        if self.edge < 0:
+            return psi
+        return psi - self._psi(3, self._squared(1, self.tail.wave(psi)))
+
+    def _resolved(self, u: float) -> tuple[int, Wave]:
+        """The harmonic that resolves Omega at u, and its wave."""
+        from scipy.optimize import brentq
+
+        if self.edge < 0:
+            return 1, self.tail.wave(u)
+        psi_1, psi_3 = self._turn
+        if u >= psi_1 - psi_3:
+
+            def by_first(psi: float) -> float:
+                return psi - self._psi(3, self._squared(1, self.tail.wave(psi))) - u
+
+            return 1, self.tail.wave(float(brentq(by_first, max(u, psi_1), u + psi_3, xtol=1e-300, rtol=1e-15)))
+
+        def by_third(psi: float) -> float:
+            return self._psi(1, self._squared(3, self.tail.wave(psi))) - psi - u
+
+        return 3, self.tail.wave(float(brentq(by_third, psi_1 - u, max(-u, psi_3), xtol=1e-300, rtol=1e-15)))
+
+    def values(self, u: float) -> TailValues:
+        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
+        k0, wave = self._resolved(u)
+        tail, edge = self.tail, self.edge if k0 == 1 else -1
+        squared = self._squared(k0, wave)
+        by_psi = -4.0 * edge * tail.coupling * tail.outside_slope(wave) / k0**2  # d Omega^2 / d psi_k0
+        ks = 2 * np.arange(self.harmonics) + 1
+        edges = np.where(ks == 1, self.edge, -1)
+        psi, slopes = np.empty(ks.size), np.empty(ks.size)  # and d psi_k / d Omega^2
+        for h, k in enumerate(ks.tolist()):
+            if k != k0:
+                other = self._beside(k, squared)
+                psi[h] = other.psi
+                slopes[h] = -edges[h] * k**2 * other.slope / (2.0 * tail.coupling * np.sinh(other.kappa))
+        h0 = (k0 - 1) // 2
+        sign = 1.0 if k0 == 1 else -1.0
+        partner = 0.0 if self.edge < 0 else slopes[1 if k0 == 1 else 0] * by_psi
+        psi_slope = sign / (1.0 - partner)  # d psi_k0 / d u, with u = psi_1 - psi_3
+        squared_slope = by_psi * psi_slope
+        psi[h0] = wave.psi
+        by_u = slopes * squared_slope
+        by_u[h0] = psi_slope
+        Omega = float(np.sqrt(squared))
+        return TailValues(
+            Omega,
+            squared_slope / (2.0 * Omega),
+            edges * np.sin(psi),
+            edges * np.cos(psi) * by_u,
+            np.cos(psi),
+            -np.sin(psi) * by_u,
+            psi,
+        )

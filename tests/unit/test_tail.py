@@ -1,0 +1,245 @@
+"""The linear tail of long chains, eliminated: against recurrences in 50 digits, whole chains and harmonic balance."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.bvp.tail import Tail, TailParameter
+from casadi_skin.bvp.tailed import Regime, TailedProblem
+from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.threshold import threshold
+
+GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
+AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)
+
+
+# One harmonic -------------------------------------------------------------------------------------------------------
+
+
+def recurred_angle(sites: int, x: mpmath.mpf) -> mpmath.mpf:
+    """psi of the last two of a_0 = 0, a_1 = 1, a_(n+1) = 2 x a_n - a_(n-1), counted on where a changes its sign."""
+    last, current, turns = mpmath.mpf(0), mpmath.mpf(1), 0
+    for _ in range(sites - 1):
+        last, current = current, 2 * x * current - last
+        turns += current * last < 0
+    return mpmath.atan2(last * mpmath.sign(current), abs(current)) + turns * mpmath.pi
+
+
+@pytest.mark.parametrize("sites", [2, 7, 120])
+@pytest.mark.parametrize("psi", [0.01, 0.4, 0.7, 0.784, 0.79, 1.2, 1.57, 1.6, 3.0, 4.5])
+def test_a_wave_has_the_angle_that_the_recurrence_gives_it(sites: int, psi: float) -> None:
+    tail = Tail(sites, 1.0, GAP)
+    wave = tail.wave(psi)
+    with mpmath.workdps(50):
+        theta, kappa = mpmath.mpf(wave.theta), mpmath.mpf(wave.kappa)
+        found = recurred_angle(sites, mpmath.cosh(kappa) if wave.kappa else mpmath.cos(theta))
+    if psi < (sites - 1) * np.pi - tail.edge_angle:  # where the other edge of the band is
+        assert float(found) == pytest.approx(psi, abs=2e-13 * sites)
+    assert (wave.kappa > 0) == (psi < tail.edge_angle)
+
+
+@pytest.mark.parametrize("sites", [5, 150, 10**6, math.inf])
+@pytest.mark.parametrize("psi", [0.1, 0.5, 0.7, 0.78, 0.9, 1.57, 1.6, 4.0])
+def test_slopes_of_a_wave_are_derivatives(sites: float, psi: float) -> None:
+    tail, step = Tail(sites, 1.0, GAP), 1e-6
+    higher, lower = (tail.outside(tail.wave(psi + sign * step)) for sign in (1, -1))
+    known = tail.outside_slope(tail.wave(psi))
+    assert known == pytest.approx((higher - lower) / (2 * step), rel=1e-4, abs=1e-9)
+    assert known < 0 or not np.isfinite(sites)
+
+
+@pytest.mark.parametrize("sites", [5, 150, 10**6])
+def test_at_the_edge_of_the_band_nothing_jumps(sites: float) -> None:
+    tail = Tail(sites, 1.0, GAP)
+    across = [tail.outside(tail.wave(tail.edge_angle + off)) for off in (-1e-9, 0.0, 1e-9)]
+    assert across[0] > across[1] == 0.0 > across[2]
+    assert across[0] == pytest.approx(-across[2], rel=1e-3)
+    assert tail.outside_slope(tail.wave(tail.edge_angle)) == pytest.approx((across[2] - across[0]) / 2e-9, rel=1e-3)
+
+
+def test_a_harmonic_in_the_band_is_no_bound_one() -> None:
+    with pytest.raises(ArithmeticError, match="lies in the band"):
+        Tail(100, 1.0, GAP).wave_at(-0.1)
+
+
+# The parameter ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sites", [150, 10**6, math.inf])
+@pytest.mark.parametrize(
+    ("edge", "u"), [*((1, u) for u in (1.5, 0.7, 0.3, 0.1, -0.3, -0.9, -1.6)), (-1, 1.2), (-1, 0.3)]
+)
+def test_what_the_core_needs_is_consistent(sites: float, edge: int, u: float) -> None:
+    parameter, step = TailParameter(Tail(sites, 1.0, GAP), edge, 5), 1e-5
+    here, after, before = (parameter.values(u + off) for off in (0.0, step, -step))
+    for name in ("Omega", "across", "down"):
+        difference = (getattr(after, name) - getattr(before, name)) / (2 * step)
+        np.testing.assert_allclose(getattr(here, f"{name}_slope"), difference, atol=2e-8)
+    np.testing.assert_allclose(np.hypot(here.across, here.down), 1.0, rtol=1e-14)
+    assert (here.psi[0] - here.psi[1] if edge > 0 else here.psi[0]) == pytest.approx(u, abs=1e-14)
+
+
+def test_three_times_the_lowest_frequency_in_the_band_is_refused() -> None:
+    with pytest.raises(ValueError, match="three times the lowest frequency"):
+        TailParameter(Tail(100, 0.1, GAP), 1, 4)
+
+
+@pytest.mark.parametrize("edge", [1, -1])
+def test_the_jacobian_is_that_of_the_residual(edge: int) -> None:
+    model = Chain(9, 1.0, 0.25, -float(edge)).gauge_model()
+    problem = TailedProblem(model, 4, TailParameter(Tail(81, 1.0, GAP), edge, 4))
+    z = np.append(0.1 * np.random.default_rng(0).normal(size=36), [0.9, 0.5])
+    nonzeros, step = problem.evaluate(z)[1], 1e-6
+    dense = np.zeros((problem.size - 1, problem.size))
+    dense[problem.pattern] = nonzeros
+    for column, unit in enumerate(np.eye(problem.size)):
+        difference = (problem.evaluate(z + step * unit)[0] - problem.evaluate(z - step * unit)[0]) / (2 * step)
+        np.testing.assert_allclose(dense[:, column], difference, atol=1e-8)
+
+
+# Families -----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def family(
+    sites: float, gamma: float, g: float, tail: str | None, end: float = 3.0, tolerance: float = 1e-11
+) -> Branch:
+    chain = Chain(sites, 1.0, gamma, g)  # type: ignore[arg-type]
+    at = (*(S for S in AMPLITUDES if end > S), end)
+    mode = "first" if g < 0 else "last"
+    return follow_family(chain, mode, end, at=at, tolerance=tolerance, corrector="newton", tail=tail)
+
+
+@pytest.mark.parametrize("g", [1.0, -1.0])
+@pytest.mark.parametrize(("sites", "gamma"), [(70, 0.7), (70, -0.7), (140, 0.4)])
+def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) -> None:
+    end = 2.0 if abs(gamma) == 0.7 else 3.0  # 3 Omega reaches the band near S = 2.7 at gamma = 0.7
+    tailed, whole = (family(sites, gamma, g, tail, end) for tail in ("eliminated", "full"))
+    assert tailed.complete
+    assert tailed.tools.core.sites < 0.6 * sites
+    for S in (S for S in AMPLITUDES if end >= S):
+        one, other = tailed.at(S), whole.at(S)
+        assert abs(one.Omega - other.Omega) < 1e-11
+        assert one.Omega_shift == pytest.approx(other.Omega_shift, rel=1e-9)
+        assert one.energy == pytest.approx(other.energy, rel=1e-9)
+        t = np.linspace(0.0, 3.0, 7)
+        np.testing.assert_allclose(one.evaluate(t), other.evaluate(t), atol=1e-10 * np.sqrt(S))
+        chosen = [1, sites // 2, sites]
+        np.testing.assert_array_equal(one.evaluate(t, sites=chosen), one.evaluate(t)[:, np.array(chosen) - 1])
+
+
+def test_multipliers_are_those_of_all_sites() -> None:
+    tailed, whole = (family(70, 0.7, -1.0, tail, 2.0) for tail in ("eliminated", "full"))
+    one, other = tailed.at(1.0), whole.at(1.0)
+    np.testing.assert_allclose(np.sort_complex(one.floquet().mu), np.sort_complex(other.floquet().mu), atol=1e-10)
+    assert one.floquet_vectors().shape == (140, 140)
+
+
+def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
+    tailed, whole = (family(200, 0.25, -1.0, tail, 3.2, 1e-9) for tail in ("eliminated", "full"))
+    assert abs(tailed.at(3.2).Omega - whole.at(3.2).Omega) < 1e-9
+    regimes = [orbit.regime for orbit in tailed.orbits]
+    assert whole.orbits[0].regime is whole.threshold is None
+    assert tailed.threshold == pytest.approx(0.366992903607, abs=1e-11)
+    assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
+
+
+@pytest.mark.parametrize(("g", "known"), [(1.0, 2.3200364277694), (-1.0, 0.7659589000207)])
+def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
+    million, infinite = (family(N, 0.25, g, None, 3.0, 1e-11) for N in (10**6, math.inf))
+    assert million.complete
+    assert infinite.complete
+    assert million.at(3.0).Omega == pytest.approx(known, abs=1e-11)
+    assert infinite.at(1.0).Omega == pytest.approx(million.at(1.0).Omega, abs=1e-14)
+    edge = math.sqrt(3.0 + 2.0 * math.copysign(GAP, g))
+    assert infinite.at(0.2).Omega == pytest.approx(edge, abs=1e-15)
+    assert infinite.at(0.2).energy == math.inf
+    assert infinite.at(3.0).energy == pytest.approx(million.at(3.0).energy, rel=1e-10)
+
+
+def test_sites_of_an_infinite_chain_are_counted_from_its_edge() -> None:
+    right, left = (family(math.inf, gamma, 1.0, None).at(3.0) for gamma in (0.25, -0.25))
+    near = right.evaluate(0.0, sites=[0, -1, -2, -300])
+    np.testing.assert_allclose(left.evaluate(0.0, sites=[1, 2, 3, 301]), near, rtol=1e-9)
+    whole = family(10**6, 0.25, 1.0, None).at(3.0).evaluate(0.0, sites=[10**6, 10**6 - 1, 10**6 - 2, 10**6 - 300])
+    np.testing.assert_allclose(near, whole, rtol=1e-9)
+    with pytest.raises(ValueError, match="sites: given 0 to 1; accepted: whole numbers up to 0"):
+        right.evaluate(0.0, sites=[0, 1])
+
+
+# The threshold ------------------------------------------------------------------------------------------------------
+
+
+def balanced_threshold(g: float, gamma: float, sites: int) -> float:
+    """S_c by four harmonics of the whole problem in numpy; at the band's edge the tail is constant but for signs."""
+    s, decay, e = math.sqrt(1 - gamma**2), math.atanh(gamma), -math.copysign(1.0, g)
+    odd, Omega = np.array([1, 3, 5, 7]), math.sqrt(3.0 - 2.0 * e * s)
+    basis = np.cos(np.outer((np.arange(8) + 0.5) * np.pi / 16, odd))
+    weights = np.exp(-2.0 * decay * np.arange(sites))  # the edge first
+    x = (3.0 - (odd * Omega) ** 2) / (2.0 * s)
+    ratio = np.append(e, x[1:] + np.sqrt(x[1:] ** 2 - 1.0))  # of neighbours in the tail, by harmonic
+
+    def residual(unknown: np.ndarray) -> np.ndarray:
+        q, kappa = unknown[:-1].reshape(sites, odd.size), unknown[-1]
+        cubic = (q @ basis.T) ** 3 @ basis / odd.size
+        neighbours = np.vstack([np.zeros(odd.size), q[:-1]]) + np.vstack([q[1:], ratio * q[-1]])
+        balance = (3.0 - (odd * Omega) ** 2) * q - s * neighbours + kappa * weights[:, None] * cubic
+        return np.append(balance.ravel(), np.sum(weights * q.sum(axis=1) ** 2) - 1.0)
+
+    guess = np.zeros((sites, odd.size))
+    guess[:, 0] = e ** np.arange(sites) * np.minimum(np.arange(sites) + 1.0, 6.0)
+    guess /= math.sqrt(np.sum(weights * guess[:, 0] ** 2))
+    found, _, status, words = fsolve(residual, np.append(guess.ravel(), 0.4 * g), xtol=1e-13, full_output=True)
+    assert status == 1, words
+    return float(found[-1] / g)
+
+
+@pytest.mark.parametrize("g", [1.0, -1.0])
+def test_the_threshold_agrees_with_harmonic_balance(g: float) -> None:
+    assert threshold(Chain(24, 1.0, 0.5, g)) == pytest.approx(balanced_threshold(g, 0.5, 40), rel=1e-8)
+
+
+def test_thresholds_scale_with_g_and_do_not_know_sites_or_direction() -> None:
+    S = threshold(Chain(24, 1.0, 0.25, 1.0))
+    assert abs(S - 0.367762016876) < 1e-11  # by an independent code, 12 digits
+    assert threshold(Chain(24, 1.0, 0.25, -1.0)) == pytest.approx(0.366992903607, abs=1e-11)
+    assert threshold(Chain(7, 1.0, -0.25, 4.0)) == pytest.approx(S / 4.0, rel=1e-11)
+
+
+# Refusals -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chain", "mode", "more", "words"),
+    [
+        (Chain(200, 1.0, 0.25, 1.0), 1, {"tail": "eliminated"}, "the highest mode with g > 0"),
+        (Chain(200, 1.0, 0.0, 1.0), 200, {"tail": "eliminated"}, "0 < |gamma| < 1"),
+        (Chain(50, 1.0, 0.25, 1.0), 50, {"tail": "eliminated"}, "more than 9. sites"),
+        (Chain(200, 0.1, 0.25, -1.0), 1, {"tail": "eliminated"}, "three times the lowest frequency"),
+        (Chain(200, 1.0, 0.25, 1.0), 200, {"tail": "eliminated", "walker": "series"}, "walker arclength"),
+        (Chain(200, 1.0, 0.25, 1.0), 200, {"tail": "cut"}, "tail: given 'cut'; accepted: eliminated, full"),
+        (Chain(math.inf, 1.0, 0.25, 1.0), 5, {}, "accepted in an infinite chain: first, last"),  # type: ignore[arg-type]
+        (Chain(math.inf, 1.0, 0.25, 1.0), "first", {}, "sites: given an infinite chain; accepted: the highest"),  # type: ignore[arg-type]
+        (Chain(math.inf, 1.0, 0.25, 1.0), "last", {"tail": "full"}, 'tail: given "full" with an infinite chain'),  # type: ignore[arg-type]
+    ],
+)
+def test_what_has_no_linear_tail_is_refused(chain: Chain, mode: int | str, more: dict[str, str], words: str) -> None:
+    with pytest.raises(ValueError, match=words.replace("|", r"\|")):
+        FamilyRequest(chain, chain.mode_number(mode), 1.0, **more)  # type: ignore[arg-type]
+
+
+def test_elimination_is_used_by_itself_where_it_pays() -> None:
+    assert FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).tailed
+    assert not FamilyRequest(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).tailed
+    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").tailed
+    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).tailed
+    tools = FamilyTools(FamilyRequest(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
+    with pytest.raises(ValueError, match="stability is that of all sites"):
+        _ = tools.whole
