@@ -31,13 +31,14 @@ def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAM
     if not animation.writers.is_available(writers[target.suffix]):
         raise RuntimeError(f"{target.name}: matplotlib finds no {writers[target.suffix]}; accepted: .gif")
     t = orbit.period * np.arange(periods * frames) / frames
-    y, n = orbit.evaluate(t), np.arange(1, orbit.chain.sites + 1)
+    n = orbit.shown_sites
+    y = orbit.evaluate(t, n)
     with style():
         figure = blank(5.0, 3.0)
         axes = figure.subplots()
         limit = 1.08 * float(np.max(np.abs(y)))
-        axes.set(xlim=(0, orbit.chain.sites + 1), ylim=(-limit, limit), ylabel=r"$y_n(t)$")
-        number_sites(axes, 1, orbit.chain.sites, "site $n$")
+        axes.set(xlim=(n[0] - 1, n[-1] + 1), ylim=(-limit, limit), ylabel=r"$y_n(t)$")
+        number_sites(axes, int(n[0]), int(n[-1]), "site $n$")
         axes.axhline(0.0, color="0.6", lw=0.6)
         stems = axes.vlines(n, 0.0, y[0], color="0.6", lw=0.8)
         (points,) = axes.plot(n, y[0], "o", ms=4, color="black", clip_on=False)

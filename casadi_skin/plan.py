@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -18,14 +19,19 @@ TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to e
 def scene_chain(scene: Scene) -> Chain:
     """The chain of a scene."""
     table = scene.chain
-    return Chain(table.sites, table.alpha, table.gamma, table.g)
+    sites: Any = table.sites  # a whole number, or inf
+    return Chain(sites, table.alpha, table.gamma, table.g)
 
 
 def scene_requests(scene: Scene) -> list[FamilyRequest]:
-    """The families that a scene asks for, in its order; empty where it asks for none."""
+    """The families that a scene asks for, in its order; empty where it asks for none.
+
+    Raises ValueError for a tail that cannot be eliminated.
+    """
     if scene.family is None:
         return []
     family, method, chain = scene.family, scene.method, scene_chain(scene)
+    tail = method.tail or ("full" if scene.stability is not None else None)  # all sites take part in stability
     return [
         FamilyRequest(
             chain=chain,
@@ -42,8 +48,9 @@ def scene_requests(scene: Scene) -> list[FamilyRequest]:
             at_period=family.at_period,
             period_max=family.period_max,
             max_points=family.max_points,
+            tail=tail,
         )
-        for mode in family.modes
+        for mode in family.modes(chain.sites)
     ]
 
 

@@ -113,6 +113,20 @@ class Tail:
             return float(-0.5 * np.sin(wave.theta) / wave.slope)
         return 0.0 if not np.isfinite(self.sites) else -_edge_slope(self.sites)
 
+    def squares(self, wave: Wave) -> float:
+        """Sum of a_n^2/a_c^2 over the tail; infinite where an infinite tail moves along."""
+        m = self.sites - 1.0
+        if wave.kappa > 0.0:
+            decay = float(np.exp(-2.0 * wave.kappa))
+            if m * wave.kappa > LONGEST:
+                return decay / (1.0 - decay)
+            total = 0.5 * (np.sinh(m * wave.kappa) * np.cosh((m + 1.0) * wave.kappa) / np.sinh(wave.kappa) - m)
+            return float(total / np.sinh((m + 1.0) * wave.kappa) ** 2)
+        if not np.isfinite(m):
+            return float(np.inf)
+        total = 0.5 * (m - np.sin(m * wave.theta) * np.cos((m + 1.0) * wave.theta) / np.sin(wave.theta))
+        return float(total / np.sin((m + 1.0) * wave.theta) ** 2)
+
 
 def _angle_in_band(phase: float, c: float) -> float:
     """psi of c theta = phase, counted on through the lobes."""
@@ -267,7 +281,7 @@ class TailParameter:
         Omega = float(np.sqrt(squared))
         return TailValues(
             Omega,
-            squared_slope / (2.0 * Omega),
+            float(squared_slope / (2.0 * Omega)),
             edges * np.sin(psi),
             edges * np.cos(psi) * by_u,
             np.cos(psi),

@@ -71,7 +71,7 @@ class TailedProblem(TrigonometricProblem):
             return float("nan")
 
     def frequency_step(self, z: Array, step: Array) -> float:
-        return self.values(z).Omega_slope * float(step[self.Omega_index])
+        return float(self.values(z).Omega_slope * step[self.Omega_index])
 
     def unknown_at(self, scalar: Scalar, value: float) -> float:
         return self.tail.of_frequency(value) if scalar is Scalar.OMEGA else value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: a table [family] or [spectrum]")
     if scene.spectrum is not None:
         _check_spectrum(arguments.scene, scene)
+    _check_tail(arguments.scene, scene)
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     if not prepare(directory, scene, text, existing):
@@ -50,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def check(arguments: argparse.Namespace) -> int:
     scene, _ = read_scene(arguments.scene)
+    _check_tail(arguments.scene, scene)
     from casadi_skin.plan import plan_lines
 
     for subject, words in plan_lines(scene):
@@ -95,6 +98,19 @@ def _check_spectrum(path: Path, scene: Scene) -> None:
         raise InputError(f"{path}: [chain] alpha: given {scene.chain.alpha:g}; {error}") from error
 
 
+def _check_tail(path: Path, scene: Scene) -> None:
+    """Raises InputError where the tail of the chain cannot be eliminated, but is asked to be or is infinite."""
+    if scene.family is None or (scene.method.tail != "eliminated" and scene.chain.sites != math.inf):
+        return
+    from casadi_skin.plan import scene_requests
+
+    try:
+        scene_requests(scene)
+    except ValueError as error:
+        table = "[chain] " if str(error).startswith("sites") else "[method] "
+        raise InputError(f"{path}: {table}{error}") from error
+
+
 def _summary(run: Run) -> None:
     """A table of the families on standard output."""
     if not run.branches:
@@ -119,6 +135,10 @@ def _summary(run: Run) -> None:
             cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
         table.add_row(*cells, f"{seconds:.2f}")
     Console().print(table)
+    for branch in run.branches:
+        if branch.threshold is not None:
+            words = f"end breather of the infinite chain born at S_c = {branch.threshold:.10g}"
+            print(f"mode {branch.tools.request.mode}: {words}")
     if run.evolution is not None:
         print(f"dynamics: {run.evolution.status}")
     print(f"results in {run.directory}")

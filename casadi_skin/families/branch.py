@@ -226,7 +226,7 @@ class Branch:
         request = self.tools.request
         chain = request.chain
         attributes = {"sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
-        coordinates = {"site": np.arange(1, chain.sites + 1)}
+        coordinates = {"site": self.tools.layout.shown}
         return xr.Dataset(data, coordinates, {**attributes, "mode": request.mode, "tolerance": request.tolerance})
 
 

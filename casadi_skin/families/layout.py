@@ -16,8 +16,6 @@ from casadi_skin.models.chain import Chain
 from casadi_skin.theory.linear import standing_wave
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
-SUMMED, CHUNK = 20_000_000, 100_000  # sites of a tail whose energies are added up, and at a time
-FADED = 20.0  # of kappa times a distance, beyond which a tail has no energy
 
 
 class Layout(Protocol):
@@ -217,12 +215,8 @@ class Tailed:
         q[:, ~inside] = harmonics @ self.tail_coefficients(problem, z, m[~inside] - self.core.sites + 1)
         return q
 
-    def log_positions(self, problem: OrbitProblem, z: Array) -> tuple[Array, Array]:
-        """Natural logarithms of |q_n| at phase zero beyond the core, and signs, in the order of `displacements`.
-
-        Those of the core's sites are -inf, as is the place of a harmonic that is not there.
-        """
-        m = self.distances(None)
+    def log_positions(self, problem: OrbitProblem, z: Array, m: Indices) -> tuple[Array, Array]:
+        """Natural logarithms of |q_n| at phase zero at distances m from the edge, and signs; -inf and 0 in the core."""
         steps = m[m >= self.core.sites] - self.core.sites + 1
         logs, signs = np.full(m.size, -np.inf), np.zeros(m.size)
         if steps.size:
@@ -263,24 +257,22 @@ class Tailed:
     # Sums over all sites --------------------------------------------------------------------------------------------
 
     def energy(self, problem: OrbitProblem, z: Array, hamiltonian: ca.Function) -> float:
-        """Infinite where an infinite tail moves along, as below the threshold."""
+        """Infinite where an infinite tail moves along, as below the threshold.
+
+        In the tail L a_k = (k Omega)^2 a_k: products of two harmonics add up to a term at its end (Green's identity).
+        """
         assert isinstance(problem, TailedProblem)
         q, values = problem.sample(z, np.zeros(1))[0], problem.values(z)
         core = float(hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
-        decay = min(self.tail.wave(float(psi)).kappa for psi in values.psi)
-        last = self.tail.sites - 1
-        if not np.isfinite(last):
-            if decay * SUMMED < FADED:
-                return float(np.inf)
-            last = FADED / decay
+        s, first = self.chain.coupling, problem.coefficients(z)[0]
+        beside = first * values.across / values.down
         squares = ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
-        total, beside = 0.0, 0.0
-        for low in range(1, int(last) + 1, CHUNK):
-            a = self.tail_coefficients(problem, z, np.arange(low, min(low + CHUNK, int(last) + 1)))
-            positions = a.sum(axis=0)
-            total += 0.5 * float(positions @ (squares @ a))
-            beside = float(positions[0]) if low == 1 else beside
-        return core - 0.5 * self.tail.coupling * float(q[0]) * beside + total
+        apart = squares[None, :] - squares[:, None]
+        np.fill_diagonal(apart, 1.0)
+        products = -s * (np.outer(beside, first) - np.outer(first, beside)) / apart
+        waves = (self.tail.wave(float(psi)) for psi in values.psi)
+        np.fill_diagonal(products, [f**2 * self.tail.squares(wave) for f, wave in zip(first, waves, strict=True)])
+        return core - 0.5 * s * float(q[0] * np.sum(beside)) + 0.5 * float(np.sum(products @ squares))
 
     def Omega_shift(self, problem: OrbitProblem, z: Array) -> float:
         """Beside the band from its edge; in the band by projection, as for a chain of unknown sites alone."""

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.tailed import Regime, TailedProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
@@ -115,16 +115,21 @@ class Orbit:
         return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / np.linalg.norm(start))
 
     @property
+    def shown_sites(self) -> Indices:
+        """Numbers of the sites in files and pictures: all, or those of the nonlinear core of a long chain."""
+        return self.tools.layout.shown
+
+    @property
     def harmonics(self) -> int:
         """Number of odd harmonics that carry the orbit at its tolerance."""
         problem = self.point.problem
         return problem.resolution if isinstance(problem, TrigonometricProblem) else 64
 
-    def coefficients(self, harmonics: int) -> Array:
-        """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites)."""
+    def coefficients(self, harmonics: int, sites: ArrayLike | None = None) -> Array:
+        """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites); see `evaluate`."""
         theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
         to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
-        return np.asarray(to_coefficients @ self._displacements(theta))
+        return np.asarray(to_coefficients @ self._displacements(theta, sites))
 
     @cached_property
     def profile(self) -> Array:
@@ -133,34 +138,40 @@ class Orbit:
         return start
 
     @cached_property
-    def _log_profile(self) -> tuple[Array, Array]:
-        """Natural logarithms of |y_n(0)| and the signs, each (sites,)."""
-        logs, signs = log_positions(self.tools, self.point)
-        layout = self.tools.layout
-        if isinstance(layout, Alone):
-            everywhere, none = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
-            everywhere[layout.edge], none[layout.edge] = logs[0], signs[0]
-            logs, signs = everywhere, none
-        elif isinstance(layout, Tailed):
-            core, order = layout.shown, slice(None) if self.chain.gamma >= 0 else slice(None, None, -1)
-            inside = logs[order], signs[order]
-            logs, signs = layout.log_positions(self.point.problem, self.point.z)
-            place = core - (1 if np.isfinite(self.chain.sites) else core[0])
-            logs[place], signs[place] = inside
-            logs = logs - np.arctanh(abs(self.chain.gamma)) * layout.distances(None)
-        else:
-            logs = logs + layout.core.log_rho
-        return logs + np.log(abs(self._scale)), signs * np.sign(self._scale)
+    def _core_logs(self) -> tuple[Array, Array]:
+        return log_positions(self.tools, self.point)
 
-    @property
+    def log10_displacements(self, sites: ArrayLike | None = None) -> tuple[Array, Array]:
+        """log10 |y_n(0)| and the signs of y_n(0), each (sites,): right far below the smallest double.
+
+        A site at rest has -inf and sign 0; `sites` are those of `evaluate`.
+        """
+        layout = self.tools.layout
+        logs, signs = self._core_logs
+        numbers = layout.shown if self.chain.infinite else np.arange(1, self.chain.sites + 1)
+        numbers = numbers if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
+        if isinstance(layout, Tailed):
+            m = layout.distances(numbers)
+            inside, place = m < layout.core.sites, layout.core.sites - 1 - m
+            (logs, signs), core = layout.log_positions(self.point.problem, self.point.z, m), (logs, signs)
+            logs[inside], signs[inside] = core[0][place[inside]], core[1][place[inside]]
+            logs = logs - np.arctanh(abs(self.chain.gamma)) * m
+        elif isinstance(layout, Alone):
+            moves = numbers - 1 == layout.edge
+            logs, signs = np.where(moves, logs[0], -np.inf), np.where(moves, signs[0], 0.0)
+        else:
+            logs, signs = (logs + layout.core.log_rho)[numbers - 1], signs[numbers - 1]
+        return (logs + np.log(abs(self._scale))) / np.log(10.0), signs * np.sign(self._scale)
+
+    @cached_property
     def log10_profile(self) -> Array:
         """log10 |y_n(0)|, shape (sites,): right far below the smallest double; -inf where a site rests."""
-        return np.asarray(self._log_profile[0] / np.log(10.0))
+        return self.log10_displacements()[0]
 
-    @property
+    @cached_property
     def profile_sign(self) -> Array:
         """Signs of y_n(0), shape (sites,), for `log10_profile`; 0 where a site rests."""
-        return self._log_profile[1]
+        return self.log10_displacements()[1]
 
     @cached_property
     def energy(self) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.families.layout import Tailed
 from casadi_skin.figures.style import (
     blank,
     colours,
@@ -33,6 +34,13 @@ DEEPEST = -290.0  # log10 of sizes that are drawn as they are
 MARKED_SITES = 60  # profiles of longer chains are lines without markers, of the sites that move
 
 
+def _tailed_mode(layout: Tailed) -> Array:
+    """The linear mode with norm 1 at the core's sites, largest displacement positive, shape (core sites,)."""
+    u = layout.core.rho * layout.mode
+    u = u if layout.chain.gamma >= 0 else u[::-1]
+    return np.asarray(u / np.linalg.norm(u) * np.sign(u[np.argmax(np.abs(u))]))
+
+
 def linear_mode(chain: Chain, mode: int) -> Array:
     """The linear mode with norm 1, largest displacement positive, shape (sites,)."""
     u = chain.right_eigenvector(mode)
@@ -41,7 +49,7 @@ def linear_mode(chain: Chain, mode: int) -> Array:
 
 def _logarithms(orbit: Orbit) -> Array:
     """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (sites,)."""
-    logs = orbit.log10_profile - 0.5 * np.log10(orbit.S)
+    logs = orbit.log10_displacements(orbit.shown_sites)[0] - 0.5 * np.log10(orbit.S)
     around = np.pad(logs, 1, constant_values=-np.inf)
     return np.where(logs > np.maximum(around[:-2], around[2:]) - 13.0, logs, np.nan)
 
@@ -91,16 +99,24 @@ def _draw_profiles(
     """
     from matplotlib.ticker import MaxNLocator
 
-    mode = linear_mode(branch.tools.request.chain, branch.tools.request.mode)
-    n, dot = np.arange(1, mode.size + 1), "o" if mode.size == 1 else None
+    layout = branch.tools.layout
+    mode = (
+        _tailed_mode(layout)
+        if isinstance(layout, Tailed)
+        else linear_mode(branch.tools.request.chain, branch.tools.request.mode)
+    )
+    n, dot = layout.shown, "o" if mode.size == 1 else None
     first, *second = panels
     first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
     for key, orbit in orbits.items():
-        y = orbit.profile / np.sqrt(orbit.S)
+        y = orbit.evaluate(0.0, n)[0] / np.sqrt(orbit.S)
         first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
     for axes in second:
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
-        mode_logs = _log_mode(branch.tools.request.chain, branch.tools.request.mode)
+        chain = branch.tools.request.chain
+        mode_logs = (
+            np.log10(np.abs(mode)) if isinstance(layout, Tailed) else _log_mode(chain, branch.tools.request.mode)
+        )
         deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
         for key, values in logs.items():
@@ -128,19 +144,21 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
     if not chosen:
         return None
-    profiles = np.array([orbit.profile for _, orbits in chosen for orbit in orbits.values()])
+    shown = chosen[0][0].tools.layout.shown
+    profiles = np.array([orbit.evaluate(0.0, shown)[0] for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
     keys = sorted({key for _, orbits in chosen for key in orbits})
     rows, columns = len(chosen), 2 if steep else 1
     with style():
-        looks = _looks(keys, chain.sites <= MARKED_SITES)
+        looks = _looks(keys, shown.size <= MARKED_SITES)
         figure = blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
         panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
         for row, (branch, orbits) in zip(panels, chosen, strict=True):
             _draw_profiles(row, branch, orbits, looks)
-        for axes, ends in zip(panels[-1], (moving(profiles), (1, chain.sites)), strict=False):
-            number_sites(axes, *ends, "site $n$")
+        low, high = moving(profiles)
+        for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
+            number_sites(axes, int(ends[0]), int(ends[1]), "site $n$")
         figure.suptitle(title(chain))
         figure.align_ylabels()
         return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3))

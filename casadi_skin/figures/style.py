@@ -65,6 +65,8 @@ def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: boo
 
 def number(value: float, digits: int = 6) -> str:
     """The number as it stands in a formula."""
+    if value == np.inf:
+        return r"\infty"
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
     return rf"{mantissa}\times 10^{{{int(exponent)}}}" if exponent else mantissa
 

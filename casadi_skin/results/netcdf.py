@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
+from casadi_skin.bvp.tailed import Regime
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.models.chain import Chain
@@ -52,9 +53,16 @@ def _put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDAr
     variable.long_name = meaning  # type: ignore[attr-defined]
 
 
+def _known(value: float) -> float:
+    """The value; netCDF's fill value for one that is infinite, as the energy of an infinite tail that moves along."""
+    return EMPTY if value == np.inf else value
+
+
 def _put_logarithms(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     """log10 |y_n(0)| and signs; a site at rest has no logarithm and is left empty (`_FillValue`, sign 0)."""
-    logarithms, signs = np.stack([o.log10_profile for o in orbits]), np.stack([o.profile_sign for o in orbits])
+    logarithms, signs = (
+        np.stack(parts) for parts in zip(*(o.log10_displacements(o.shown_sites) for o in orbits), strict=True)
+    )
     at_rest = np.isneginf(logarithms) & (signs == 0)
     meaning = "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0"
     _put(file, "log10_profile", ("point", "site"), np.where(at_rest, EMPTY, logarithms), meaning)
@@ -73,11 +81,12 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
     orbits = [orbit for branch in branches for orbit in branch.orbits]
     if not orbits:
         return
-    chain = orbits[0].chain
+    chain, sites = orbits[0].chain, orbits[0].shown_sites
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
         _write_origin(file, chain, scene_text, title)
         file.createDimension("point", len(orbits))
-        file.createDimension("site", chain.sites)
+        file.createDimension("site", sites.size)
+        _put(file, "site", ("site",), sites, "number of the site, from 1; up to 0 in an infinite chain with gamma > 0")
         file.createDimension("part", 2)
         _write_orbits(file, orbits)
         if branches[0].with_stability:
@@ -127,18 +136,22 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
         "Omega_error": ([o.Omega_error for o in orbits], "estimated absolute error of Omega"),
         "S_error": ([o.S_error for o in orbits], "estimated absolute error of S"),
         "profile_error": ([o.profile_error for o in orbits], "estimated relative error of the profile"),
-        "energy": ([o.energy for o in orbits], "Hamiltonian of the gauge with rho = 1 at the favoured edge"),
+        "energy": ([_known(o.energy) for o in orbits], "Hamiltonian of the gauge with rho = 1 at the favoured edge"),
         "residual": ([o.residual for o in orbits], "largest residual relative to the largest term"),
         "at_round_off": ([o.at_round_off for o in orbits], "1 where round-off keeps the errors above the tolerance"),
         "resolution": ([o.point.problem.resolution for o in orbits], "harmonics or intervals of the discretisation"),
     }
     for name, (values, meaning) in columns.items():
         _put(file, name, ("point",), np.array(values), meaning)
-    _put(file, "profile", ("point", "site"), np.array([o.profile for o in orbits]), "displacements y_n at t = 0")
+    profiles = np.array([o.evaluate(0.0, o.shown_sites)[0] for o in orbits])
+    _put(file, "profile", ("point", "site"), profiles, "displacements y_n at t = 0")
+    if all(o.regime is not None for o in orbits):
+        regimes = np.array([list(Regime).index(o.regime) for o in orbits if o.regime is not None])
+        _put(file, "regime", ("point",), regimes, "; ".join(f"{i}: {r.value}" for i, r in enumerate(Regime)))
     _put_logarithms(file, orbits)
     harmonics = max(o.harmonics for o in orbits)
     file.createDimension("harmonic", harmonics)
-    coefficients = np.stack([o.coefficients(harmonics) for o in orbits])
+    coefficients = np.stack([o.coefficients(harmonics, o.shown_sites) for o in orbits])
     meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
     _put(file, "coefficients", ("point", "harmonic", "site"), coefficients, meaning)
 

@@ -30,7 +30,7 @@ def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]
         "Omega": orbit.Omega,
         "Omega_shift": orbit.Omega_shift,
         "period": orbit.period,
-        "energy": orbit.energy,
+        "energy": orbit.energy if math.isfinite(orbit.energy) else "",  # infinite, where an infinite tail moves along
     }
     if with_stability:
         stability = orbit.floquet()
@@ -41,12 +41,14 @@ def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]
             "unstable_complex": stability.unstable_complex,
             "multiplier_error": stability.error,
         }
+    regime = {} if orbit.regime is None else {"regime": orbit.regime.name.lower()}
     return row | {
         "Omega_error": orbit.Omega_error,
         "residual": orbit.residual,
         "profile_error": orbit.profile_error,
         "at_round_off": int(orbit.at_round_off),
         "S_error": orbit.S_error,
+        **regime,
     }
 
 

@@ -34,11 +34,13 @@ def check_family(scene: Scene) -> None:
         if scene.stability is not None:
             raise refusal("[stability]", "without [family]", "beside a [family], whose stability it asks for")
         return
-    _check_modes(chain, family.modes)
+    modes = family.modes(chain.sites)
+    _check_modes(chain, modes)
+    _check_infinite(scene)
     if chain.g == 0:
         reason = "the family would be the linear mode at every amplitude"
         raise refusal("[chain] g", repr(chain.g), f"with a [family] a finite number other than 0 ({reason})")
-    for mode in family.modes:
+    for mode in modes:
         _check_gauge(chain, mode)
         _check_frequency(chain, mode)
         _check_period(chain, family, mode)
@@ -49,11 +51,23 @@ def check_family(scene: Scene) -> None:
 def _check_modes(chain: ChainTable, modes: tuple[int, ...]) -> None:
     seen: set[int] = set()
     for mode in modes:
-        if not 1 <= mode <= chain.sites:
-            raise refusal("[family] mode", shown(mode), f"whole numbers from 1 to {chain.sites} (sites)")
+        if chain.sites == math.inf and mode != (-1 if chain.g > 0 else 1):
+            only = f'"{"last" if chain.g > 0 else "first"}" (of an infinite chain, with g = {chain.g:g})'
+            raise refusal("[family] mode", '"last"' if mode == -1 else '"first"' if mode == 1 else shown(mode), only)
+        if chain.sites != math.inf and not 1 <= mode <= chain.sites:
+            raise refusal("[family] mode", shown(mode), f"whole numbers from 1 to {chain.sites} (sites), first, last")
         if mode in seen:
             raise refusal("[family] mode", f"{mode} more than once", "each mode once")
         seen.add(mode)
+
+
+def _check_infinite(scene: Scene) -> None:
+    """Refuse what needs every site of an infinite chain."""
+    if scene.chain.sites != math.inf:
+        return
+    for name in ("spectrum", "stability", "dynamics"):
+        if getattr(scene, name) is not None:
+            raise refusal(f"[{name}]", "with sites = inf", "with a whole number of sites: all of them take part in it")
 
 
 def _check_gauge(chain: ChainTable, mode: int) -> None:
@@ -84,6 +98,8 @@ def _check_frequency(chain: ChainTable, mode: int) -> None:
 def _stiffness(chain: ChainTable, mode: int) -> float:
     """omega_j^2 - alpha."""
     s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
+    if chain.sites == math.inf:
+        return 2 * chain.gamma**2 / (1 + s) + (0.0 if mode == 1 else 4 * s)
     # 2 - 2 s cos(q) without subtracting equal numbers: 1 - s = gamma^2/(1 + s), 1 - cos(q) = 2 sin^2(q/2)
     return 2 * chain.gamma**2 / (1 + s) + 4 * s * math.sin(mode * math.pi / (2 * chain.sites + 2)) ** 2
 
@@ -128,10 +144,11 @@ def check_dynamics(scene: Scene) -> None:
         return
     if family is None:
         raise refusal("[dynamics]", "without [family]", "beside a [family], one of whose orbits it follows in time")
-    modes = f"one of the modes of [family], {shown(list(family.modes))}"
-    if dynamics.mode is None and len(family.modes) > 1:
+    followed = family.modes(scene.chain.sites)
+    modes = f"one of the modes of [family], {shown(list(followed))}"
+    if dynamics.mode is None and len(followed) > 1:
         raise SceneError(f"[dynamics] mode: missing; accepted: {modes}")
-    if dynamics.mode is not None and dynamics.mode not in family.modes:
+    if dynamics.mode is not None and dynamics.mode not in followed:
         raise refusal("[dynamics] mode", shown(dynamics.mode), modes)
     if family.amplitude_max < dynamics.S:
         raise refusal("[dynamics] S", repr(dynamics.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
@@ -166,7 +183,7 @@ def _check_perturbation(chain: ChainTable, dynamics: DynamicsTable) -> None:
         if not any(dynamics.vector):
             raise refusal("[dynamics] vector", "zeros", "a vector with a direction")
     edge = chain.sites if chain.gamma > 0 else 1
-    if abs(chain.gamma) == 1 and kinds and not _moves_alone(dynamics, edge, chain.sites):
+    if abs(chain.gamma) == 1 and kinds and not _moves_alone(dynamics, int(edge), int(chain.sites)):
         reason = "at |gamma| = 1 displacements off the edge have no image in the gauge"
         raise refusal(f"[dynamics] {kinds[0]}", f"with gamma = {chain.gamma!r}", f"site {edge} alone ({reason})")
 

@@ -4,6 +4,7 @@ In each `Meta` the title says what a key is, the description what it accepts: me
 documentation quote it. The model is dimensionless.
 """
 
+import math
 import sys
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -17,6 +18,7 @@ Transcription = Literal["trigonometric", "gauss", "radau", "shooting"]
 Corrector = Literal["ipopt", "newton"]
 Walker = Literal["arclength", "series"]
 Flow = Literal["splitting", "cvodes", "gauss", "rk4"]
+Tail = Literal["eliminated", "full"]
 Evolver = Literal["cvodes", "dop853", "symplectic"]
 
 PRESETS: tuple[str, ...] = get_args(Preset)
@@ -24,6 +26,7 @@ TRANSCRIPTIONS: tuple[str, ...] = get_args(Transcription)
 CORRECTORS: tuple[str, ...] = get_args(Corrector)
 WALKERS: tuple[str, ...] = get_args(Walker)
 FLOWS: tuple[str, ...] = get_args(Flow)
+TAILS: tuple[str, ...] = get_args(Tail)
 EVOLVERS: tuple[str, ...] = get_args(Evolver)
 PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
@@ -40,9 +43,10 @@ def _one_of(names: Iterable[str]) -> str:
 # A bound at the largest float is how msgspec is made to refuse inf; nan fails every comparison.
 _Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 _Positive = Annotated[float, Meta(gt=0, le=sys.float_info.max)]
-_Sites = Annotated[int, Meta(ge=1, le=_MAX_SITES)]
+_Sites = Annotated[int, Meta(ge=1, le=_MAX_SITES)] | Annotated[float, Meta(gt=sys.float_info.max)]  # a number, or inf
 _Mode = Annotated[int, Meta(extra_json_schema={"minimum": 1})]  # checked below, where sites is known
-_Modes = Annotated[tuple[_Mode, ...], Meta(min_length=1)]
+_Named = Literal["first", "last"]
+_Modes = Annotated[tuple[_Mode | _Named, ...], Meta(min_length=1)]
 _Tolerance = Annotated[float, Meta(ge=1e-13, le=1e-2)]
 
 
@@ -53,7 +57,7 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class ChainTable(Table, frozen=True):
     """The chain: its length, stiffness, nonreciprocity and nonlinearity."""
 
-    sites: Annotated[_Sites, Meta(title="Sites N", description=f"a whole number >= 1 and <= {_MAX_SITES}")]
+    sites: Annotated[_Sites, Meta(title="Sites N", description=f"a whole number >= 1 and <= {_MAX_SITES}, or inf")]
     alpha: Annotated[_Finite, Meta(title="On-site stiffness", description="a finite number")]
     gamma: Annotated[float, Meta(ge=-1, le=1, title="Nonreciprocity", description="a number >= -1 and <= 1")]
     g: Annotated[_Finite, Meta(title="Cubic on-site coefficient", description="a finite number")]
@@ -67,8 +71,8 @@ class FamilyTable(Table, frozen=True):
     """The families to follow, each from the linear mode that it grows from."""
 
     mode: Annotated[
-        _Mode | _Modes,
-        Meta(title="Linear modes", description="a mode from 1 to sites, or a list of such modes"),
+        _Mode | _Named | _Modes,
+        Meta(title="Linear modes", description='a mode from 1 to sites, "first" or "last", or a list of such modes'),
     ]
     amplitude_max: Annotated[_Positive, Meta(title="Largest S = ||y||^2", description="a finite number > 0")]
     at: Annotated[
@@ -104,10 +108,11 @@ class FamilyTable(Table, frozen=True):
         ),
     ] = False
 
-    @property
-    def modes(self) -> tuple[int, ...]:
-        """The modes asked for, as a tuple also where one number was given."""
-        return (self.mode,) if isinstance(self.mode, int) else self.mode
+    def modes(self, sites: float) -> tuple[int, ...]:
+        """Numbers of the modes asked for; "last" is -1 in an infinite chain, which has no other but "first"."""
+        asked = self.mode if isinstance(self.mode, tuple) else (self.mode,)
+        last = -1 if sites == math.inf else int(sites)
+        return tuple({"first": 1, "last": last}[mode] if isinstance(mode, str) else mode for mode in asked)
 
 
 class StabilityTable(Table, frozen=True):
@@ -196,6 +201,13 @@ class MethodTable(Table, frozen=True):
         ),
     ] = None
     flow: Annotated[Flow, Meta(title="Flow map of stability", description=_one_of(FLOWS))] = "splitting"
+    tail: Annotated[
+        Tail | None,
+        Meta(
+            title="Linear tail of a long chain",
+            description=f"{_one_of(TAILS)} (left out: eliminated where it pays, and without [stability])",
+        ),
+    ] = None
 
 
 class Scene(Table, frozen=True):

@@ -64,6 +64,7 @@ def extremes(
     """
     study.directory.mkdir(parents=True, exist_ok=True)
     _compare_coordinates(study, quick, say)
+    _find_thresholds(study, quick, say)
     chosen = [case for case in (all_cases() if cases is None else cases) if case.quick or not quick]
     try:
         for index, case in enumerate(chosen, start=1):
@@ -90,6 +91,17 @@ def _compare_coordinates(study: Extremes, quick: bool, say: Callable[[str], None
     path = study.directory / "physical_against_gauge.csv"
     write_csv(path, columns, [{name: _cell(value) for name, value in asdict(c).items()} for c in study.compared])
     study.files += [path, *save(physical_figure(study.compared), study.directory / "physical_against_gauge")]
+
+
+def _find_thresholds(study: Extremes, quick: bool, say: Callable[[str], None]) -> None:
+    """Write threshold.csv, of the end breather of the infinite chain, and its picture."""
+    from casadi_skin.figures import save
+    from casadi_skin.studies import extremes_threshold as born
+
+    found = born.thresholds(born.QUICK_GAMMAS if quick else born.GAMMAS, say)
+    path = study.directory / "threshold.csv"
+    write_csv(path, [f.name for f in fields(born.Threshold)], [asdict(t) for t in found])
+    study.files += [path, *save(born.threshold_figure(found), study.directory / "threshold")]
 
 
 def _cell(value: float) -> Cell:

@@ -9,13 +9,13 @@ import pytest
 
 from casadi_skin.cli import main
 from casadi_skin.studies import extremes as study_module
-from casadi_skin.studies import extremes_physical
+from casadi_skin.studies import extremes_physical, extremes_threshold
 from casadi_skin.studies.extremes import COLUMNS, all_cases
 from casadi_skin.studies.extremes_case import Case, Finding, Outcome, measure
 
 FILES = {
     *("extremes.csv", "extremes.png", "extremes.svg"),
-    *(f"physical_against_gauge.{kind}" for kind in ("csv", "png", "svg")),
+    *(f"{name}.{kind}" for name in ("physical_against_gauge", "threshold") for kind in ("csv", "png", "svg")),
 }
 
 
@@ -31,6 +31,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study_module, "all_cases", lambda: chosen)
     monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4, 8))
     monkeypatch.setattr(extremes_physical, "GAMMAS", (0.25,))
+    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.25, 0.5))
 
 
 def test_every_case_has_a_name_of_its_own() -> None:
@@ -55,6 +56,9 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         assert (row["digits"] == "") == (row["verdict"] == "refused")
         assert row["digits"] == "" or float(row["digits"]) >= float(row["promised"]) == 12.0
     assert [row["sites"] for row in rows(out / "physical_against_gauge.csv")] == ["4", "8"]
+    assert [float(row["S"]) for row in rows(out / "threshold.csv")][::2] == pytest.approx(
+        [0.367762016876, 0.366992903607]
+    )
     told = capsys.readouterr().out
     assert "15 cases: 10 hold, 5 are refused, 0 not as expected" in told
     assert "refused: gamma = -1.5: gamma: given -1.5; accepted: -1 <= gamma <= 1" in told

@@ -176,13 +176,21 @@ def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
 
 
 def test_long_chains_are_lines_without_markers() -> None:
-    branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), 1000, 1e-3, at=[1e-3], tolerance=1e-2, corrector="newton")
+    branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), 1000, 1e-3, at=[1e-3], tolerance=1e-2, tail="full")
     figure = profile_figure([branch])
     assert figure is not None
     assert [axes.get_yscale() for axes in figure.axes] == ["linear", "log"]
     assert {line.get_marker() for axes in figure.axes for line in axes.get_lines()} == {"None"}
     assert figure.axes[0].get_xlim()[0] > 800  # the sites that move; all of them on the logarithmic scale
     assert figure.axes[1].get_xlim() == (0.5, 1000.5)
+
+
+def test_a_chain_without_its_tail_is_drawn_at_its_core() -> None:
+    branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), "last", 1e-3, at=[1e-3], tolerance=1e-2)
+    figure = profile_figure([branch])
+    assert figure is not None
+    core = branch.tools.core.sites
+    assert figure.axes[1].get_xlim() == (1000.5 - core, 1000.5)
 
 
 def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:

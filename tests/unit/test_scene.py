@@ -85,12 +85,14 @@ def test_the_scene_of_the_manual() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "modes"), [("1", (1,)), ("[3]", (3,)), ("[24, 1, 2]", (24, 1, 2))], ids=["one", "list", "order"]
+    ("given", "modes"),
+    [("1", (1,)), ("[3]", (3,)), ("[24, 1, 2]", (24, 1, 2)), ('["last", 2, "first"]', (24, 2, 1))],
+    ids=["one", "list", "order", "names"],
 )
 def test_modes_are_a_tuple_in_the_order_given(given: str, modes: tuple[int, ...]) -> None:
     asked = parse_scene(CHAIN + family(mode=given)).family
     assert asked is not None
-    assert asked.modes == modes
+    assert asked.modes(24) == modes
 
 
 def test_whole_numbers_serve_as_floats() -> None:
@@ -207,9 +209,9 @@ def test_long_names_are_cut(key: str, shown: str) -> None:
 
 # Refused: types and bounds --------------------------------------------------------------------------------
 
-SITES = "accepted: a whole number >= 1 and <= 10000000"
+SITES = "accepted: a whole number >= 1 and <= 10000000, or inf"
 FINITE = "accepted: a finite number"
-MODES = "accepted: a mode from 1 to sites, or a list of such modes"
+MODES = 'accepted: a mode from 1 to sites, "first" or "last", or a list of such modes'
 AT = "accepted: a list of numbers > 0, ascending up to amplitude_max"
 POINTS = "accepted: a whole number >= 1 and <= 1000000 (left out: 2000)"
 
@@ -218,13 +220,13 @@ POINTS = "accepted: a whole number >= 1 and <= 1000000 (left out: 2000)"
     ("changes", "message"),
     [
         ({"sites": '"24"'}, f'[chain] sites: given "24" (a string); {SITES}'),
-        ({"sites": "24.0"}, f"[chain] sites: given 24.0 (a float); {SITES}"),
+        ({"sites": "24.0"}, f"[chain] sites: given 24.0; {SITES}"),
         ({"sites": "true"}, f"[chain] sites: given true (a boolean); {SITES}"),
         ({"sites": "[24]"}, f"[chain] sites: given [24] (an array); {SITES}"),
         ({"sites": "{n = 24}"}, f"[chain] sites: given a table; {SITES}"),
         ({"sites": "[{n = 24}]"}, f"[chain] sites: given an array of tables; {SITES}"),
         ({"sites": "2024-02-29"}, f"[chain] sites: given 2024-02-29 (a date or time); {SITES}"),
-        ({"sites": "nan"}, f"[chain] sites: given nan (a float); {SITES}"),
+        ({"sites": "nan"}, f"[chain] sites: given nan; {SITES}"),
         ({"sites": "0"}, f"[chain] sites: given 0; {SITES}"),
         ({"sites": "-3"}, f"[chain] sites: given -3; {SITES}"),
         ({"sites": "10_000_001"}, f"[chain] sites: given 10000001; {SITES}"),
@@ -260,13 +262,13 @@ def test_chain_values(changes: dict[str, str], message: str) -> None:
         ({"amplitude_max": "nan"}, "[family] amplitude_max: given nan; accepted: a finite number > 0"),
         ({"mode": "1.0"}, f"[family] mode: given 1.0 (a float); {MODES}"),
         ({"mode": "true"}, f"[family] mode: given true (a boolean); {MODES}"),
-        ({"mode": "'all'"}, f'[family] mode: given "all" (a string); {MODES}'),
-        ({"mode": "[1, '2']"}, f'[family] mode: given "2" (a string) as item 2; {MODES}'),
+        ({"mode": "'all'"}, f'[family] mode: given "all"; {MODES}'),
+        ({"mode": "[1, '2']"}, f'[family] mode: given "2" as item 2; {MODES}'),
         ({"mode": "[1, 2.0]"}, f"[family] mode: given 2.0 (a float) as item 2; {MODES}"),
         ({"mode": "[]"}, f"[family] mode: given []; {MODES}"),
-        ({"mode": "0"}, "[family] mode: given 0; accepted: whole numbers from 1 to 24 (sites)"),
-        ({"mode": "25"}, "[family] mode: given 25; accepted: whole numbers from 1 to 24 (sites)"),
-        ({"mode": "[1, -1]"}, "[family] mode: given -1; accepted: whole numbers from 1 to 24 (sites)"),
+        ({"mode": "0"}, "[family] mode: given 0; accepted: whole numbers from 1 to 24 (sites), first, last"),
+        ({"mode": "25"}, "[family] mode: given 25; accepted: whole numbers from 1 to 24 (sites), first, last"),
+        ({"mode": "[1, -1]"}, "[family] mode: given -1; accepted: whole numbers from 1 to 24 (sites), first, last"),
         ({"mode": "[2, 1, 2]"}, "[family] mode: given 2 more than once; accepted: each mode once"),
         ({"mode": "[" + "9" * 400 + "]"}, f"[family] mode: given {'9' * 57}...; {MODES}"),
         ({"at": "0.2"}, f"[family] at: given 0.2 (a float); {AT}"),
@@ -615,7 +617,8 @@ def test_the_schema_says_what_the_messages_say() -> None:
     assert tables["Scene"]["required"] == ["chain"]
     assert not tables["FamilyTable"]["additionalProperties"]
     sites = tables["ChainTable"]["properties"]["sites"]
-    assert (sites["minimum"], sites["maximum"]) == (1, 10_000_000)
+    whole, infinite = sites["anyOf"]
+    assert (whole["minimum"], whole["maximum"], infinite["type"]) == (1, 10_000_000, "number")
     assert f"accepted: {sites['description']}" == SITES
     assert tables["MethodTable"]["properties"]["walker"]["anyOf"][0]["enum"] == ["arclength", "series"]
     for table in tables.values():

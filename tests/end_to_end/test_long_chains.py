@@ -1,0 +1,100 @@
+"""Scenes of infinite and very long chains from the command line: files, the threshold, resuming, what is refused."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from casadi_skin.cli import main
+
+SCENE = """
+[chain]
+sites = {sites}
+alpha = {alpha}
+gamma = 0.25
+g = {g}
+[family]
+mode = {mode}
+amplitude_max = 1.0
+at = [0.2, 1.0]
+[method]
+corrector = "newton"
+{rest}
+"""
+
+
+def written(path: Path, **values: object) -> Path:
+    filled = {"sites": "inf", "alpha": 1.0, "g": 1.0, "mode": '"last"', "rest": ""} | values
+    path.write_text(SCENE.format(**filled), encoding="utf-8")
+    return path
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_example_of_an_infinite_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["run", "examples/infinite_chain.toml", "--out", str(out), "--quiet"]) == 0
+    assert "end breather of the infinite chain born at S_c = 0.3669929036" in capsys.readouterr().out
+    points = rows(out / "family.csv")
+    asked = {float(row["S"]): row for row in points if row["requested"] == "1"}
+    assert float(asked[3.0]["Omega"]) == pytest.approx(0.7659589000207, abs=1e-8)
+    assert asked[0.2]["energy"] == ""
+    assert float(asked[0.2]["Omega_shift"]) == 0.0
+    assert [points[0]["regime"], asked[1.0]["regime"], points[-1]["regime"]] == ["pinned", "bound", "third"]
+    with netcdf_file(out / "family.nc", mmap=False) as file:
+        assert np.isinf(file.sites)
+        sites, profile = file.variables["site"].data, file.variables["profile"].data
+        assert sites[-1] == 0
+        assert sites[0] == 1 - sites.size
+        np.testing.assert_allclose(np.linalg.norm(profile, axis=1) ** 2, file.variables["S"].data, rtol=1e-7)
+
+
+def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
+    scene = written(tmp_path / "million.toml", sites=1_000_000)
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
+    assert main(["run", str(scene), "--out", str(broken), "--quiet"]) == 0
+    assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()
+
+
+def test_the_plan_tells_what_is_eliminated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(written(tmp_path / "long.toml", sites=2000))]) == 0
+    assert "the linear tail is eliminated exactly" in capsys.readouterr().out
+    assert main(["check", str(written(tmp_path / "full.toml", sites=2000, rest='tail = "full"'))]) == 0
+    assert "eliminated" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mode": 3}, '[family] mode: given 3; accepted: "last"'),
+        ({"mode": '"first"'}, '[family] mode: given "first"; accepted: "last"'),
+        ({"mode": '"middle"'}, "[family] mode: given"),
+        ({"sites": 2000, "mode": 2001}, "accepted: whole numbers from 1 to 2000 (sites), first, last"),
+        ({"sites": 2000, "mode": 5, "rest": 'tail = "eliminated"'}, "[method] tail: given"),
+        ({"rest": 'tail = "full"'}, "[method] tail: given"),
+        ({"g": -1.0, "alpha": 0.1, "mode": '"first"'}, "three times the lowest frequency"),
+        ({"rest": "[stability]"}, "[stability]: given with sites = inf"),
+        ({"rest": "[spectrum]"}, "[spectrum]: given with sites = inf"),
+        ({"rest": "[dynamics]\nS = 1.0\nperiods = 2.0"}, "[dynamics]: given with sites = inf"),
+        ({"sites": "-inf"}, "[chain] sites: given"),
+        ({"sites": "1e6"}, "[chain] sites: given"),
+    ],
+)
+def test_what_an_infinite_chain_does_not_have_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], values: dict[str, object], words: str
+) -> None:
+    scene = written(tmp_path / "wrong.toml", **values)
+    for command in (["run", str(scene), "--out", str(tmp_path / "out")], ["check", str(scene)]):
+        assert main(command) == 2
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1
+        assert words in told
+    assert not (tmp_path / "out").exists()
