@@ -8,8 +8,10 @@ from typing import Any
 from casadi_skin.bvp.problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.correctors.ladder import ErrorEstimate
-from casadi_skin.families.layout import Alone, Tailed
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.layout import Alone
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tailed import Tailed
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.scene import DynamicsTable, Scene
 

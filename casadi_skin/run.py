@@ -12,7 +12,7 @@ import casadi_skin.figures as figures
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyTools
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.plan import scene_chain, scene_requests
 from casadi_skin.progress import Progress

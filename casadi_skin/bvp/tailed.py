@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import FREQUENCY_WEIGHT, Array, Scalar
-from casadi_skin.bvp.tail import TailParameter, TailValues
+from casadi_skin.bvp.tail_parameter import TailParameter, TailValues
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 

@@ -14,7 +14,8 @@ from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.families.events import StabilityChange
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import TWO_PI, FamilyTools
+from casadi_skin.families.request import TWO_PI
+from casadi_skin.families.tools import FamilyTools
 
 if TYPE_CHECKING:
     import xarray

@@ -18,7 +18,7 @@ from casadi_skin.correctors.bordered import SingularError
 
 if TYPE_CHECKING:
     from casadi_skin.continuation.points import Point
-    from casadi_skin.families.request import FamilyTools
+    from casadi_skin.families.tools import FamilyTools
 
 FAINT = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
 SMALLEST = 1e-250  # of the largest state: below it doubles run out

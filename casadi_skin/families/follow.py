@@ -15,7 +15,8 @@ from casadi_skin.families.branch import SLOW, Branch
 from casadi_skin.families.events import StabilityChange, locate_change
 from casadi_skin.families.multipliers import floquets_of
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import MAX_POINTS, TWO_PI, FamilyRequest, FamilyTools
+from casadi_skin.families.request import MAX_POINTS, TWO_PI, FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread

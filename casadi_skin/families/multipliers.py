@@ -10,8 +10,8 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, OrbitProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.correctors.ladder import Refinement
-from casadi_skin.families.layout import Tailed
-from casadi_skin.families.request import FamilyTools
+from casadi_skin.families.tailed import Tailed
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import Floquet

@@ -13,9 +13,10 @@ from casadi_skin.bvp.tailed import Regime, TailedProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
 from casadi_skin.families.faint import log_positions
-from casadi_skin.families.layout import Alone, Tailed
+from casadi_skin.families.layout import Alone
 from casadi_skin.families.multipliers import accelerations, floquets_of, on_all_sites, orbit_state
-from casadi_skin.families.request import FamilyTools
+from casadi_skin.families.tailed import Tailed
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import Transition
 from casadi_skin.stability.growth import TransientGrowth, transient_growth

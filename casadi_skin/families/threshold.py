@@ -9,8 +9,9 @@ import numpy as np
 
 from casadi_skin.bvp.tail import EDGE_ANGLE
 from casadi_skin.continuation.points import Point
-from casadi_skin.families.layout import Tailed
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tailed import Tailed
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import FIRST, LAST, Chain
 from casadi_skin.threads import one_thread
 

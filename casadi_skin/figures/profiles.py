@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.families.layout import Tailed
+from casadi_skin.families.tailed import Tailed
 from casadi_skin.figures.style import (
     blank,
     colours,

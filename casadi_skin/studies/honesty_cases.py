@@ -10,7 +10,8 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.honesty_reference import (

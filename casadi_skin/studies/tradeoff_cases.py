@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyTools
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.tradeoff_measured import SMALLEST, Kind, Measured, Setting
 from casadi_skin.studies.tradeoff_memory import memory_of

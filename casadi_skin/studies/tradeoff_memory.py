@@ -9,7 +9,8 @@ from dataclasses import asdict
 from math import nan
 from pathlib import Path
 
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.studies.tradeoff_measured import Kind, Setting
 
@@ -37,9 +38,9 @@ def peak_memory() -> float:
 
 
 def memory_of(setting: Setting | None) -> float:
-    """Peak memory in MB of a process that computes the setting once, or only imports what that takes; nan if it fails.
+    """Peak memory in MB of a process that computes the setting once, or only imports what it takes; nan after an hour.
 
-    Of a flow: the family with its multipliers, at the same tolerance.
+    Of a flow: the family with its multipliers, at the same tolerance. Raises ArithmeticError where the process fails.
     """
     request = None if setting is None else asdict(setting.request)
     stability = setting is not None and setting.kind is not Kind.ORBITS
@@ -47,8 +48,11 @@ def memory_of(setting: Setting | None) -> float:
     command = [sys.executable, "-m", __name__, words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST, check=True)
-    except subprocess.SubprocessError:
+    except subprocess.TimeoutExpired:
         return nan
+    except subprocess.CalledProcessError as error:
+        reason = (error.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise ArithmeticError(f"peak memory of {words} was not measured: {reason}") from error
     return float(done.stdout)
 
 
@@ -59,7 +63,8 @@ def main(words: str) -> None:
     asked = json.loads(words)
     if asked["request"] is not None:
         fields = asked["request"]
-        fields |= {"chain": Chain(**fields["chain"]), "at": tuple(fields["at"])}
+        fields |= {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
+        fields["chain"] = Chain(**fields["chain"])
         walked(FamilyTools(FamilyRequest(**fields)), asked["stability"])
     print(peak_memory())
 

@@ -13,7 +13,8 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.multipliers import accelerations
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.results.tables import Cell
 from casadi_skin.stability.flow import FlowMap, OrbitState
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap

@@ -24,7 +24,8 @@ from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
 from casadi_skin.families import multipliers
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.studies.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark
@@ -113,7 +114,8 @@ LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 tools = FamilyTools(FamilyRequest(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
 started = time.perf_counter()
 walk = FamilyWalk(tools)

@@ -107,8 +107,8 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
     def refuse(*_: object) -> None:
         raise AssertionError("a variational system was built")
 
-    monkeypatch.setattr("casadi_skin.families.request.SplittingFlow", refuse)
-    monkeypatch.setattr("casadi_skin.families.request.CvodesFlow", refuse)
+    monkeypatch.setattr("casadi_skin.families.tools.SplittingFlow", refuse)
+    monkeypatch.setattr("casadi_skin.families.tools.CvodesFlow", refuse)
     scene = write_scene(tmp_path / "small.toml")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
     assert not set(STABILITY_COLUMNS) & set(rows(tmp_path / "out" / "family.csv")[0])
@@ -157,7 +157,7 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
 
 # Interruption -------------------------------------------------------------------------------------------------------
 
-LONG = {"sites": 60, "mode": "[1, 2]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
+LONG = {"sites": 60, "mode": "[1, 2, 60]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
 
 
 def start(scene: Path, out: Path) -> subprocess.Popen[str]:
@@ -209,7 +209,7 @@ def test_an_interrupted_run_writes_what_it_has(tmp_path: Path, number: signal.Si
     assert (out / "family.nc").exists()
     assert (out / "journal.msgpack").exists()
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
-    assert len(requested(out)) == 6
+    assert len(requested(out)) == 9
 
 
 def test_resume_wants_the_same_scene_but_for_its_title(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,8 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
 from casadi_skin.theory.duffing import duffing_frequency
 

@@ -18,7 +18,8 @@ from casadi_skin.continuation.points import End, Point
 from casadi_skin.correctors.base import Correction
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
 Array = NDArray[np.float64]

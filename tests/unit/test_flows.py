@@ -20,7 +20,8 @@ from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families import follow
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.multipliers import accelerations, floquets_of
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap

@@ -36,7 +36,8 @@ from casadi_skin.correctors.ladder import Ladder
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk, follow_family
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import DIGITS, FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import DIGITS, FamilyTools
 from casadi_skin.models.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency

@@ -23,7 +23,8 @@ from casadi_skin.correctors.bordered import Solve
 from casadi_skin.correctors.ladder import ErrorEstimate, Ladder
 from casadi_skin.correctors.newton import NewtonCorrector
 from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.results.journal import EndRecord, orbit_record, restore
 
 Array = NDArray[np.float64]

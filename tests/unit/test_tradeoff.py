@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.tradeoff import PARTS_OF_FAMILY, Tradeoff, default_request, with_points
 from casadi_skin.studies.tradeoff_cases import measure, timed

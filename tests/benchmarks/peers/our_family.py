@@ -10,7 +10,8 @@ from family_case import Array, Family, FamilyCase
 
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest, FamilyTools
+from casadi_skin.families.request import FamilyRequest
+from casadi_skin.families.tools import FamilyTools
 
 # Name in the table: keywords of FamilyRequest. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
