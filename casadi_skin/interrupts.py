@@ -1,7 +1,8 @@
 """Interruptions that wait for a solver to return.
 
 CasADi catches a KeyboardInterrupt inside the callbacks of Ipopt and of the integrators and reports a failed evaluation
-in its place: the interruption would be lost, and the solver's failure taken for one of the problem.
+in its place: the interruption would be lost, and the solver's failure taken for one of the problem. One that comes
+while arguments are converted ends in a TypeError instead.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from types import FrameType
 def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
     """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends.
 
-    With `end_solver` a signal makes the callback that hears it fail, so that a long integration ends at once. What the
-    solver raises after a signal is raised only where the signal's own handler returns.
+    With `end_solver` a signal makes the callback that hears it fail, so that a long integration ends at once; without
+    it the second one does. What the solver raises after a signal is raised only where the signal's own handler returns.
     """
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
         yield
@@ -27,7 +28,7 @@ def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
 
     def hear(number: int, frame: FrameType | None) -> None:
         received.append((number, frame))
-        if end_solver:
+        if end_solver or len(received) > 1:
             raise KeyboardInterrupt
 
     heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]

@@ -17,6 +17,7 @@ from casadi_skin.families.multipliers import floquets_of
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.request import MAX_POINTS, TWO_PI, FamilyRequest
 from casadi_skin.families.tools import FamilyTools
+from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.chain import Chain
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
@@ -52,7 +53,7 @@ class FamilyWalk:
     def __iter__(self) -> Iterator[Orbit | StabilityChange]:
         results = self._results()
         while True:
-            with one_thread():  # not while whoever iterates is at work
+            with one_thread(), interrupts_deferred():  # not while whoever iterates is at work
                 result = next(results, None)
             if result is None:
                 return
