@@ -109,10 +109,6 @@ class TailedProblem(TrigonometricProblem):
         jacobian = transform @ J @ chain_rule + ca.vertcat(extra, ca.MX(size - 1 - H, size))
         return z, residual, jacobian
 
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        """As for any problem, but with u in place of Omega."""
-        return super().pack(positions, Omega, parameter)
-
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""
         weights = super().metric(z, parameter_scale)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from casadi_skin.commands.scene_commands import read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
@@ -85,17 +87,11 @@ def measure_honesty(arguments: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from casadi_skin.progress import Progress
     from casadi_skin.studies.honesty import Honesty, honesty, honesty_table
 
     study = Honesty(directory, arguments.cases)
-    with Progress(arguments.quiet) as progress:
-        try:
-            honesty(study, arguments.seed, progress.say, arguments.first)
-        except KeyboardInterrupt:
-            progress.__exit__(None, None, None)
-            print(f"interrupted after {len(study.outcomes)} cases; they are in {directory}", file=sys.stderr)
-            return INTERRUPTED
+    if _interrupted(lambda say: honesty(study, arguments.seed, say, arguments.first), study, arguments.quiet):
+        return INTERRUPTED
     Console().print(honesty_table(study))
     for outcome in study.failures:
         print(f"case {outcome.case.index}: {outcome.reason}")
@@ -111,17 +107,11 @@ def measure_extremes(arguments: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from casadi_skin.progress import Progress
     from casadi_skin.studies.extremes import Extremes, extremes, extremes_table
 
     study = Extremes(directory)
-    with Progress(arguments.quiet) as progress:
-        try:
-            extremes(study, arguments.quick, progress.say)
-        except KeyboardInterrupt:
-            progress.__exit__(None, None, None)
-            print(f"interrupted after {len(study.outcomes)} cases; they are in {directory}", file=sys.stderr)
-            return INTERRUPTED
+    if _interrupted(lambda say: extremes(study, arguments.quick, say), study, arguments.quiet):
+        return INTERRUPTED
     Console().print(extremes_table(study))
     for outcome in study.refusals:
         print(f"refused: {outcome.case.name}: {outcome.refused}")
@@ -132,3 +122,26 @@ def measure_extremes(arguments: argparse.Namespace) -> int:
     print(f"{len(study.outcomes)} cases: {counts}")
     print(f"{len(study.files)} files in {directory}")
     return FAILED if study.faults else DONE
+
+
+class _Cases(Protocol):
+    """A study of cases that are written as they come."""
+
+    directory: Path
+
+    @property
+    def outcomes(self) -> Sequence[object]: ...
+
+
+def _interrupted(act: Callable[[Callable[[str], None]], None], study: _Cases, quiet: bool) -> bool:
+    """Whether a study, which `act` carries out, was interrupted; what it has then is told."""
+    from casadi_skin.progress import Progress
+
+    with Progress(quiet) as progress:
+        try:
+            act(progress.say)
+        except KeyboardInterrupt:
+            progress.__exit__(None, None, None)
+            print(f"interrupted after {len(study.outcomes)} cases; they are in {study.directory}", file=sys.stderr)
+            return True
+    return False

@@ -129,7 +129,7 @@ class FamilyRequest:
     @property
     def core_sites(self) -> int:
         """Number of sites at the edge outside of which the cubic term is below round-off, counted to LONGEST_CORE."""
-        chain, reach = self.chain, max(1.0, self.amplitude_max)
+        chain, reach = self.chain, max(1.0, abs(self.chain.g) * self.amplitude_max)
         decay, sites = 2.0 * math.atanh(abs(chain.gamma)), 2
         while sites <= LONGEST_CORE and sites * decay < 2.0 * math.log(sites + 1) + math.log(reach / NEGLIGIBLE):
             sites += max(1, sites // 64)

@@ -10,6 +10,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
+from casadi_skin.results.journal import Journal
 
 SCENE = """
 [chain]
@@ -31,6 +32,21 @@ def written(path: Path, **values: object) -> Path:
     filled = {"sites": "inf", "alpha": 1.0, "g": 1.0, "mode": '"last"', "rest": ""} | values
     path.write_text(SCENE.format(**filled), encoding="utf-8")
     return path
+
+
+def interrupted(scene: Path, out: Path, points: int) -> int:
+    """Exit status of a run that Ctrl-C ends after some points."""
+    counted = iter(range(points))
+    append = Journal.append
+
+    def stop(self: Journal, record: object) -> None:
+        append(self, record)  # type: ignore[arg-type]
+        if next(counted, None) is None:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Journal, "append", stop)
+        return main(["run", str(scene), "--out", str(out), "--quiet"])
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -60,7 +76,9 @@ def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
     scene = written(tmp_path / "million.toml", sites=1_000_000)
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
-    assert main(["run", str(scene), "--out", str(broken), "--quiet"]) == 0
+    assert interrupted(scene, broken, 12) == 130
+    assert 1 < len(rows(broken / "family.csv")) < len(rows(whole / "family.csv"))
+    assert main(["run", str(scene), "--out", str(broken), "--quiet", "--resume"]) == 0
     assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()
 
 

@@ -134,6 +134,8 @@ def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) 
         t = np.linspace(0.0, 3.0, 7)
         np.testing.assert_allclose(one.evaluate(t), other.evaluate(t), atol=1e-10 * np.sqrt(S))
         chosen = [1, sites // 2, sites]
+        np.testing.assert_allclose(one.log10_profile, other.log10_profile, atol=1e-9)
+        np.testing.assert_array_equal(one.profile_sign, other.profile_sign)
         np.testing.assert_array_equal(one.evaluate(t, sites=chosen), one.evaluate(t)[:, np.array(chosen) - 1])
 
 
