@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.figures.style import blank, number, number_sites, style, title
-from casadi_skin.results.files import replacing
+from casadi_skin.files import replacing
 
 FRAMES = 48  # of one period
 

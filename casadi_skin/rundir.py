@@ -6,7 +6,7 @@ import os
 from enum import Enum
 from pathlib import Path
 
-from casadi_skin.results.files import replacing
+from casadi_skin.files import replacing
 from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"

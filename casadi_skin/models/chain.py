@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -139,19 +140,29 @@ class Chain:
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 
-    def _linear_force(self, x: ca.SX, left: float, right: float) -> ca.SX:
-        """-(2 + alpha) x_n + left x_{n-1} + right x_{n+1} with fixed ends."""
+    def _linear_force(
+        self, x: ca.SX, left: float | ca.SX, right: float | ca.SX, alpha: float | ca.SX | None = None
+    ) -> ca.SX:
+        """-(2 + alpha) x_n + left x_{n-1} + right x_{n+1} with fixed ends; alpha is the chain's unless given."""
         zero = ca.SX.zeros(1)
         below, above = ca.vertcat(zero, x[:-1]), ca.vertcat(x[1:], zero)
         if self.sites == 1:
             below, above = zero, zero
-        return -(2.0 + self.alpha) * x + left * below + right * above
+        return -(2.0 + (self.alpha if alpha is None else alpha)) * x + left * below + right * above
 
     def physical_model(self) -> OdeModel:
         """The equations of motion in physical coordinates y, parameter g (paper, Eq. 1)."""
         y, v, g = ca.SX.sym("y", self.sites), ca.SX.sym("v", self.sites), ca.SX.sym("g")
         force = self._linear_force(y, 1 + self.gamma, 1 - self.gamma) - g * y**3
-        return OdeModel("physical chain", y, force, g, 2, v, **self._signs(self.sites))
+        return OdeModel("physical chain", y, force, g, 2, v, nominal=(self.g,), **self._signs(self.sites))
+
+    def tunable_model(self) -> OdeModel:
+        """The equations of motion in physical coordinates y with parameters alpha, gamma and g (paper, Eq. 1)."""
+        y, v = (ca.vertcat(*(ca.SX.sym(f"{x}_{n}") for n in range(1, self.sites + 1))) for x in "yv")
+        alpha, gamma, g = (ca.SX.sym(name) for name in ("alpha", "gamma", "g"))
+        force = self._linear_force(y, 1 + gamma, 1 - gamma, alpha) - g * y**3
+        parameters, nominal = ca.vertcat(alpha, gamma, g), (self.alpha, self.gamma, self.g)
+        return OdeModel("chain", y, force, parameters, 2, v, nominal=nominal, **self._signs(self.sites))
 
     def gauge_model(self) -> OdeModel:
         """The scaled equations q'' = -L q - kappa w q^3 in the gauge, parameter kappa = g S, with their Hamiltonian."""
@@ -165,8 +176,9 @@ class Chain:
         )  # fmt: skip
 
     @staticmethod
-    def _signs(sites: int) -> dict[str, tuple[int, ...]]:
-        return {"reversal": (1,) * sites + (-1,) * sites, "half_period": (-1,) * (2 * sites)}
+    def _signs(sites: int) -> dict[str, Any]:
+        """The symmetries of every chain; they hold by construction and are checked by tests, not at every making."""
+        return {"reversal": (1,) * sites + (-1,) * sites, "half_period": (-1,) * (2 * sites), "checked": False}
 
     def variational_matrix(self, coordinates: str = "physical") -> ca.Function:
         """Function (y, g) -> Z, or in the "gauge" (q, kappa) -> W, sparse (2N, 2N) (paper, appendix).

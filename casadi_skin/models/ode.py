@@ -2,62 +2,62 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 
 import casadi as ca
-import numpy as np
+
+from casadi_skin.models.declared import Expression, check_declarations, check_symmetries, names_of
 
 Signs = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class OdeModel:
-    """An autonomous ODE in CasADi symbols, of first order x' = f(x, p) or second order q'' = f(q, p).
+    """An ODE in CasADi symbols, of first order x' = f(t, x, p) or second order q'' = f(t, q, p).
 
-    `state` is x or q, `velocity` the symbol of q' (second order only). `reversal` and `half_period` are the signs
-    R and P, one for each component of the full state (x, or q then q'), of a time reversal x(-t) = R x(t) and of
-    x(t + T/2) = P x(t). `normalisation` is an expression that vanishes at phase zero of the wanted orbits: it fixes
-    their amplitude (and, where no reversal does, their phase: it is stationary there). `hamiltonian` is conserved.
-    `shown` are factors, one a component of `state`, that make of it what users see: errors are measured there as well.
+    `state` is x or q, `velocity` the symbol of q' (second order only), `parameters` p (none by default), `time` the
+    symbol t of a model that is forced, with `forcing_period`, a number or an expression in p. `outputs` are named
+    expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
+    state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
+    `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
+    amplitude (and, where no reversal does, their phase: it is stationary there). `shown` are factors, one a component
+    of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values of the
+    parameters; components are called as their symbols unless labels are given. Where `checked`, the declared symmetries
+    and the conserved quantity are evaluated at random points.
 
-    Raises ValueError when the shapes or the symbols do not fit.
+    MX expressions are accepted in models of first order whose state and parameters are one symbol each.
+
+    Raises ValueError when the shapes, the symbols or the declarations do not fit.
     """
 
     name: str
-    state: ca.SX
-    rhs: ca.SX
-    parameters: ca.SX
+    state: Expression
+    rhs: Expression
+    parameters: Expression = field(default_factory=lambda: ca.SX(0, 1))
     order: int = 1
     velocity: ca.SX | None = None
     reversal: Signs | None = None
     half_period: Signs | None = None
-    normalisation: ca.SX | None = None
-    hamiltonian: ca.SX | None = None
+    normalisation: Expression | None = None
+    hamiltonian: Expression | None = None
     shown: tuple[float, ...] | None = None
+    time: Expression | None = None
+    forcing_period: Expression | float | None = None
+    outputs: Mapping[str, Expression] = field(default_factory=dict)
+    nominal: tuple[float, ...] | None = None
+    state_labels: tuple[str, ...] | None = None
+    parameter_labels: tuple[str, ...] | None = None
+    checked: bool = True
 
     def __post_init__(self) -> None:
-        if self.order not in (1, 2):
-            raise ValueError(f"{self.name}: order {self.order}; accepted: 1 or 2")
-        if self.rhs.shape != self.state.shape:
-            raise ValueError(f"{self.name}: right-hand side of shape {self.rhs.shape}, state {self.state.shape}")
-        if (self.velocity is None) != (self.order == 1):
-            raise ValueError(f"{self.name}: a velocity symbol belongs to a model of second order, and only there")
-        if self.velocity is not None and self.velocity.shape != self.state.shape:
-            raise ValueError(f"{self.name}: velocity of shape {self.velocity.shape}, state {self.state.shape}")
-        if self.shown is not None and len(self.shown) != self.size:
-            raise ValueError(f"{self.name}: shown needs {self.size} factors, given {len(self.shown)}")
-        known = {s.element_hash() for s in ca.symvar(ca.vertcat(self.full_state, self.parameters))}
-        for label in ("rhs", "normalisation", "hamiltonian"):
-            expression = getattr(self, label)
-            strangers = [] if expression is None else ca.symvar(expression)
-            unknown = [s.name() for s in strangers if s.element_hash() not in known]
-            if unknown:
-                raise ValueError(f"{self.name}: {label} depends on {', '.join(unknown)}, which is not declared")
-        if self.velocity is not None and ca.depends_on(self.rhs, self.velocity):
-            raise ValueError(f"{self.name}: a second-order right-hand side that depends on velocity; write first order")
-        for label, signs in (("reversal", self.reversal), ("half_period", self.half_period)):
-            if signs is not None and (len(signs) != self.full_size or set(signs) - {1, -1}):
-                raise ValueError(f"{self.name}: {label} needs {self.full_size} signs, each +1 or -1")
+        if isinstance(self.state, ca.MX) and self.parameters.numel() == 0:
+            object.__setattr__(self, "parameters", ca.MX.sym("p", 0))
+        check_declarations(self)
+        if self.checked:
+            self.check_symmetries()
 
     @property
     def size(self) -> int:
@@ -70,14 +70,39 @@ class OdeModel:
         return self.size * self.order
 
     @property
-    def full_state(self) -> ca.SX:
+    def full_state(self) -> Expression:
         """The first-order state: x, or positions then velocities."""
         return self.state if self.velocity is None else ca.vertcat(self.state, self.velocity)
 
     @property
-    def full_rhs(self) -> ca.SX:
+    def full_rhs(self) -> Expression:
         """Time derivative of `full_state`."""
         return self.rhs if self.velocity is None else ca.vertcat(self.velocity, self.rhs)
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the components of the first-order state."""
+        return names_of(self.full_state, self.state_labels)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return names_of(self.parameters, self.parameter_labels)
+
+    @property
+    def forced(self) -> bool:
+        """Whether time enters the right-hand side by itself."""
+        return self.time is not None
+
+    @cached_property
+    def vector_field(self) -> ca.Function:
+        """Function (t, x, p) -> dense time derivative of the first-order state x."""
+        return self.function("field", ca.densify(self.full_rhs))
+
+    def function(self, name: str, *results: Expression) -> ca.Function:
+        """Function (t, x, p) of the first-order state x with the given expressions as results."""
+        time = type(self.state).sym("t") if self.time is None else self.time
+        return ca.Function(name, [time, self.full_state, self.parameters], list(results))
 
     def rhs_and_jacobian(self) -> ca.Function:
         """Function (state, parameters) -> (rhs, sparse d rhs/d state, d rhs/d parameters)."""
@@ -98,6 +123,13 @@ class OdeModel:
             half_period=self.half_period,
             normalisation=self.normalisation,
             hamiltonian=self.hamiltonian,
+            time=self.time,
+            forcing_period=self.forcing_period,
+            outputs=self.outputs,
+            nominal=self.nominal,
+            state_labels=self.state_labels,
+            parameter_labels=self.parameter_labels,
+            checked=False,  # these are the same declarations
         )
 
     def check_symmetries(self, trials: int = 5, seed: int = 0) -> None:
@@ -105,24 +137,17 @@ class OdeModel:
 
         Raises ValueError naming the first declaration that does not hold.
         """
-        x, p, field = self.full_state, self.parameters, self.full_rhs
-        energy_rate = ca.SX(0) if self.hamiltonian is None else ca.jacobian(self.hamiltonian, x) @ field
-        evaluate = ca.Function("check", [x, p], [field, energy_rate])
-        generator = np.random.default_rng(seed)
-        for _ in range(trials):
-            point, parameter = generator.normal(size=self.full_size), generator.normal(size=p.numel())
-            value, rate = (np.array(r).ravel() for r in evaluate(point, parameter))
-            if not np.all(np.isfinite(value)):  # perhaps a root or a logarithm of a parameter
-                parameter = np.abs(parameter)
-                value, rate = (np.array(r).ravel() for r in evaluate(point, parameter))
-            if not (np.all(np.isfinite(value)) and np.all(np.isfinite(rate))):
-                raise ValueError(f"{self.name}: the right-hand side or the hamiltonian is not finite at a random point")
-            scale = 1e-12 * (1.0 + np.abs(value).max())
-            for label, signs, sense in (("reversal", self.reversal, -1), ("half_period", self.half_period, 1)):
-                if signs is None:
-                    continue
-                image = np.array(evaluate(np.array(signs) * point, parameter)[0]).ravel()
-                if np.abs(image - sense * np.array(signs) * value).max() > scale:
-                    raise ValueError(f"{self.name}: the declared {label} is not a symmetry of the right-hand side")
-            if abs(rate[0]) > scale * (1.0 + np.abs(point).sum()):
-                raise ValueError(f"{self.name}: the declared hamiltonian is not conserved")
+        check_symmetries(self, trials, seed)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the model to a file that `OdeModel.read` takes; raises ValueError for one that needs a program."""
+        from casadi_skin.models.saved import save
+
+        return save(self, path)
+
+    @staticmethod
+    def read(path: str | Path) -> OdeModel:
+        """The model that `save` wrote; raises ValueError for any other file, in one line."""
+        from casadi_skin.models.saved import read
+
+        return read(path)

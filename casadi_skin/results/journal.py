@@ -20,7 +20,7 @@ from casadi_skin.families.events import StabilityChange
 from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.tools import FamilyTools
-from casadi_skin.results.files import replacing
+from casadi_skin.files import replacing
 from casadi_skin.stability.result import Floquet
 
 

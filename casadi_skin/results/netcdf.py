@@ -14,8 +14,8 @@ from casadi_skin._version import __version__
 from casadi_skin.bvp.tailed import Regime
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.files import replacing
 from casadi_skin.models.chain import Chain
-from casadi_skin.results.files import replacing
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file

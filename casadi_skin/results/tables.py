@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from casadi_skin.families.events import StabilityChange
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.files import replacing
 from casadi_skin.models.chain import Chain
-from casadi_skin.results.files import replacing
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from casadi_skin.families.request import FamilyRequest
+from casadi_skin.files import replacing
 from casadi_skin.models.chain import Chain
-from casadi_skin.results.files import replacing
 from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.tradeoff_cases import measure
 from casadi_skin.studies.tradeoff_measured import (

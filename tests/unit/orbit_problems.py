@@ -29,7 +29,7 @@ CORRECTORS: dict[str, type[NewtonCorrector] | type[IpoptCorrector]] = {
 def asymmetric_oscillator(**changes: Any) -> OdeModel:
     """q'' = -q - p q^2, reversible but not odd, from q(0) = 1/2; written by hand."""
     q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
-    declared: dict[str, Any] = {"reversal": (1, -1), "normalisation": q - 0.5}
+    declared: dict[str, Any] = {"reversal": (1, -1), "normalisation": q - 0.5, "checked": False}
     return OdeModel("asymmetric", q, -q - p * q**2, p, 2, v, **(declared | changes))
 
 
@@ -38,7 +38,7 @@ def predator_and_prey(**changes: Any) -> OdeModel:
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     field = ca.vertcat(x[0] * (p - x[1]), x[1] * (x[0] - 1))
     conserved = x[0] - ca.log(x[0]) + x[1] - p * ca.log(x[1])
-    declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved}
+    declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved, "checked": False}
     return OdeModel("predator and prey", x, field, p, **(declared | changes))
 
 
