@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.correctors.ladder import ErrorEstimate
 from casadi_skin.families.layout import Alone
@@ -124,7 +124,7 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
     return lines
 
 
-def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
+def _first_problem(tools: FamilyTools) -> tuple[Problem, ErrorEstimate]:
     """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
     start = tools.start
     problem, z = start.problem, start.z + start.step * start.tangent
@@ -139,7 +139,7 @@ def _first_problem(tools: FamilyTools) -> tuple[OrbitProblem, ErrorEstimate]:
         problem, z = finer, problem.prolong(correction.z, finer)
 
 
-def _transcription(request: FamilyRequest, problem: OrbitProblem) -> str:
+def _transcription(request: FamilyRequest, problem: Problem) -> str:
     if request.transcription == "trigonometric":
         return f"trigonometric: positions only, {problem.resolution} odd cosines at the start"
     if isinstance(problem, ShootingProblem):
@@ -149,7 +149,7 @@ def _transcription(request: FamilyRequest, problem: OrbitProblem) -> str:
     return f"{words} with polynomials of degree {request.collocation_degree} at the start"
 
 
-def _cost(scene: Scene, tools: FamilyTools, problem: OrbitProblem, families: int, building: float) -> str:
+def _cost(scene: Scene, tools: FamilyTools, problem: Problem, families: int, building: float) -> str:
     """Cost from one measured solve (and one transition matrix), times the usual number of points."""
     start = tools.start
     z = start.problem.prolong(start.z + start.step * start.tangent, problem)

@@ -1,6 +1,6 @@
-"""Collocation on intervals of a quarter, half or full period, for any model of first order.
+"""Collocation of a boundary-value problem on the intervals of a mesh.
 
-On each of K intervals the orbit is a polynomial of degree d that satisfies the equations at d stages, written as the
+On each of K intervals the solution is a polynomial of degree d that satisfies the equations at d stages, written as the
 equivalent implicit Runge-Kutta method (Hairer, Lubich and Wanner 2006, section II.1): the ends of the intervals
 converge with the order of the method, the rest with order d + 1. The lengths of the intervals are constants of the
 compiled equations, so that the mesh may follow the solution.
@@ -13,28 +13,33 @@ import numpy as np
 
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import CollocationTable
-from casadi_skin.bvp.fields import border_conditions, unfolded_field
-from casadi_skin.bvp.first_order import FirstOrderProblem
-from casadi_skin.bvp.problem import Array, Indices, OrbitProblem, sparse_matrix
-from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.bvp.problem import Array, Indices, Problem, sparse_matrix
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
 
-class CollocationProblem(FirstOrderProblem):
-    """Equations of K intervals with d stages; unknowns ordered in time: x_0, X_11 .. X_1d, x_1, ..., x_K.
+class CollocationEquations(Problem):
+    """Equations of K intervals with d stages; unknowns ordered in time, x_0, X_11 .. X_1d, x_1, ..., x_K, then scalars.
 
-    `constants` are the lengths of the intervals relative to their sum. Raises ValueError for missing symmetries.
+    `constants` are the lengths of the intervals relative to their sum.
     """
 
-    def __init__(self, model: OdeModel, intervals: int, symmetry: SymmetryClass, table: CollocationTable) -> None:
-        super().__init__(model, intervals, symmetry)
-        self.table, self.degree = table, table.degree
+    formulation: Formulation
+    table: CollocationTable
+
+    def _discretise(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
+        """Set what the equations are made of."""
+        self.formulation, self.table, self.resolution = formulation, table, intervals
+        self.degree = table.degree
         self.columns = intervals * table.ends.size + 1
-        self.states = model.full_size * self.columns
+        self.states = formulation.states * self.columns
         self.constants = mesh.uniform(intervals)
+
+    @property
+    def size(self) -> int:
+        return self.states + int(self.formulation.scalars.numel())
 
     # Equations ------------------------------------------------------------------------------------------------------
 
@@ -46,30 +51,36 @@ class CollocationProblem(FirstOrderProblem):
         return stage, start, start + np.tile(np.arange(1, rows + 1), K)
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        n, K, d, table = self.model.full_size, self.resolution, self.degree, self.table
+        n, K, d, table = self.formulation.states, self.resolution, self.degree, self.table
         z = ca.MX.sym("z", self.size)
-        values = ca.reshape(z[: self.states], n, self.columns)
-        Omega, p = z[self.Omega_index], z[self.parameter_index]
-        damping = z[self.damping_index] if self.unfolded else ca.MX(0)
+        values, scalars = ca.reshape(z[: self.states], n, self.columns), z[self.states :]
         stage, start, target = self._columns()
-
-        parameters = ca.repmat(ca.vertcat(p, damping), 1, K * d)
-        F, dF_dx, dF_dp = unfolded_field(self.model).map(K * d)(values[:, stage.tolist()], parameters)
-        steps = self.symmetry.value * 2.0 * np.pi / Omega * self.constants_symbol
+        places = self._places()
+        repeated = ca.repmat(scalars, 1, K * d)
+        at_stages = values[:, stage.tolist()]
+        F, dF_dx, dF_dscalars = self.formulation.field_function.map(K * d)(places, at_stages, repeated)
         # Increments from stage derivatives: (K d) x (K rows), each interval scaled by its length.
-        weights = ca.kron(ca.diag(steps), ca.DM(table.extended.T))
-        increments = F @ weights
-        collocation = values[:, target.tolist()] - values[:, start.tolist()] - increments
-        conditions = border_conditions(self.model, self.pinned, self.unfolded)(values[:, 0], values[:, -1], p)
-        residual = ca.vertcat(ca.vec(collocation), conditions[0])
+        weights = ca.kron(ca.diag(self.constants_symbol), ca.DM(table.extended.T))
+        collocation = values[:, target.tolist()] - values[:, start.tolist()] - F @ weights
+        conditions = self.formulation.condition_function(values[:, 0], values[:, -1], scalars)
+        residual = [ca.vec(collocation), conditions[0]]
+        jacobian = self._differences() + self._stiffness(dF_dx) + self._borders(dF_dscalars, weights, conditions[1:])
+        if self.formulation.integrals:
+            e, de_dx, de_dscalars = self.formulation.integrand_function.map(K * d)(places, at_stages, repeated)
+            quadrature = ca.vec(ca.kron(self.constants_symbol, ca.DM(table.extended[-1])))
+            residual.append(e @ quadrature)
+            jacobian += self._integral_rows(de_dx, de_dscalars, quadrature)
+        return z, ca.vertcat(*residual), jacobian
 
-        jacobian = self._differences() + self._stiffness(dF_dx, steps)
-        jacobian += self._borders(increments / Omega, dF_dp, weights, conditions[1:])
-        return z, residual, jacobian
+    def _places(self) -> ca.MX:
+        """Where the stages are in [0, 1], shape (1, K d)."""
+        lengths = self.constants_symbol
+        starts = ca.cumsum(lengths) - lengths
+        return ca.vec(ca.repmat(starts.T, self.degree, 1) + ca.DM(self.table.nodes) @ lengths.T).T
 
     def _differences(self) -> ca.MX:
         """Derivative of the differences of state values: 1 at the end and -1 at the start of every increment."""
-        n, shape = self.model.full_size, (self.size - 1, self.size)
+        n, shape = self.formulation.states, (self.size - 1, self.size)
         _, start, target = self._columns()
         rows = np.arange(start.size * n)
         ones = ca.MX(ca.DM(np.ones(rows.size)))
@@ -78,14 +89,15 @@ class CollocationProblem(FirstOrderProblem):
         at_target, at_start = (sparse_matrix(shape, rows, column, ones) for column in ends)
         return at_target - at_start
 
-    def _stiffness(self, dF_dx: ca.MX, steps: ca.MX) -> ca.MX:
+    def _stiffness(self, dF_dx: ca.MX) -> ca.MX:
         """Derivative of the increments by the states; `dF_dx` holds one sparse block a stage."""
-        n, K, d, extended = self.model.full_size, self.resolution, self.degree, self.table.extended
+        n, K, d, extended = self.formulation.states, self.resolution, self.degree, self.table.extended
         stage, _, _ = self._columns()
-        r, c = (np.array(t, dtype=np.int64) for t in unfolded_field(self.model).sparsity_out(1).get_triplet())
+        pattern = self.formulation.field_function.sparsity_out(1).get_triplet()
+        r, c = (np.array(t, dtype=np.int64) for t in pattern)
         entries = ca.reshape(dF_dx.nz[:], r.size, K * d)
         interval, j = np.arange(K * d) // d, np.arange(K * d) % d
-        lengths = steps[interval.tolist()].T
+        lengths = self.constants_symbol[interval.tolist()].T
         total = ca.MX(self.size - 1, self.size)
         for i, row_weights in enumerate(extended):
             scaled = -entries * ca.repmat(lengths * ca.DM(row_weights[j]).T, r.size, 1)
@@ -94,35 +106,51 @@ class CollocationProblem(FirstOrderProblem):
             total += sparse_matrix((self.size - 1, self.size), rows, columns, ca.vec(scaled))
         return total
 
-    def _borders(self, by_Omega: ca.MX, dF_dp: ca.MX, weights: ca.MX, conditions: tuple[ca.MX, ...]) -> ca.MX:
-        """Columns of Omega, parameter and damping; and the rows of the conditions from their derivatives."""
-        n = self.model.full_size
-        bottom = by_Omega.numel()
-        every = np.arange(bottom)
-        dF_dp = ca.reshape(dF_dp, 2 * n, -1)  # column by column: dF/dp above dF/d(damping)
-        dense = [(self.Omega_index, by_Omega), (self.parameter_index, -(dF_dp[:n, :] @ weights))]
-        if self.unfolded:
-            dense.append((self.damping_index, -(dF_dp[n:, :] @ weights)))
+    def _borders(self, dF_dscalars: ca.MX, weights: ca.MX, conditions: tuple[ca.MX, ...]) -> ca.MX:
+        """Columns of the scalars; and the rows of the conditions from their derivatives."""
+        n, bottom = self.formulation.states, self.states - self.formulation.states
+        every, count = np.arange(bottom), self.size - self.states
+        by_scalars = ca.reshape(dF_dscalars, count * n, -1)  # column by column: one block of n rows a scalar
         triplets: Triplets = ([], [], [])
-        for index, values in dense:
-            _append(triplets, every, np.full(bottom, index), ca.vec(values))
-        for derivative, offset in zip(conditions, (0, self.states - n, self.parameter_index), strict=True):
+        for k in range(count):
+            increments = -(by_scalars[k * n : (k + 1) * n, :] @ weights)
+            _append(triplets, every, np.full(bottom, self.states + k), ca.vec(increments))
+        for derivative, offset in zip(conditions, (0, bottom, self.states), strict=True):
             rows, columns = (np.array(t, dtype=np.int64) for t in derivative.sparsity().get_triplet())
             _append(triplets, rows + bottom, columns + offset, derivative.nz[:])
+        return self._assembled(triplets)
+
+    def _integral_rows(self, de_dx: ca.MX, de_dscalars: ca.MX, quadrature: ca.MX) -> ca.MX:
+        """Rows of the integral conditions, which are the last."""
+        n, m, count = self.formulation.states, self.formulation.integrals, self.size - self.states
+        stage, _, _ = self._columns()
+        first = self.size - 1 - m
+        triplets: Triplets = ([], [], [])
+        at_stages = ca.reshape(de_dx, m * n, -1) * ca.repmat(quadrature.T, m * n, 1)  # a column a stage
+        component, integral = np.arange(m * n) // m, np.arange(m * n) % m
+        columns = (stage[:, None] * n + component).ravel()
+        _append(triplets, np.tile(first + integral, stage.size), columns, ca.vec(at_stages))
+        by_scalars = ca.reshape(de_dscalars, m * count, -1) @ quadrature
+        scalar, integral = np.arange(m * count) // m, np.arange(m * count) % m
+        _append(triplets, first + integral, self.states + scalar, by_scalars)
+        return self._assembled(triplets)
+
+    def _assembled(self, triplets: Triplets) -> ca.MX:
         rows, columns = (np.concatenate(t) for t in triplets[:2])
         return sparse_matrix((self.size - 1, self.size), rows, columns, ca.vertcat(*triplets[2]))
 
     # Values ---------------------------------------------------------------------------------------------------------
 
-    def _phases(self) -> Array:
+    def _fractions(self) -> Array:
+        """Where the columns of state values are in [0, 1], shape (columns,)."""
         starts = mesh.edges(self.constants)[:-1]
         inner = starts[:, None] + self.constants[:, None] * self.table.ends
-        return self.symmetry.value * 2.0 * np.pi * np.concatenate([[0.0], inner.ravel()])
+        return np.concatenate([[0.0], inner.ravel()])
 
     def _interpolate(self, z: Array, fractions: Array) -> Array:
-        """Full states at fractions of the part of the period, shape (len(fractions), full_size)."""
+        """States at fractions of the interval, shape (len(fractions), components)."""
         K, rows = self.resolution, self.table.ends.size
-        values = z[: self.states].reshape(self.columns, self.model.full_size)
+        values = z[: self.states].reshape(self.columns, self.formulation.states)
         starts = mesh.edges(self.constants)
         interval = np.clip(np.searchsorted(starts, fractions, side="right") - 1, 0, K - 1)
         support = np.append(0.0, self.table.ends)
@@ -136,37 +164,36 @@ class CollocationProblem(FirstOrderProblem):
         columns = interval[:, None] * rows + np.arange(rows + 1)
         return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
-    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
-        assert isinstance(finer, CollocationProblem)
-        fractions = finer._phases() / (self.symmetry.value * 2.0 * np.pi)
-        return np.concatenate([self._interpolate(z, fractions).ravel(), z[self.states :]])
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        fractions, signs = unfolded_phases(self.model, self.symmetry, theta)
-        full = signs * self._interpolate(z, fractions)
-        return np.asarray(full[:, : self.model.size])
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        assert isinstance(finer, CollocationEquations)
+        return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
 
     # The mesh -------------------------------------------------------------------------------------------------------
 
+    def _component_sizes(self, values: Array) -> Array:
+        """What changes of each component of the states, shape (columns, components), are measured by."""
+        return np.full(values.shape[1], float(np.max(np.abs(values))))
+
     def _density(self, z: Array) -> Array:
-        """Wanted density of intervals for the orbit z, see `mesh.density`."""
+        """Wanted density of intervals for the solution z, see `mesh.density`."""
         K, d, rows = self.resolution, self.degree, self.table.ends.size
-        values = z[: self.states].reshape(self.columns, self.model.full_size)
+        values = z[: self.states].reshape(self.columns, self.formulation.states)
+        values = values / self._component_sizes(values)
         columns = np.arange(K)[:, None] * rows + np.arange(d + 1)
         weights = _barycentric(np.append(0.0, self.table.nodes))  # the start and the stages determine the polynomial
-        noise = MESH_NOISE * float(np.max(np.abs(values)) * np.sum(np.abs(weights)))
+        noise = MESH_NOISE * float(np.sum(np.abs(weights)))
         return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, values[columns]), d, noise)
 
-    def transferred(self, other: OrbitProblem) -> OrbitProblem:
+    def transferred(self, other: Problem) -> Problem:
         return other.with_constants(mesh.resampled(self.constants, other.resolution))
 
-    def placed(self, z: Array, other: OrbitProblem) -> OrbitProblem:
+    def placed(self, z: Array, other: Problem) -> Problem:
         return other.with_constants(mesh.equidistributed(self.constants, self._density(z), other.resolution))
 
     def imbalance(self, z: Array) -> float:
         return mesh.imbalance(self.constants, self._density(z))
 
-    def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
         parts = self.constants * self._density(z)
         growth = float(np.sum(parts)) / other.resolution / float(np.max(parts))
         return error * growth ** (self.degree + 1)

@@ -6,7 +6,8 @@ from abc import abstractmethod
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components
 from casadi_skin.models.ode import OdeModel
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from casadi_skin.bvp.butcher import gauss_table
-from casadi_skin.bvp.collocation import CollocationProblem
+from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.ode import OdeModel
 

@@ -1,4 +1,4 @@
-"""A periodic orbit as equations with one unknown more: what every transcription offers to correctors and walkers."""
+"""Equations with one unknown more: what every transcription offers to correctors and walkers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.models.ode import OdeModel
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 EPSILON = float(np.finfo(float).eps)
-FREQUENCY_WEIGHT = 20.0  # a relative change of 5 per cent in Omega counts as much as a wholly new profile
 
 
 class Scalar(Enum):
@@ -54,43 +50,30 @@ class _Buffers:
         return self._results[0].copy(), self._results[1].copy()
 
 
-class OrbitProblem(ABC):
-    """Unknowns z = (state values, Omega, parameter, ...), one more than equations R(z) = 0, and the sparse dR/dz.
+class Problem(ABC):
+    """Unknowns z = (state values, scalars), one more than equations R(z) = 0, and the sparse dR/dz.
 
-    Subclasses are transcriptions. State values come first in z; `size` counts unknowns, `size - 1` equations. The
-    one free parameter is that of the model; the last equation is the model's normalisation. `constants` are numbers
-    in the equations, such as interval lengths, that may change without anything being built again.
+    State values come first in z; `size` counts unknowns, `size - 1` equations. One of the scalars is the free
+    parameter that a walk follows. `constants` are numbers in the equations, such as interval lengths, that may change
+    without anything being built again.
     """
 
-    model: OdeModel
-    symmetry: SymmetryClass
     resolution: int
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
     constants: Array = np.zeros(0)
-    holds_linear_modes: bool = False  # exactly, at every resolution
 
     @abstractmethod
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """Symbols z, residual R(z), sparse Jacobian dR/dz assembled from its structure; see `constants_symbol`."""
 
     @abstractmethod
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        """Unknowns of the orbit with q(theta) = positions cos(theta), shape (size,)."""
+    def prolong(self, z: Array, finer: Self) -> Array:
+        """The same solution in the unknowns of another resolution of the same transcription."""
 
     @abstractmethod
-    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
-        """The same orbit in the unknowns of another resolution of the same transcription."""
-
-    @abstractmethod
-    def _spread(self, factors: Array) -> Array:
-        """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
-
-    @cached_property
-    def shown(self) -> Array | None:
-        """Factors that make of the state values what users see, shape (states,); None where these are the same."""
-        factors = self.model.shown
-        return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
+    def profile_change(self, z: Array, step: Array) -> float:
+        """What a step from z changes the state by, relative to its size."""
 
     def row_of(self, held: Scalar) -> Array:
         """Row that holds Omega or the free parameter, shape (size,)."""
@@ -101,10 +84,6 @@ class OrbitProblem(ABC):
     def parameter_row(self) -> Array:
         """Row that holds the free parameter, shape (size,)."""
         return self.row_of(Scalar.PARAMETER)
-
-    @abstractmethod
-    def sample(self, z: Array, theta: Array) -> Array:
-        """Positions (states, in a model of first order) at phases theta = Omega t, shape (len(theta), model.size)."""
 
     @property
     @abstractmethod
@@ -124,13 +103,20 @@ class OrbitProblem(ABC):
         """Place of Omega among the unknowns."""
         return self.index_of(Scalar.OMEGA)
 
-    def frequency(self, z: Array) -> float:
-        """Omega of z."""
-        return float(z[self.Omega_index])
+    @abstractmethod
+    def sample(self, z: Array, theta: Array) -> Array:
+        """States (positions, in a family of second order) at places of the solution, shape (len(theta), components).
 
+        Places are phases Omega t of an orbit, or the independent variable.
+        """
+
+    @abstractmethod
+    def frequency(self, z: Array) -> float:
+        """Omega of z; 1 where there is none."""
+
+    @abstractmethod
     def frequency_step(self, z: Array, step: Array) -> float:
-        """What a small step from z changes Omega by."""
-        return float(step[self.Omega_index])
+        """What a small step from z changes Omega by; where there is none, the largest relative change of a scalar."""
 
     @property
     def parameter_index(self) -> int:
@@ -152,7 +138,7 @@ class OrbitProblem(ABC):
         """CasADi Function (z, constants) -> (R, dR/dz)."""
         z, residual, jacobian = self.symbols
         arguments = [z, self.constants_symbol]
-        return ca.Function("orbit", arguments, [ca.densify(residual), jacobian], ["z", "constants"], ["R", "dR_dz"])
+        return ca.Function("equations", arguments, [ca.densify(residual), jacobian], ["z", "constants"], ["R", "dR_dz"])
 
     @cached_property
     def pattern(self) -> tuple[Indices, Indices]:
@@ -182,20 +168,20 @@ class OrbitProblem(ABC):
 
     # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
 
-    def transferred(self, other: OrbitProblem) -> OrbitProblem:
+    def transferred(self, other: Problem) -> Problem:
         """The problem `other`, of another resolution, with its unknowns placed as they are here."""
         return other
 
-    def placed(self, z: Array, other: OrbitProblem) -> OrbitProblem:
-        """The problem `other`, of any resolution, with its unknowns placed where the orbit z needs them."""
+    def placed(self, z: Array, other: Problem) -> Problem:
+        """The problem `other`, of any resolution, with its unknowns placed where the solution z needs them."""
         return other
 
     def imbalance(self, z: Array) -> float:
-        """How unevenly the difficulty of the orbit z is spread over the unknowns, as largest over mean; 1 is best."""
+        """How unevenly the difficulty of z is spread over the unknowns, as largest over mean; 1 is best."""
         return 1.0
 
-    def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
-        """Relative error to expect of the orbit z on `other`, no finer, once placed for z; from its `error` here."""
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
+        """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
     @property
@@ -215,7 +201,11 @@ class OrbitProblem(ABC):
 
     def place(self, equation: int) -> str:
         """Where an equation, counted from 0, holds, in words; transcriptions know more."""
-        return "the normalisation" if equation == self.size - 2 else f"equation {equation + 1} of {self.size - 1}"
+        return f"equation {equation + 1} of {self.size - 1}"
+
+    def whereabouts(self, z: Array) -> str:
+        """Which solution z is, in words."""
+        return f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
 
     def worst(self, z: Array) -> str:
         """The largest residual at z and where it is, in words."""
@@ -224,8 +214,7 @@ class OrbitProblem(ABC):
         except ArithmeticError as error:
             return str(error)
         equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
-        where = f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
-        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {where}"
+        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {self.whereabouts(z)}"
 
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""
@@ -235,10 +224,6 @@ class OrbitProblem(ABC):
         largest = np.max(np.abs(nonzeros[inside] * z[columns[inside]]), initial=1.0)
         return float(np.max(np.abs(residual)) / largest)
 
+    @abstractmethod
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of the relative metric |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
-        weights = np.ones(self.size)
-        weights[: self.states] = 1.0 / (z[: self.states] @ z[: self.states])
-        weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
-        weights[self.parameter_index] = 1.0 / parameter_scale**2
-        return weights
+        """Diagonal of the relative metric at z in which walks measure lengths, shape (size,)."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.bvp.fields import border_conditions, unfolded_field
 from casadi_skin.bvp.first_order import FirstOrderProblem
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.segment import SegmentFlow
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.correctors.bordered import SingularError
@@ -98,7 +98,7 @@ class ShootingProblem(FirstOrderProblem):
     def _phases(self) -> Array:
         return self.symmetry.value * 2.0 * np.pi * np.arange(self.segments + 1) / self.segments
 
-    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
+    def prolong(self, z: Array, finer: Problem) -> Array:
         assert isinstance(finer, ShootingProblem)
         assert finer.segments == self.segments
         return z.copy()

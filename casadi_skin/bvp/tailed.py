@@ -8,7 +8,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import FREQUENCY_WEIGHT, Array, Scalar
+from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
+from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.tail_parameter import TailParameter, TailValues
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel

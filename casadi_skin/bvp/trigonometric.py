@@ -12,7 +12,8 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, sparse_matrix
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, sparse_matrix
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.ode import OdeModel
 
@@ -148,7 +149,7 @@ class TrigonometricProblem(OrbitProblem):
         """Coefficients c_k of cos((2k+1) theta), shape (model.size, harmonics)."""
         return z[: self.states].reshape(self.model.size, self.resolution) @ self._to_coefficients
 
-    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
+    def prolong(self, z: Array, finer: Problem) -> Array:
         H = self.resolution
         values = z[: self.states].reshape(self.model.size, H) @ prolongation_matrix(H, finer.resolution)
         return np.concatenate([values.ravel(), z[self.states :]])
@@ -163,7 +164,7 @@ class TrigonometricProblem(OrbitProblem):
     def round_off(self) -> float:
         return EPSILON * (10.0 + 0.2 * self.resolution)
 
-    def expected_error(self, z: Array, error: float, other: OrbitProblem) -> float:
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
         lost = np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1)
         sizes = np.max(np.abs(z[: self.states].reshape(self.model.size, -1)), axis=1)
         ratio = np.max(lost) / np.max(sizes)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
+from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.locating import Locator
 from casadi_skin.continuation.points import End, Point, Target
@@ -26,7 +26,7 @@ START_FRACTION = 1e-3  # of the first point walked: where the family's first poi
 class _Departure:
     """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on."""
 
-    problem: OrbitProblem
+    problem: Problem
     z: Array
     t: Array
     weights: Array
@@ -88,7 +88,7 @@ class ArclengthWalk:
         self.detail = f"{self.detail or self.locator.failure}; {advice}".removeprefix("; ")
         return None
 
-    def _departure(self, current: Point, problem: OrbitProblem) -> _Departure:
+    def _departure(self, current: Point, problem: Problem) -> _Departure:
         """The current point and the way on from it in the unknowns of `problem`."""
         z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
         weights = self.locator.metric(problem, z)
@@ -118,9 +118,7 @@ class ArclengthWalk:
             return None
         return replace(point, step=self._next_step(problem, guess, correction, step, angle))
 
-    def _next_step(
-        self, problem: OrbitProblem, guess: Array, correction: Correction, step: float, angle: float
-    ) -> float:
+    def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
         """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
         weights = self.locator.metric(problem, correction.z)
         missed = float(np.sqrt(np.sum(weights * (correction.z - guess) ** 2))) / step

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import Point, Target, WalkSettings
 from casadi_skin.correctors.base import Correction
@@ -34,14 +35,14 @@ class Locator:
 
     # Geometry -------------------------------------------------------------------------------------------------------
 
-    def metric(self, problem: OrbitProblem, z: Array) -> Array:
+    def metric(self, problem: Problem, z: Array) -> Array:
         return problem.metric(z, abs(self.settings.parameter_max))
 
-    def factor(self, problem: OrbitProblem, z: Array, row: Array) -> Solve:
+    def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
         """Solver of the Jacobian at z closed by `row`; raises SingularError."""
         return self.ladder.solver(problem).factor(z, problem.evaluate(z)[1], row)
 
-    def tangent(self, problem: OrbitProblem, z: Array, solve: Solve) -> Array:
+    def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
         """Unit tangent at z with row . t > 0, by the solver closed by that row."""
         unit = np.zeros(problem.size)
         unit[-1] = 1.0
@@ -56,6 +57,7 @@ class Locator:
         direction = float(np.sign(self.settings.parameter_max))
         for resolution in self.ladder.rungs:
             problem = self.ladder.problem(resolution)
+            assert isinstance(problem, OrbitProblem)
             z = problem.pack(positions, Omega, 0.0)
             solve = self.factor(problem, z, direction * problem.parameter_row())
             own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
@@ -67,7 +69,7 @@ class Locator:
 
     # Correcting -----------------------------------------------------------------------------------------------------
 
-    def correct(self, problem: OrbitProblem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
+    def correct(self, problem: Problem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
         """Corrected point within the guard's fraction of `reach` of the guess, or None."""
         correction = self.ladder.corrector(problem).correct(guess, row, value)
         if not correction.converged or problem.frequency(correction.z) <= 0:
@@ -83,7 +85,7 @@ class Locator:
 
     def refined(
         self,
-        problem: OrbitProblem,
+        problem: Problem,
         correction: Correction,
         row: Array,
         held: Scalar | None = None,
@@ -133,7 +135,7 @@ class Locator:
             problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
 
     def near(
-        self, problem: OrbitProblem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
+        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
     ) -> Point | None:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
         point, relative = self._measured(problem, correction, tangent, held)
@@ -141,7 +143,7 @@ class Locator:
         return point if finished else self.refined(problem, correction, row, held, (point, relative))
 
     def _measured(
-        self, problem: OrbitProblem, correction: Correction, tangent: Array, held: Scalar | None
+        self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
         error, better = self.ladder.refined(problem, correction.z, tangent, held)
@@ -152,7 +154,7 @@ class Locator:
         return point, relative
 
     def _closing(
-        self, problem: OrbitProblem, target: OrbitProblem, guess: Array, row: Array, tangent: Array, held: Scalar | None
+        self, problem: Problem, target: Problem, guess: Array, row: Array, tangent: Array, held: Scalar | None
     ) -> Array:
         """The row that closes the equations of `target` as `row` closed those of `problem`."""
         if target is problem:
@@ -161,7 +163,7 @@ class Locator:
             return np.asarray(target.row_of(held) * row[problem.index_of(held)])
         return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
 
-    def lighter(self, point: Point) -> OrbitProblem:
+    def lighter(self, point: Point) -> Problem:
         """Where to try the next step from a point: a coarser rung where that is expected to be accurate enough."""
         allowed = COARSEN * self.settings.tolerance
         return self.ladder.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
@@ -207,7 +209,7 @@ class Locator:
         return None if point is None else replace(point, walked=False)
 
     def _exactly(
-        self, problem: OrbitProblem, curve: LocalCurve, sigma: float, target: Target, length: float
+        self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float
     ) -> Point | None:
         """The point at a target near curve(sigma); None where none is found there."""
         guess = curve.at(sigma)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, Scalar
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.correctors.ladder import ErrorEstimate, Refinement
 
 SAME = 1e-12  # relative difference below which a point walked is the one asked for
@@ -24,7 +24,7 @@ class Target:
     held: Scalar
     value: float
 
-    def unknown(self, problem: OrbitProblem) -> tuple[int, float]:
+    def unknown(self, problem: Problem) -> tuple[int, float]:
         """The place in z of what is held, and its value there."""
         return problem.index_of(self.held), problem.unknown_at(self.held, self.value)
 
@@ -85,7 +85,7 @@ class End(Enum):
 class Point:
     """A converged point of the branch with its unit tangent; `step` is the step to try next."""
 
-    problem: OrbitProblem
+    problem: Problem
     z: Array
     tangent: Array
     error: ErrorEstimate

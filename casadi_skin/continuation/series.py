@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem, Scalar
+from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.locating import Locator
 from casadi_skin.continuation.points import End, Point, Target
@@ -53,8 +53,8 @@ class SeriesWalk:
         self,
         locator: Locator,
         history: tuple[Point, ...],
-        recursion: Callable[[OrbitProblem], Recursion],
-        precision: Callable[[OrbitProblem], float],
+        recursion: Callable[[Problem], Recursion],
+        precision: Callable[[Problem], float],
     ) -> None:
         self.locator, self.settings = locator, locator.settings
         self.history = history[-2:]
@@ -191,7 +191,7 @@ class SeriesWalk:
         ]
         return max(1, int(np.ceil(max(most))))
 
-    def _point(self, problem: OrbitProblem, stretch: Stretch, stop: _Stop, reach: float) -> Point | None:
+    def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> Point | None:
         """The corrected point at a stop; None where the corrector does not find it near the series."""
         guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
         weights = self.locator.metric(problem, guess)
@@ -216,7 +216,7 @@ class SeriesWalk:
             self.detail = str(error)
             return None
 
-    def _polished(self, problem: OrbitProblem, guess: Array, row: Array, value: float) -> tuple[Array, Array]:
+    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array]:
         """A Newton step from a point of the series, which leaves the corrector nothing to do, and the tangent.
 
         What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 
 
 class Status(Enum):
@@ -37,9 +37,9 @@ class Correction:
 class Corrector(Protocol):
     """Solves R(z) = 0 together with one held linear condition row . z = value."""
 
-    problem: OrbitProblem
+    problem: Problem
 
-    def on(self, problem: OrbitProblem) -> Corrector:
+    def on(self, problem: Problem) -> Corrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
         ...
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices, OrbitProblem
+from casadi_skin.bvp.problem import Array, Indices, Problem
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
 ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
@@ -52,7 +52,7 @@ class _Band:
     corner: _Entries
 
     @classmethod
-    def of(cls, problem: OrbitProblem) -> _Band | None:
+    def of(cls, problem: Problem) -> _Band | None:
         width, n = problem.half_bandwidth, problem.states
         if width is None or 3 * width >= n:
             return None
@@ -103,7 +103,7 @@ class _BandFactors:
 class BorderedSolver:
     """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
 
-    def __init__(self, problem: OrbitProblem) -> None:
+    def __init__(self, problem: Problem) -> None:
         from scipy.sparse import csc_matrix
 
         self.problem = problem

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.correctors.base import Correction, Status
 from casadi_skin.interrupts import interrupts_deferred
 
@@ -32,7 +32,7 @@ class IpoptCorrector:
     objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
     """
 
-    def __init__(self, problem: OrbitProblem, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
+    def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
         self.problem = problem
         z, residual, jacobian = problem.symbols
         size = problem.size
@@ -85,7 +85,7 @@ class IpoptCorrector:
         buffer.set_res(self._solver.index_out("x"), found.data)
         return buffer, trigger, guess, held, found
 
-    def on(self, problem: OrbitProblem) -> IpoptCorrector:
+    def on(self, problem: Problem) -> IpoptCorrector:
         """This corrector for a problem that differs in its constants only; the solver built is shared."""
         other = copy.copy(self)
         other.problem = problem

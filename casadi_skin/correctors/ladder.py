@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, OrbitProblem, Scalar
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.bordered import BorderedSolver
 
@@ -40,19 +40,15 @@ class ErrorEstimate:
 class Refinement:
     """An orbit on the next finer rung, one Newton step from the orbit prolonged: better by the error estimated."""
 
-    problem: OrbitProblem
+    problem: Problem
     z: Array
 
 
-def step_error(problem: OrbitProblem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
-    """The error that a step from z to the better point makes up for; of the state, in what users see of it as well."""
+def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
+    """The error that a step from z to the better point makes up for."""
     parameter = abs(float(step[problem.parameter_index] / z[problem.parameter_index])) if with_parameter else 0.0
-    move, state, shown = step[: problem.states], z[: problem.states], problem.shown
-    profile = np.max(np.abs(move)) / np.max(np.abs(state))
-    if shown is not None:
-        profile = max(profile, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
-    Omega = abs(problem.frequency_step(z, step))
-    return ErrorEstimate(SAFETY * Omega, SAFETY * float(profile), parameter=SAFETY * parameter)
+    Omega, profile = abs(problem.frequency_step(z, step)), problem.profile_change(z, step)
+    return ErrorEstimate(SAFETY * Omega, SAFETY * profile, parameter=SAFETY * parameter)
 
 
 class Ladder:
@@ -64,34 +60,34 @@ class Ladder:
 
     def __init__(
         self,
-        build: Callable[[int], OrbitProblem],
-        correct_with: Callable[[OrbitProblem], Corrector],
+        build: Callable[[int], Problem],
+        correct_with: Callable[[Problem], Corrector],
         rungs: tuple[int, ...],
     ) -> None:
         self._build, self._correct_with, self.rungs = build, correct_with, rungs
-        self._problems: dict[int, OrbitProblem] = {}
+        self._problems: dict[int, Problem] = {}
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
 
-    def problem(self, resolution: int) -> OrbitProblem:
+    def problem(self, resolution: int) -> Problem:
         """The problem at a resolution."""
         if resolution not in self._problems:
             self._problems[resolution] = self._build(resolution)
         return self._problems[resolution]
 
-    def solver(self, problem: OrbitProblem) -> BorderedSolver:
+    def solver(self, problem: Problem) -> BorderedSolver:
         """The bordered linear solver of a problem."""
         if problem.resolution not in self._solvers:
             self._solvers[problem.resolution] = BorderedSolver(problem)
         return self._solvers[problem.resolution]
 
-    def corrector(self, problem: OrbitProblem) -> Corrector:
+    def corrector(self, problem: Problem) -> Corrector:
         """The corrector of a problem."""
         if problem.resolution not in self._correctors:
             self._correctors[problem.resolution] = self._correct_with(problem)
         return self._correctors[problem.resolution].on(problem)
 
-    def finer(self, problem: OrbitProblem, z: Array | None = None) -> OrbitProblem | None:
+    def finer(self, problem: Problem, z: Array | None = None) -> Problem | None:
         """The next rung above, or None at the top.
 
         Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it.
@@ -103,7 +99,7 @@ class Ladder:
             return problem.placed(z, self.problem(above[0]))
         return problem.transferred(self.problem(above[0]))
 
-    def lighter(self, problem: OrbitProblem, z: Array, error: float, allowed: float) -> OrbitProblem:
+    def lighter(self, problem: Problem, z: Array, error: float, allowed: float) -> Problem:
         """The coarsest rung, its unknowns placed for z, whose relative error is expected below `allowed`.
 
         `error` is that of z on `problem`, which is returned where no coarser rung will do.
@@ -116,12 +112,12 @@ class Ladder:
             found = coarser
         return problem if found is problem else problem.placed(z, found)
 
-    def error(self, problem: OrbitProblem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
+    def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
         """Error of z, from `refined`; infinite at the top of the ladder. Raises SingularError."""
         return self.refined(problem, z, tangent)[0]
 
     def refined(
-        self, problem: OrbitProblem, z: Array, tangent: Array | None = None, held: Scalar | None = None
+        self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None
     ) -> tuple[ErrorEstimate, Refinement | None]:
         """Error of z and the better orbit that shows it: one Newton step on the next finer rung, from z prolonged.
 
@@ -154,7 +150,7 @@ class Ladder:
         return error, Refinement(finer, long_z - step)
 
 
-def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | None) -> Array:
+def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
     """A step brought back to the parameter of z along a tangent, but for the neighbourhood of a fold."""
     index = problem.parameter_index
     if along is None or abs(along[index]) <= FOLD * abs(z[index]):
@@ -164,7 +160,7 @@ def _at_parameter(problem: OrbitProblem, z: Array, step: Array, along: Array | N
     return brought_back
 
 
-def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProblem, z: Array) -> ErrorEstimate:
+def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, z: Array) -> ErrorEstimate:
     """The error, but not below the response to rounding and what rounded constants do."""
     Omega = problem.frequency(z)
     floor = replace(
@@ -180,7 +176,7 @@ def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: OrbitProb
     )
 
 
-def _by_constants(problem: OrbitProblem, z: Array, tangent: Array) -> float:
+def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:
     """Relative error of the parameter at a held Omega by rounded constants, which put Omega off at a held parameter."""
     by_Omega = abs(problem.frequency_step(z, tangent)) / problem.frequency(z)
     by_parameter = abs(float(tangent[problem.parameter_index] / z[problem.parameter_index]))

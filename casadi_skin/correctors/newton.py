@@ -6,7 +6,7 @@ import copy
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.correctors.base import Correction, Status
 from casadi_skin.correctors.bordered import BorderedSolver, SingularError
 
@@ -14,11 +14,11 @@ from casadi_skin.correctors.bordered import BorderedSolver, SingularError
 class NewtonCorrector:
     """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast."""
 
-    def __init__(self, problem: OrbitProblem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
+    def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self._solver = BorderedSolver(problem)
 
-    def on(self, problem: OrbitProblem) -> NewtonCorrector:
+    def on(self, problem: Problem) -> NewtonCorrector:
         """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
         other = copy.copy(self)
         other.problem = problem

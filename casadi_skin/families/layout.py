@@ -8,7 +8,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices, OrbitProblem
+from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.models.chain import Chain
 from casadi_skin.theory.linear import standing_wave
 
@@ -31,15 +31,15 @@ class Layout(Protocol):
         """Numbers of the sites that files and pictures show."""
         ...
 
-    def displacements(self, problem: OrbitProblem, z: Array, theta: Array, sites: Indices | None) -> Array:
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         """rho_n q_n at phases theta of the sites numbered, all by default, shape (len(theta), sites)."""
         ...
 
-    def energy(self, problem: OrbitProblem, z: Array, hamiltonian: ca.Function) -> float:
+    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
         """Energy of the scaled gauge positions at phase zero, where all velocities vanish."""
         ...
 
-    def Omega_shift(self, problem: OrbitProblem, z: Array) -> float:
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
         """Omega - omega_j, formed without subtraction where the shift is small."""
         ...
 
@@ -59,7 +59,7 @@ def _numbered(sites: Indices | None, count: int) -> Indices:
     return np.asarray(sites - 1, dtype=np.int64)
 
 
-def projected(problem: OrbitProblem, z: Array, core: Chain, phi: Array) -> tuple[float, float, float]:
+def projected(problem: Problem, z: Array, core: Chain, phi: Array) -> tuple[float, float, float]:
     """Fundamental of the cubic term and of the positions projected on a mode at the core, and the latter's size.
 
     In the equations of the fundamental their ratio is (Omega^2 - omega_j^2)/kappa, with no cancellation.
@@ -87,15 +87,15 @@ class Whole:
     def shown(self) -> Indices:
         return np.arange(1, self.core.sites + 1)
 
-    def displacements(self, problem: OrbitProblem, z: Array, theta: Array, sites: Indices | None) -> Array:
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         chosen = _numbered(sites, self.core.sites)
         return np.asarray((self.core.rho * problem.sample(z, theta))[:, chosen])
 
-    def energy(self, problem: OrbitProblem, z: Array, hamiltonian: ca.Function) -> float:
+    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
         q = problem.sample(z, np.zeros(1))[0]
         return float(hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
 
-    def Omega_shift(self, problem: OrbitProblem, z: Array) -> float:
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
         Omega, omega = problem.frequency(z), self.core.linear_frequency(self.mode_number)
         cubic, overlap, size = projected(problem, z, self.core, standing_wave(self.core.sites, self.mode_number))
         by_projection = float(z[problem.parameter_index]) * cubic / overlap / (Omega + omega)
@@ -118,7 +118,7 @@ class Alone(Whole):
         """Index of the site that moves."""
         return self.chain.sites - 1 if self.chain.gamma > 0 else 0
 
-    def displacements(self, problem: OrbitProblem, z: Array, theta: Array, sites: Indices | None) -> Array:
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         chosen = _numbered(sites, self.chain.sites)
         everywhere = np.zeros((theta.size, chosen.size))
         everywhere[:, chosen == self.edge] = self.core.rho * problem.sample(z, theta)

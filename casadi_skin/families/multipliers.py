@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.points import Point
 from casadi_skin.correctors.ladder import Refinement
 from casadi_skin.families.tailed import Tailed
@@ -44,7 +44,7 @@ def on_all_sites(tools: FamilyTools, point: Point) -> Point:
     if not isinstance(layout, Tailed):
         return point
 
-    def whole(problem: OrbitProblem, z: Array) -> Refinement:
+    def whole(problem: Problem, z: Array) -> Refinement:
         H = problem.resolution
         theta = (np.arange(H) + 0.5) * np.pi / (2 * H)
         positions = layout.positions(problem, z, theta)

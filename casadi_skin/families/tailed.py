@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices, OrbitProblem
+from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.bvp.tail import Tail
 from casadi_skin.bvp.tail_parameter import TailParameter
 from casadi_skin.bvp.tailed import TailedProblem
@@ -83,7 +83,7 @@ class Tailed:
             raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: {known}")
         return distances
 
-    def displacements(self, problem: OrbitProblem, z: Array, theta: Array, sites: Indices | None) -> Array:
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         m = self.distances(sites)
         decay = m * np.arctanh(abs(self.chain.gamma))
         seen = decay < FAR
@@ -91,11 +91,11 @@ class Tailed:
         y[:, seen] = self._positions(problem, z, theta, m[seen]) * np.exp(-decay[seen])
         return y
 
-    def positions(self, problem: OrbitProblem, z: Array, theta: Array) -> Array:
+    def positions(self, problem: Problem, z: Array, theta: Array) -> Array:
         """Gauge positions of all sites of a finite chain, shape (len(theta), sites)."""
         return self._positions(problem, z, theta, self.distances(None))
 
-    def _positions(self, problem: OrbitProblem, z: Array, theta: Array, m: Indices) -> Array:
+    def _positions(self, problem: Problem, z: Array, theta: Array, m: Indices) -> Array:
         q = np.empty((theta.size, m.size))
         inside = m < self.core.sites
         q[:, inside] = problem.sample(z, theta)[:, self.core.sites - 1 - m[inside]]
@@ -103,7 +103,7 @@ class Tailed:
         q[:, ~inside] = harmonics @ self.tail_coefficients(problem, z, m[~inside] - self.core.sites + 1)
         return q
 
-    def log_positions(self, problem: OrbitProblem, z: Array, m: Indices) -> tuple[Array, Array]:
+    def log_positions(self, problem: Problem, z: Array, m: Indices) -> tuple[Array, Array]:
         """Natural logarithms of |q_n| at phase zero at distances m from the edge, and signs; -inf and 0 in the core."""
         steps = m[m >= self.core.sites] - self.core.sites + 1
         logs, signs = np.full(m.size, -np.inf), np.zeros(m.size)
@@ -116,12 +116,12 @@ class Tailed:
             signs[m >= self.core.sites] = np.sign(total)
         return logs, signs
 
-    def tail_coefficients(self, problem: OrbitProblem, z: Array, steps: Indices) -> Array:
+    def tail_coefficients(self, problem: Problem, z: Array, steps: Indices) -> Array:
         """Coefficients of cos((2 h + 1) theta), `steps` sites beyond the core's first, shape (harmonics, steps)."""
         logs, signs = self._tail_logs(problem, z, steps)
         return signs * np.exp(logs)
 
-    def _tail_logs(self, problem: OrbitProblem, z: Array, steps: Indices) -> tuple[Array, Array]:
+    def _tail_logs(self, problem: Problem, z: Array, steps: Indices) -> tuple[Array, Array]:
         """Natural logarithms and signs of `tail_coefficients`."""
         assert isinstance(problem, TailedProblem)
         values, first = problem.values(z), problem.coefficients(z)[0]
@@ -144,7 +144,7 @@ class Tailed:
 
     # Sums over all sites --------------------------------------------------------------------------------------------
 
-    def energy(self, problem: OrbitProblem, z: Array, hamiltonian: ca.Function) -> float:
+    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
         """Infinite where an infinite tail moves along, as below the threshold.
 
         In the tail L a_k = (k Omega)^2 a_k: products of two harmonics add up to a term at its end (Green's identity).
@@ -162,7 +162,7 @@ class Tailed:
         np.fill_diagonal(products, [f**2 * self.tail.squares(wave) for f, wave in zip(first, waves, strict=True)])
         return core - 0.5 * s * float(q[0] * np.sum(beside)) + 0.5 * float(np.sum(products @ squares))
 
-    def Omega_shift(self, problem: OrbitProblem, z: Array) -> float:
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
         """Beside the band from its edge; in the band by projection, as for a chain of unknown sites alone."""
         assert isinstance(problem, TailedProblem)
         values = problem.values(z)

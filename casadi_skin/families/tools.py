@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.tailed import TailedProblem
@@ -152,13 +152,13 @@ class FamilyTools:
             return ArclengthWalk(self.locator, history)
         from casadi_skin.continuation.series import SeriesWalk
 
-        def precision(problem: OrbitProblem) -> float:
+        def precision(problem: Problem) -> float:
             allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
         return SeriesWalk(self.locator, history, self._recursion, precision)
 
-    def _recursion(self, problem: OrbitProblem) -> TaylorRecursion:
+    def _recursion(self, problem: Problem) -> TaylorRecursion:
         """Power series on one rung of the ladder, made once."""
         from casadi_skin.bvp.recursion import TaylorRecursion
 
@@ -173,7 +173,7 @@ class FamilyTools:
 
         return PolynomialForm.of(self.model)
 
-    def _problem(self, resolution: int) -> OrbitProblem:
+    def _problem(self, resolution: int) -> Problem:
         if isinstance(self.layout, Tailed):
             return TailedProblem(self.model, resolution, self.layout.parameter(resolution))
         if self.request.transcription == "trigonometric":
@@ -188,7 +188,7 @@ class FamilyTools:
         """What a corrector may leave of the residual, relative to the state, where round-off allows it."""
         return float(np.clip(1e-2 * self.request.tolerance, 1e-12, 1e-6))
 
-    def _corrector(self, problem: OrbitProblem) -> Corrector:
+    def _corrector(self, problem: Problem) -> Corrector:
         tolerance = self.corrector_tolerance
         if isinstance(problem, ShootingProblem):
             tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)

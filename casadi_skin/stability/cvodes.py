@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
@@ -67,7 +67,7 @@ class CvodesFlow:
                 "tolerance or flow splitting"
             ) from error
 
-    def transition(self, problem: OrbitProblem, z: Array) -> Transition:
+    def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
         return self.transitions([OrbitState(problem, z)])[0]
 

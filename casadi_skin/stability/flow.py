@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class OrbitState:
     The difference between transition matrices along the orbit and along `better` is the error that the orbit makes.
     """
 
-    problem: OrbitProblem
+    problem: Problem
     z: Array
     better: OrbitState | None = None
 
@@ -64,7 +64,7 @@ class FlowMap(Protocol):
     @property
     def batch(self) -> int: ...
 
-    def transition(self, problem: OrbitProblem, z: Array) -> Transition:
+    def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix along the orbit z of `problem`; raises FlowError where the tolerance is out of reach."""
         ...
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
@@ -90,7 +90,7 @@ class SteppedFlow(ABC):
         nonzeros = self.jacobian(states, parameters).reshape(len(orbits), theta.size, -1)
         return step_map(nonzeros, np.array([duration(o, self.fraction) for o in orbits]))
 
-    def transition(self, problem: OrbitProblem, z: Array) -> Transition:
+    def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
         return self.transitions([OrbitState(problem, z)])[0]
 

@@ -17,7 +17,7 @@ import pytest
 from stopwatch import seconds
 
 from casadi_skin import Chain
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
 from casadi_skin.correctors.bordered import BorderedSolver
 from casadi_skin.correctors.ipopt import IpoptCorrector

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.correctors.base import Corrector
 from casadi_skin.correctors.ipopt import IpoptCorrector

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.bvp.butcher import gauss_table, radau_table
-from casadi_skin.bvp.collocation import CollocationProblem
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import OrbitProblem, Scalar
+from casadi_skin.bvp.orbit_collocation import CollocationProblem
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.correctors.ipopt import IpoptCorrector

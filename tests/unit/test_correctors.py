@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.gauss import GaussProblem
-from casadi_skin.bvp.problem import OrbitProblem
+from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.correctors.base import Corrector, Status

@@ -13,7 +13,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.bvp.problem import OrbitProblem, Scalar
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.locating import Locator

@@ -1,0 +1,60 @@
+"""A boundary-value problem on the unit interval: what collocation needs to know of any, orbits among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from casadi_skin.models.declared import Expression
+
+
+@dataclass(frozen=True, eq=False)
+class Formulation:
+    """dx/ds = field(s, x, sigma) for s in [0, 1], with rows that vanish at the ends and integrals that vanish.
+
+    `s`, `x`, `end` and `scalars` (sigma: Omega or a duration, parameters, unfolding coefficients) are symbols of one
+    kind, SX or MX. `conditions` are expressions in x at the start, in `end` and in sigma; `integrands` are expressions
+    in s, x and sigma. Together they are one less than components of x and scalars: one scalar is held or followed.
+    """
+
+    s: Expression
+    x: Expression
+    end: Expression
+    scalars: Expression
+    field: Expression
+    conditions: Expression
+    integrands: Expression
+
+    @property
+    def states(self) -> int:
+        """Number of components of x."""
+        return int(self.x.numel())
+
+    @property
+    def integrals(self) -> int:
+        """Number of integral conditions."""
+        return int(self.integrands.numel())
+
+    @cached_property
+    def field_function(self) -> ca.Function:
+        """Function (s, x, sigma) -> (F, sparse dF/dx, dense dF/dsigma)."""
+        return self._along("field", self.field, sparse=True)
+
+    @cached_property
+    def integrand_function(self) -> ca.Function:
+        """Function (s, x, sigma) -> (e, dense de/dx, dense de/dsigma)."""
+        return self._along("integrands", self.integrands, sparse=False)
+
+    def _along(self, name: str, values: Expression, sparse: bool) -> ca.Function:
+        by_x, by_scalars = ca.jacobian(values, self.x), ca.densify(ca.jacobian(values, self.scalars))
+        results = [ca.densify(values), by_x if sparse else ca.densify(by_x), by_scalars]
+        return ca.Function(name, [self.s, self.x, self.scalars], results)
+
+    @cached_property
+    def condition_function(self) -> ca.Function:
+        """Function (x at the start, x at the end, sigma) -> (rows, their sparse derivatives by each of the three)."""
+        arguments = [self.x, self.end, self.scalars]
+        derivatives = [ca.jacobian(self.conditions, symbol) for symbol in arguments]
+        return ca.Function("conditions", arguments, [ca.densify(self.conditions), *derivatives])

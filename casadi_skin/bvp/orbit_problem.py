@@ -1,0 +1,64 @@
+"""A periodic orbit as equations with one unknown more: what transcriptions of orbits know beyond other problems."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.models.ode import OdeModel
+
+FREQUENCY_WEIGHT = 20.0  # a relative change of 5 per cent in Omega counts as much as a wholly new profile
+
+
+class OrbitProblem(Problem):
+    """Unknowns z = (state values, Omega, parameter, ...) of an orbit of a family.
+
+    The one free parameter is that of the model; the last equation is the model's normalisation.
+    """
+
+    model: OdeModel
+    symmetry: SymmetryClass
+    holds_linear_modes: bool = False  # exactly, at every resolution
+
+    @abstractmethod
+    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
+        """Unknowns of the orbit with q(theta) = positions cos(theta), shape (size,)."""
+
+    @abstractmethod
+    def _spread(self, factors: Array) -> Array:
+        """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
+
+    @cached_property
+    def shown(self) -> Array | None:
+        """Factors that make of the state values what users see, shape (states,); None where these are the same."""
+        factors = self.model.shown
+        return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
+
+    def profile_change(self, z: Array, step: Array) -> float:
+        """Largest change of a state value relative to the largest state value; of what users see of it as well."""
+        move, state, shown = step[: self.states], z[: self.states], self.shown
+        change = np.max(np.abs(move)) / np.max(np.abs(state))
+        if shown is not None:
+            change = max(change, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
+        return float(change)
+
+    def frequency(self, z: Array) -> float:
+        return float(z[self.Omega_index])
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        return float(step[self.Omega_index])
+
+    def place(self, equation: int) -> str:
+        return "the normalisation" if equation == self.size - 2 else super().place(equation)
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        """Diagonal of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
+        weights = np.ones(self.size)
+        weights[: self.states] = 1.0 / (z[: self.states] @ z[: self.states])
+        weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
+        weights[self.parameter_index] = 1.0 / parameter_scale**2
+        return weights
