@@ -41,6 +41,12 @@ class CollocationEquations(Problem):
     def size(self) -> int:
         return self.states + int(self.formulation.scalars.numel())
 
+    @property
+    def equations(self) -> int:
+        """Number of equations; one less than unknowns but where something is minimised, and there are fewer."""
+        collocation = self.states - self.formulation.states
+        return collocation + int(self.formulation.conditions.numel()) + self.formulation.integrals
+
     # Equations ------------------------------------------------------------------------------------------------------
 
     def _columns(self) -> tuple[Indices, Indices, Indices]:
@@ -80,7 +86,7 @@ class CollocationEquations(Problem):
 
     def _differences(self) -> ca.MX:
         """Derivative of the differences of state values: 1 at the end and -1 at the start of every increment."""
-        n, shape = self.formulation.states, (self.size - 1, self.size)
+        n, shape = self.formulation.states, (self.equations, self.size)
         _, start, target = self._columns()
         rows = np.arange(start.size * n)
         ones = ca.MX(ca.DM(np.ones(rows.size)))
@@ -98,12 +104,12 @@ class CollocationEquations(Problem):
         entries = ca.reshape(dF_dx.nz[:], r.size, K * d)
         interval, j = np.arange(K * d) // d, np.arange(K * d) % d
         lengths = self.constants_symbol[interval.tolist()].T
-        total = ca.MX(self.size - 1, self.size)
+        total = ca.MX(self.equations, self.size)
         for i, row_weights in enumerate(extended):
             scaled = -entries * ca.repmat(lengths * ca.DM(row_weights[j]).T, r.size, 1)
             rows = ((interval * extended.shape[0] + i)[:, None] * n + r).ravel()
             columns = (stage[:, None] * n + c).ravel()
-            total += sparse_matrix((self.size - 1, self.size), rows, columns, ca.vec(scaled))
+            total += sparse_matrix((self.equations, self.size), rows, columns, ca.vec(scaled))
         return total
 
     def _borders(self, dF_dscalars: ca.MX, weights: ca.MX, conditions: tuple[ca.MX, ...]) -> ca.MX:
@@ -124,7 +130,7 @@ class CollocationEquations(Problem):
         """Rows of the integral conditions, which are the last."""
         n, m, count = self.formulation.states, self.formulation.integrals, self.size - self.states
         stage, _, _ = self._columns()
-        first = self.size - 1 - m
+        first = self.equations - m
         triplets: Triplets = ([], [], [])
         at_stages = ca.reshape(de_dx, m * n, -1) * ca.repmat(quadrature.T, m * n, 1)  # a column a stage
         component, integral = np.arange(m * n) // m, np.arange(m * n) % m
@@ -137,7 +143,7 @@ class CollocationEquations(Problem):
 
     def _assembled(self, triplets: Triplets) -> ca.MX:
         rows, columns = (np.concatenate(t) for t in triplets[:2])
-        return sparse_matrix((self.size - 1, self.size), rows, columns, ca.vertcat(*triplets[2]))
+        return sparse_matrix((self.equations, self.size), rows, columns, ca.vertcat(*triplets[2]))
 
     # Values ---------------------------------------------------------------------------------------------------------
 

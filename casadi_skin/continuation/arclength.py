@@ -138,7 +138,7 @@ class ArclengthWalk:
         Sets `end` where the stretch passes the walk's end, also where it folds back before it closes.
         """
         ends, wanted = self.settings.ends, self.settings.wanted
-        if current.parameter == 0.0:
+        if current.parameter == 0.0 and self.settings.tiny_first:
             wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
         inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
         for target, point in self.locator.between(current, following, inside):

@@ -53,6 +53,7 @@ class WalkSettings:
     max_parameter_step: float = 1.0 / 30.0  # of parameter_max: points to draw, and to see stability change between
     min_step: float = 1e-7
     max_points: int = 20_000
+    tiny_first: bool = True  # a point next to the start is among the first ones, where that has no amplitude
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
     aim_angle: float = 8.0

@@ -104,6 +104,23 @@ class OdeModel:
         time = type(self.state).sym("t") if self.time is None else self.time
         return ca.Function(name, [time, self.full_state, self.parameters], list(results))
 
+    @cached_property
+    def ends(self) -> tuple[Expression, Expression]:
+        """Symbols of the first-order state at the start and at the end of an interval."""
+        if isinstance(self.state, ca.MX):
+            return ca.MX.sym("start", self.full_size), ca.MX.sym("end", self.full_size)
+        at = ("start", "end")
+        first, last = (ca.vertcat(*(ca.SX.sym(f"{name}({end})") for name in self.state_names)) for end in at)
+        return first, last
+
+    def start(self, expression: Expression) -> Expression:
+        """An expression in the state, taken at the start of the interval of a boundary-value problem."""
+        return ca.substitute(expression, self.full_state, self.ends[0])
+
+    def end(self, expression: Expression) -> Expression:
+        """An expression in the state, taken at the end of the interval of a boundary-value problem."""
+        return ca.substitute(expression, self.full_state, self.ends[1])
+
     def rhs_and_jacobian(self) -> ca.Function:
         """Function (state, parameters) -> (rhs, sparse d rhs/d state, d rhs/d parameters)."""
         arguments = [self.state, self.parameters]

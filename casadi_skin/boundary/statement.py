@@ -1,0 +1,196 @@
+"""A boundary-value problem as it is stated: a model, what vanishes at the ends and in the mean, what is free."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.arguments import number, shown
+from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.models.declared import Expression
+from casadi_skin.models.ode import OdeModel
+
+if TYPE_CHECKING:
+    from casadi_skin.boundary.guesses import Guess
+    from casadi_skin.boundary.solution import BoundarySolution
+
+HELD = "held"  # name of the scalar that no equation has, where nothing is followed
+Bounds = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class BoundaryValueProblem:
+    """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
+
+    `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
+    t, x and the parameters whose integrals over the `interval` vanish; its ends are numbers or expressions in the
+    parameters. `parameters` are values by name, those of the free ones guesses; where one is left out it is the
+    model's nominal value. Without an objective there are as many conditions and integrals as states and free
+    parameters. `objective`, in ends and parameters, plus the integral of `running` is minimised subject to all these;
+    `bounds` hold states (everywhere) and free parameters by name.
+
+    Raises ValueError, naming what was given and what is accepted, where these do not fit.
+    """
+
+    model: OdeModel
+    conditions: Sequence[Expression]
+    integrals: Sequence[Expression] = ()
+    interval: tuple[Expression | float, Expression | float] = (0.0, 1.0)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    free: Sequence[str] = ()
+    bounds: Bounds = field(default_factory=dict)
+    objective: Expression | None = None
+    running: Expression | None = None
+
+    def __post_init__(self) -> None:
+        _check_names("parameters", self.parameters, self.model.parameter_names)
+        _check_names("free", self.free, self.model.parameter_names)
+        if len(set(self.free)) < len(self.free):
+            raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
+        self._check_values()
+        self._check_expressions()
+        self._check_count()
+        self._check_bounds()
+
+    # Checks ---------------------------------------------------------------------------------------------------------
+
+    def _check_values(self) -> None:
+        for name in self.model.parameter_names:
+            if name not in self.values:
+                raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
+        start, end = (self._end_of_interval(i, np.array(list(self.values.values()))) for i in (0, 1))
+        if not (np.isfinite(start) and np.isfinite(end) and end > start):
+            raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
+
+    def _check_expressions(self) -> None:
+        at_ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        groups: list[tuple[str, Iterable[Any], list[Expression]]] = [
+            ("conditions", self.conditions, at_ends),
+            ("integrals", self.integrals, along),
+            ("objective", () if self.objective is None else (self.objective,), at_ends),
+            ("running", () if self.running is None else (self.running,), along),
+        ]
+        for label, expressions, symbols in groups:
+            for place, expression in enumerate(expressions, start=1):
+                _check_expression(f"{label}, number {place}", expression, symbols)
+                if label in ("objective", "running") and expression.numel() != 1:
+                    raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+
+    def _check_count(self) -> None:
+        given = _count(self.conditions) + _count(self.integrals)
+        unknown = self.model.full_size + len(self.free)
+        what = f"{self.model.full_size} states and {len(self.free)} free parameters"
+        if self.optimises and given > unknown:
+            raise ValueError(f"conditions: given {given} with an objective; accepted: at most {unknown}, for {what}")
+        if not self.optimises and given != unknown:
+            kinds = f"{_count(self.conditions)} at the ends and {_count(self.integrals)} integrals"
+            raise ValueError(f"conditions: given {given} ({kinds}); accepted: {unknown}, for {what}")
+
+    def _check_bounds(self) -> None:
+        _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
+        for name, bound in self.bounds.items():
+            if len(bound) != 2 or not bound[0] < bound[1]:
+                raise ValueError(f"bounds: given {shown(bound)} for {name}; accepted: (lower, upper), lower < upper")
+
+    # What it is made of ---------------------------------------------------------------------------------------------
+
+    @property
+    def optimises(self) -> bool:
+        """Whether something is minimised."""
+        return self.objective is not None or self.running is not None
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter by name, in the order of the model; guesses of the free ones."""
+        nominal = dict(zip(self.model.parameter_names, self.model.nominal or (), strict=False))
+        given = {name: number(f"parameters, {name}", value) for name, value in self.parameters.items()}
+        return {name: (nominal | given)[name] for name in self.model.parameter_names if name in nominal | given}
+
+    @cached_property
+    def _time(self) -> Expression:
+        return type(self.model.state).sym("t") if self.model.time is None else self.model.time
+
+    def _end_of_interval(self, i: int, parameters: Any) -> Any:
+        """The start (0) or the end (1) of the interval at parameters: numbers, or an expression of the same kind."""
+        end = self.interval[i]
+        if not isinstance(end, ca.SX | ca.MX):
+            return float(end)
+        found = ca.Function("t", [self.model.parameters], [end])(parameters)
+        return float(found) if isinstance(found, ca.DM) else found
+
+    def span(self, parameters: np.ndarray[Any, Any]) -> tuple[float, float]:
+        """Start and end of the interval at values of all parameters, in the model's order."""
+        return float(self._end_of_interval(0, parameters)), float(self._end_of_interval(1, parameters))
+
+    def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
+        """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`."""
+        model, kind = self.model, type(self.model.state)
+        s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
+        scalars = kind.sym("scalars", len(self.free) + 1)
+        p = self.parameters_at(scalars, walking, end)
+        t0, t1 = (self._end_of_interval(i, p) for i in (0, 1))
+        time = t0 + s * (t1 - t0)
+        along = [self._time, model.full_state, model.parameters]
+        border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
+        mean = ca.Function("mean", along, [_stacked(kind, self.integrals)])
+        field = (t1 - t0) * model.vector_field(time, x, p)
+        return Formulation(s, x, last, scalars, field, border(x, last, p), (t1 - t0) * mean(time, x, p))
+
+    def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
+        """All parameters, in the model's order, from the scalars among the unknowns."""
+        entries = []
+        for name, value in self.values.items():
+            if name in self.free:
+                entries.append(scalars[list(self.free).index(name)])
+            elif name == walking:
+                entries.append(value + scalars[len(self.free)] * (end - value))
+            else:
+                entries.append(value)
+        if isinstance(scalars, np.ndarray):
+            return np.array(entries, dtype=float)
+        return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
+
+    def with_parameters(self, **values: float) -> BoundaryValueProblem:
+        """The same problem at other values of parameters."""
+        return replace(self, parameters={**self.parameters, **values})
+
+    # What can be asked of it ----------------------------------------------------------------------------------------
+
+    def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
+        """A solution near `guess`; see `casadi_skin.boundary.solving.solve` for what it takes and raises."""
+        from casadi_skin.boundary.solving import solve
+
+        return solve(self, guess, **options)
+
+
+def _count(expressions: Iterable[Expression]) -> int:
+    return sum(int(expression.numel()) for expression in expressions)
+
+
+def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
+    return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
+
+
+def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
+    for name in given:
+        if name not in known:
+            near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
+            hint = f"did you mean {near}? " if near else ""
+            raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
+
+
+def _check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
+    kind = type(symbols[1])
+    if not isinstance(expression, kind):
+        raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
+    stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
+    if stranger:
+        accepted = ", ".join(s.name() for block in symbols for s in ca.symvar(block))
+        raise ValueError(f"{label}: depends on {', '.join(stranger)}; accepted: {accepted}")
