@@ -75,6 +75,8 @@ def follow(
     ValueError for arguments out of range and BoundaryError where not even the start can be solved.
     """
     statement = solution.statement
+    if statement.optimises:
+        raise ValueError("follow: given a solution with an objective; accepted: one without")
     if parameter not in statement.model.parameter_names or parameter in statement.free:
         accepted = [name for name in statement.model.parameter_names if name not in statement.free]
         raise ValueError(f"parameter: given {parameter!r}; accepted: {', '.join(accepted) or 'none'}")

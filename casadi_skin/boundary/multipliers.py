@@ -82,7 +82,7 @@ def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
     """Derivatives of the field, for an interval of unit length, at all stages, shape (intervals * degree, n, n)."""
     n, d, K = problem.formulation.states, problem.degree, problem.resolution
     values = z[: problem.states].reshape(problem.columns, n)
-    stage = problem._columns()[0]
+    stage = problem.stages
     starts = np.cumsum(problem.constants) - problem.constants
     places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()
     scalars = np.tile(z[problem.states :, None], K * d)

@@ -45,12 +45,12 @@ def find_orbit(
     """The periodic orbit near a guess.
 
     `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
-    period of an autonomous model; the orbit of a forced one closes after `cycles` periods of the forcing. `select`, an
-    expression in states and parameters that vanishes at phase zero, picks a member of the family in a model with a
-    `hamiltonian` or where the orbit is `symmetric`: reversible, and then only half of it is unknown, or a quarter
-    with the half-period symmetry. `section` vanishes at phase zero in place of the integral phase condition. Options
-    are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments that do not fit the model, BoundaryError
-    where no orbit is found.
+    period of an autonomous model, where the guess (a cycle, another orbit) has none; the orbit of a forced one closes
+    after `cycles` periods of the forcing. `select`, an expression in states and parameters that vanishes at phase zero,
+    picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
+    only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
+    the integral phase condition. Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments
+    that do not fit the model, BoundaryError where no orbit is found.
     """
     values = dict(parameters or {})
     _check(model, period, select, section, symmetric, cycles)
@@ -61,7 +61,8 @@ def find_orbit(
         problem = BoundaryValueProblem(first, [closed], interval=interval, parameters=values)
         symmetry = SymmetryClass.FULL
     else:
-        length = number("period", period, "a number > 0")
+        guessed = getattr(guess, "period", None) if period is None else period
+        length = number("period", guessed, "a number > 0")
         if length <= 0:
             raise ValueError(f"period: given {period!r}; accepted: a number > 0")
         symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL

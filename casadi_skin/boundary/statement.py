@@ -49,7 +49,6 @@ class BoundaryValueProblem:
     running: Expression | None = None
 
     def __post_init__(self) -> None:
-        _check_names("parameters", self.parameters, self.model.parameter_names)
         _check_names("free", self.free, self.model.parameter_names)
         if len(set(self.free)) < len(self.free):
             raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
@@ -61,10 +60,7 @@ class BoundaryValueProblem:
     # Checks ---------------------------------------------------------------------------------------------------------
 
     def _check_values(self) -> None:
-        for name in self.model.parameter_names:
-            if name not in self.values:
-                raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
-        start, end = (self._end_of_interval(i, np.array(list(self.values.values()))) for i in (0, 1))
+        start, end = self.span(np.array(list(self.values.values())))
         if not (np.isfinite(start) and np.isfinite(end) and end > start):
             raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
 
@@ -109,9 +105,7 @@ class BoundaryValueProblem:
     @cached_property
     def values(self) -> dict[str, float]:
         """Value of each parameter by name, in the order of the model; guesses of the free ones."""
-        nominal = dict(zip(self.model.parameter_names, self.model.nominal or (), strict=False))
-        given = {name: number(f"parameters, {name}", value) for name, value in self.parameters.items()}
-        return {name: (nominal | given)[name] for name in self.model.parameter_names if name in nominal | given}
+        return named_values(self.model, self.parameters)
 
     @cached_property
     def _time(self) -> Expression:
@@ -125,9 +119,18 @@ class BoundaryValueProblem:
         found = ca.Function("t", [self.model.parameters], [end])(parameters)
         return float(found) if isinstance(found, ca.DM) else found
 
+    def ends_at(self, parameters: Any) -> tuple[Any, Any]:
+        """Start and end of the interval at parameters, numbers or expressions."""
+        return self._end_of_interval(0, parameters), self._end_of_interval(1, parameters)
+
+    def along(self, name: str, expression: Expression) -> ca.Function:
+        """Function (t, x, p) of an expression in these."""
+        return ca.Function(name, [self._time, self.model.full_state, self.model.parameters], [expression])
+
     def span(self, parameters: np.ndarray[Any, Any]) -> tuple[float, float]:
         """Start and end of the interval at values of all parameters, in the model's order."""
-        return float(self._end_of_interval(0, parameters)), float(self._end_of_interval(1, parameters))
+        start, end = self.ends_at(parameters)
+        return float(start), float(end)
 
     def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
         """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`."""
@@ -135,11 +138,10 @@ class BoundaryValueProblem:
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)
         p = self.parameters_at(scalars, walking, end)
-        t0, t1 = (self._end_of_interval(i, p) for i in (0, 1))
+        t0, t1 = self.ends_at(p)
         time = t0 + s * (t1 - t0)
-        along = [self._time, model.full_state, model.parameters]
         border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
-        mean = ca.Function("mean", along, [_stacked(kind, self.integrals)])
+        mean = self.along("mean", _stacked(kind, self.integrals))
         field = (t1 - t0) * model.vector_field(time, x, p)
         return Formulation(s, x, last, scalars, field, border(x, last, p), (t1 - t0) * mean(time, x, p))
 
@@ -168,6 +170,20 @@ class BoundaryValueProblem:
         from casadi_skin.boundary.solving import solve
 
         return solve(self, guess, **options)
+
+
+def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+    """Value of each parameter of a model by name, in its order: given, or nominal.
+
+    Raises ValueError for unknown names and where a parameter has no value.
+    """
+    _check_names("parameters", given, model.parameter_names)
+    nominal = dict(zip(model.parameter_names, model.nominal or (), strict=False))
+    values = nominal | {name: number(f"parameters, {name}", value) for name, value in given.items()}
+    for name in model.parameter_names:
+        if name not in values:
+            raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
+    return {name: values[name] for name in model.parameter_names}
 
 
 def _count(expressions: Iterable[Expression]) -> int:

@@ -49,6 +49,11 @@ class CollocationEquations(Problem):
 
     # Equations ------------------------------------------------------------------------------------------------------
 
+    @property
+    def stages(self) -> Indices:
+        """Columns of the state values that are stages, in the order of time."""
+        return self._columns()[0]
+
     def _columns(self) -> tuple[Indices, Indices, Indices]:
         """Columns of the stages; and of the start and the end of every increment, all in time order."""
         K, d, rows = self.resolution, self.degree, self.table.ends.size
@@ -61,7 +66,7 @@ class CollocationEquations(Problem):
         z = ca.MX.sym("z", self.size)
         values, scalars = ca.reshape(z[: self.states], n, self.columns), z[self.states :]
         stage, start, target = self._columns()
-        places = self._places()
+        places = self.places
         repeated = ca.repmat(scalars, 1, K * d)
         at_stages = values[:, stage.tolist()]
         F, dF_dx, dF_dscalars = self.formulation.field_function.map(K * d)(places, at_stages, repeated)
@@ -78,7 +83,8 @@ class CollocationEquations(Problem):
             jacobian += self._integral_rows(de_dx, de_dscalars, quadrature)
         return z, ca.vertcat(*residual), jacobian
 
-    def _places(self) -> ca.MX:
+    @property
+    def places(self) -> ca.MX:
         """Where the stages are in [0, 1], shape (1, K d)."""
         lengths = self.constants_symbol
         starts = ca.cumsum(lengths) - lengths

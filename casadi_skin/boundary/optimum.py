@@ -1,0 +1,43 @@
+"""Solutions of boundary-value problems with an objective or bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from casadi_skin.boundary.solution import BoundarySolution
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """The Karush-Kuhn-Tucker conditions of a solution, evaluated apart from the solver.
+
+    `kkt` is the largest of stationarity and complementarity relative to the largest gradient or multiplier, `violation`
+    that of equations and bounds, and `active` are the bounds with a multiplier, in words.
+    """
+
+    kkt: float
+    violation: float
+    active: tuple[str, ...]
+
+    def holds_states(self, names: Sequence[str]) -> bool:
+        """Whether bounds on any of the states named are active."""
+        return any(words.split()[0] in names for words in self.active)
+
+
+@dataclass(frozen=True, eq=False)
+class OptimalSolution(BoundarySolution):
+    """A local optimum: `objective` with its estimated error, and how well it satisfies the optimality conditions."""
+
+    objective: float
+    objective_error: float
+    optimality: Optimality
+
+    @property
+    def status(self) -> str:
+        """What was found, in a sentence."""
+        active = ", ".join(self.optimality.active)
+        words = f"a local optimum{f' on the bounds {active}' if active else ''}"
+        if max(self.error, self.parameter_error) > self.method.tolerance:
+            words += f", to {max(self.error, self.parameter_error):.1e}: bounds hold states at the mesh's points only"
+        return words
