@@ -25,19 +25,31 @@ class Optimality:
         return any(words.split()[0] in names for words in self.active)
 
 
-@dataclass(frozen=True, eq=False)
-class OptimalSolution(BoundarySolution):
-    """A local optimum: `objective` with its estimated error, and how well it satisfies the optimality conditions."""
+@dataclass(frozen=True)
+class Optimum:
+    """The smallest value found of what is minimised, with its estimated error, and the optimality conditions there."""
 
     objective: float
     objective_error: float
     optimality: Optimality
 
+
+@dataclass(frozen=True, eq=False)
+class OptimalSolution(BoundarySolution):
+    """A local optimum and how well it satisfies the optimality conditions."""
+
+    optimum: Optimum
+
+    @property
+    def objective(self) -> float:
+        """What is minimised."""
+        return self.optimum.objective
+
     @property
     def status(self) -> str:
         """What was found, in a sentence."""
-        active = ", ".join(self.optimality.active)
+        active, error = ", ".join(self.optimum.optimality.active), max(self.error, self.parameter_error)
         words = f"a local optimum{f' on the bounds {active}' if active else ''}"
-        if max(self.error, self.parameter_error) > self.method.tolerance:
-            words += f", to {max(self.error, self.parameter_error):.1e}: bounds hold states at the mesh's points only"
+        if error > self.method.tolerance:
+            words += f", to {error:.1e}: bounds hold states at the mesh's points only"
         return words

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.boundary.multipliers import Multipliers, multipliers_by_collocation, multipliers_by_cvodes
+from casadi_skin.boundary.optimum import Optimum
 from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
@@ -22,6 +23,7 @@ class PeriodicOrbit(BoundarySolution):
 
     model: OdeModel
     symmetry: SymmetryClass
+    optimum: Optimum | None = None  # where something was minimised
 
     def kept(self) -> dict[str, Any]:
         return {"model": self.model, "symmetry": self.symmetry}

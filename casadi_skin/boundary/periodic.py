@@ -8,7 +8,7 @@ made regular by a multiple of a damping that comes back as zero (Sepulchre and M
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +17,10 @@ import numpy as np
 
 from casadi_skin.arguments import number, shown
 from casadi_skin.boundary.guesses import Guess, sampled
+from casadi_skin.boundary.optimum import OptimalSolution
 from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.boundary.solving import BoundaryError
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.boundary.statement import BoundaryValueProblem, Bounds
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
@@ -40,6 +41,10 @@ def find_orbit(
     section: Expression | None = None,
     symmetric: bool = False,
     cycles: int = 1,
+    free: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    objective: Expression | str | None = None,
+    running: Expression | None = None,
     **options: Any,
 ) -> PeriodicOrbit:
     """The periodic orbit near a guess.
@@ -49,31 +54,35 @@ def find_orbit(
     after `cycles` periods of the forcing. `select`, an expression in states and parameters that vanishes at phase zero,
     picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
     only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
-    the integral phase condition. Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments
-    that do not fit the model, BoundaryError where no orbit is found.
+    the integral phase condition.
+
+    Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
+    "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
+    "period". Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments that do not fit the
+    model, BoundaryError where no orbit is found.
     """
-    values = dict(parameters or {})
-    _check(model, period, select, section, symmetric, cycles)
+    _check(model, period, select, section, symmetric, cycles, free)
     first = model.first_order()
-    if first.forcing_period is not None:
-        closed = first.end(first.state) - first.start(first.state)
-        interval = (0.0, cycles * first.forcing_period)
-        problem = BoundaryValueProblem(first, [closed], interval=interval, parameters=values)
-        symmetry = SymmetryClass.FULL
-    else:
-        guessed = getattr(guess, "period", None) if period is None else period
-        length = number("period", guessed, "a number > 0")
-        if length <= 0:
-            raise ValueError(f"period: given {period!r}; accepted: a number > 0")
-        symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
-        state_problem = _symmetric_problem if symmetric else _closed_problem
-        problem = state_problem(_Autonomous(first, length, values, select, section), guess, symmetry)
-    solution = problem.solve(guess, **options)
-    orbit = PeriodicOrbit(solution.statement, solution.method, solution.point, first, symmetry)
+    length = 0.0 if model.forced else _length(guess, period)
+    search = (tuple(free), dict(bounds or {}), objective, running)
+    asked = _Asked(first, length, cycles, dict(parameters or {}), select, section, *search)
+    symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
+    state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
+    solution = state_problem(asked, guess, symmetry).solve(guess, **options)
+    optimum = solution.optimum if isinstance(solution, OptimalSolution) else None
+    orbit = PeriodicOrbit(solution.statement, solution.method, solution.point, first, symmetry, optimum)
     if abs(orbit.unfolding) > NOT_ZERO * max(orbit.method.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         raise BoundaryError(f"{model.name}: {words}: the hamiltonian is not conserved, or the orbit is degenerate")
     return orbit
+
+
+def _length(guess: Guess, period: float | None) -> float:
+    """The guessed period."""
+    found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
+    if found <= 0:
+        raise ValueError(f"period: given {period!r}; accepted: a number > 0")
+    return found
 
 
 def _check(
@@ -83,11 +92,12 @@ def _check(
     section: Expression | None,
     symmetric: bool,
     cycles: int,
+    free: Sequence[str],
 ) -> None:
     if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
         raise ValueError(f"cycles: given {shown(cycles)}; accepted: a whole number >= 1")
     if model.forced:
-        given = [n for n, v in (("period", period), ("select", select), ("section", section)) if v is not None]
+        given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
         if given:
             raise ValueError(f"{given[0]}: given for {model.name}, which is forced; accepted: cycles alone")
@@ -95,11 +105,11 @@ def _check(
     if cycles != 1:
         raise ValueError(f"cycles: given {cycles} for {model.name}, which is autonomous; accepted: 1, with its period")
     family = symmetric or model.hamiltonian is not None
-    if family and select is None:
+    if family and select is None and not free:
         why = "symmetric" if symmetric else "conservative"
         raise ValueError(f"select: given none; accepted: an expression, for {why} orbits come in families")
-    if not family and select is not None:
-        raise ValueError(f"select: given for {model.name}; accepted: with a hamiltonian, or symmetric = True")
+    if not family and select is not None and not free:
+        raise ValueError(f"select: given for {model.name}; accepted: with a hamiltonian, symmetric = True or free")
     if symmetric and section is not None:
         raise ValueError("section: given with symmetric = True, which fixes the phase; accepted: one of them")
     for name in (PERIOD, UNFOLDING):
@@ -108,14 +118,19 @@ def _check(
 
 
 @dataclass(frozen=True, eq=False)
-class _Autonomous:
-    """An autonomous model, a guessed period, parameters, and the conditions at phase zero."""
+class _Asked:
+    """A first-order model, a guessed period, parameters, and what is asked of the orbit."""
 
     model: OdeModel
     length: float
+    cycles: int
     values: Mapping[str, float]
     select: Expression | None
     section: Expression | None
+    free: tuple[str, ...]
+    bounds: Bounds
+    objective: Expression | str | None
+    running: Expression | None
 
     def extended(self, unfolded: bool) -> OdeModel:
         """The model with its period, and the coefficient of a damping, among the parameters; time goes from 0 to it."""
@@ -146,42 +161,75 @@ class _Autonomous:
         known = nominal | added
         return {name: known[name] for name in model.parameter_names if name in known} | dict(self.values)
 
+    def minimised(self, model: OdeModel, period: Expression) -> dict[str, Any]:
+        """Objective and running cost of the statement, in the extended model."""
+        found: dict[str, Any] = {"bounds": self.bounds}
+        if isinstance(self.objective, str):
+            if self.objective != PERIOD:
+                raise ValueError(f"objective: given {shown(self.objective)}; accepted: an expression, or {PERIOD!r}")
+            found["objective"] = type(model.state)(period)
+        elif self.objective is not None:
+            found["objective"] = self.at_start(model, self.objective)
+        if self.running is not None:
+            along = self.model.function("running", self.running)
+            time = model.time if self.model.forced else 0.0
+            count = int(self.model.parameters.numel())
+            found["running"] = along(time, model.state, model.parameters[:count]) / period
+        return found
 
-def _closed_problem(given: _Autonomous, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
-    """The whole period, closed, with a phase; unfolded where the model is conservative."""
-    unfolded = given.model.hamiltonian is not None
-    model = given.extended(unfolded)
-    period = model.parameters[model.parameter_names.index(PERIOD)]
+
+def _forced_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+    """Whole periods of the forcing, closed."""
+    model = asked.model
+    assert model.forcing_period is not None
+    period = asked.cycles * model.forcing_period
     conditions = [model.end(model.state) - model.start(model.state)]
-    if given.select is not None:
-        conditions.append(given.at_start(model, given.select))
-    integrals = []
-    if given.section is not None:
-        conditions.append(given.at_start(model, given.section))
-    else:
-        integrals.append(_phase(model, model.time / period, given, guess) / period)
-    free = [PERIOD, *([UNFOLDING] if unfolded else [])]
-    return BoundaryValueProblem(model, conditions, integrals, (0.0, period), given.parameters(model), free)
-
-
-def _symmetric_problem(given: _Autonomous, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
-    """Half or a quarter of the period, from one fixed set of the reversal to the other."""
-    first, last = pinned_components(given.model, symmetry)
-    model = given.extended(False)
-    period = model.parameters[model.parameter_names.index(PERIOD)]
-    assert given.select is not None
-    conditions = [model.start(model.state)[first], model.end(model.state)[last], given.at_start(model, given.select)]
+    conditions += [] if asked.select is None else [asked.at_start(model, asked.select)]
     return BoundaryValueProblem(
-        model, conditions, (), (0.0, symmetry.value * period), given.parameters(model), [PERIOD]
+        model, conditions, (), (0.0, period), asked.values, asked.free, **asked.minimised(model, period)
     )  # fmt: skip
 
 
-def _phase(model: OdeModel, turn: Expression, given: _Autonomous, guess: Guess) -> Expression:
+def _closed_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+    """The whole period, closed, with a phase; unfolded where the model is conservative."""
+    unfolded = asked.model.hamiltonian is not None
+    model = asked.extended(unfolded)
+    period = model.parameters[model.parameter_names.index(PERIOD)]
+    conditions = [model.end(model.state) - model.start(model.state)]
+    if asked.select is not None:
+        conditions.append(asked.at_start(model, asked.select))
+    integrals = []
+    if asked.section is not None:
+        conditions.append(asked.at_start(model, asked.section))
+    else:
+        integrals.append(_phase(model, model.time / period, asked, guess) / period)
+    free = [PERIOD, *([UNFOLDING] if unfolded else []), *asked.free]
+    return BoundaryValueProblem(
+        model, conditions, integrals, (0.0, period), asked.parameters(model), free, **asked.minimised(model, period)
+    )  # fmt: skip
+
+
+def _symmetric_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+    """Half or a quarter of the period, from one fixed set of the reversal to the other."""
+    first, last = pinned_components(asked.model, symmetry)
+    model = asked.extended(False)
+    period = model.parameters[model.parameter_names.index(PERIOD)]
+    conditions = [model.start(model.state)[first], model.end(model.state)[last]]
+    conditions += [] if asked.select is None else [asked.at_start(model, asked.select)]
+    minimised, part = asked.minimised(model, period), symmetry.value
+    if "running" in minimised:
+        minimised["running"] = minimised["running"] / part
+    return BoundaryValueProblem(
+        model, conditions, (), (0.0, part * period), asked.parameters(model), [PERIOD, *asked.free], **minimised
+    )  # fmt: skip
+
+
+def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Expression:
     """The orbit times the derivative of its reference, scaled so that a shift of phase changes the mean by itself."""
     statement = BoundaryValueProblem(
-        model, [model.start(model.state)], interval=(0.0, given.length), parameters=given.parameters(model)
+        model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
-    values = sampled(statement, guess, given.length * np.arange(SAMPLES) / SAMPLES)
+    values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)
     c = np.fft.rfft(values, axis=0)[1 : HARMONICS + 1] * (2.0 / SAMPLES)
     order = np.arange(1, len(c) + 1)
     size = float(np.sum(order[:, None] ** 2 * np.abs(c) ** 2)) / 2.0

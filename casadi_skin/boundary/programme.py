@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.guesses import Guess, sampled
-from casadi_skin.boundary.optimum import Optimality, OptimalSolution
+from casadi_skin.boundary.optimum import Optimality, OptimalSolution, Optimum
 from casadi_skin.boundary.solving import ITERATIONS, TRIES, BoundaryError, Method, Sizes, build_ladder, packed
 from casadi_skin.boundary.statement import BoundaryValueProblem
 from casadi_skin.bvp.problem import Array
@@ -64,7 +64,7 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, method: Method) -> O
             unit = np.append(np.zeros(above.size - 1), 1.0)
             point = Point(above, finer.z, unit, error, 0.0, finer.iterations)
             moved = SAFETY * abs(finer.objective - found.objective)
-            return OptimalSolution(statement, method, point, finer.objective, moved, finer.optimality)
+            return OptimalSolution(statement, method, point, Optimum(finer.objective, moved, finer.optimality))
         found = finer
 
 
