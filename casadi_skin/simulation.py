@@ -60,9 +60,7 @@ class Simulation:
             gap = np.abs(self.evaluate(start) - self.evaluate(end))[0]
             if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
                 return Cycle(self, start, end - start)
-        raise ValueError(
-            f"last_cycle: the states from t = {self.t[0]:g} to {self.t[-1]:g} do not come back to themselves"
-        )
+        raise ValueError(f"last_cycle: from t = {self.t[0]:g} to {self.t[-1]:g} the state does not come back to itself")
 
     def _crossing(self, i: int, component: int, level: float) -> float:
         from scipy.optimize import brentq

@@ -20,7 +20,7 @@ from casadi_skin.boundary.guesses import Guess, sampled
 from casadi_skin.boundary.optimum import OptimalSolution
 from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.boundary.solving import BoundaryError
-from casadi_skin.boundary.statement import BoundaryValueProblem, Bounds
+from casadi_skin.boundary.statement import BoundaryValueProblem, Bounds, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
@@ -148,8 +148,9 @@ class _Asked:
             state_labels=model.state_names, parameter_labels=names,
         )  # fmt: skip
 
-    def at_start(self, model: OdeModel, expression: Expression) -> Expression:
+    def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:
         """An expression in states and parameters of the model, at phase zero of the extended one."""
+        check_expression(label, expression, [self.model.state, self.model.parameters])
         count = int(self.model.parameters.numel())
         function = ca.Function("condition", [self.model.state, self.model.parameters], [expression])
         return function(model.ends[0], model.parameters[:count])
@@ -169,8 +170,10 @@ class _Asked:
                 raise ValueError(f"objective: given {shown(self.objective)}; accepted: an expression, or {PERIOD!r}")
             found["objective"] = type(model.state)(period)
         elif self.objective is not None:
-            found["objective"] = self.at_start(model, self.objective)
+            found["objective"] = self.at_start(model, "objective", self.objective)
         if self.running is not None:
+            symbols = [self.model.state, self.model.parameters, *([self.model.time] if self.model.forced else [])]
+            check_expression("running", self.running, symbols)
             along = self.model.function("running", self.running)
             time = model.time if self.model.forced else 0.0
             count = int(self.model.parameters.numel())
@@ -184,7 +187,7 @@ def _forced_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Bou
     assert model.forcing_period is not None
     period = asked.cycles * model.forcing_period
     conditions = [model.end(model.state) - model.start(model.state)]
-    conditions += [] if asked.select is None else [asked.at_start(model, asked.select)]
+    conditions += [] if asked.select is None else [asked.at_start(model, "select", asked.select)]
     return BoundaryValueProblem(
         model, conditions, (), (0.0, period), asked.values, asked.free, **asked.minimised(model, period)
     )  # fmt: skip
@@ -197,10 +200,10 @@ def _closed_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Bou
     period = model.parameters[model.parameter_names.index(PERIOD)]
     conditions = [model.end(model.state) - model.start(model.state)]
     if asked.select is not None:
-        conditions.append(asked.at_start(model, asked.select))
+        conditions.append(asked.at_start(model, "select", asked.select))
     integrals = []
     if asked.section is not None:
-        conditions.append(asked.at_start(model, asked.section))
+        conditions.append(asked.at_start(model, "section", asked.section))
     else:
         integrals.append(_phase(model, model.time / period, asked, guess) / period)
     free = [PERIOD, *([UNFOLDING] if unfolded else []), *asked.free]
@@ -215,7 +218,7 @@ def _symmetric_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> 
     model = asked.extended(False)
     period = model.parameters[model.parameter_names.index(PERIOD)]
     conditions = [model.start(model.state)[first], model.end(model.state)[last]]
-    conditions += [] if asked.select is None else [asked.at_start(model, asked.select)]
+    conditions += [] if asked.select is None else [asked.at_start(model, "select", asked.select)]
     minimised, part = asked.minimised(model, period), symmetry.value
     if "running" in minimised:
         minimised["running"] = minimised["running"] / part

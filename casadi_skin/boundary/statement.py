@@ -75,8 +75,9 @@ class BoundaryValueProblem:
         ]
         for label, expressions, symbols in groups:
             for place, expression in enumerate(expressions, start=1):
-                _check_expression(f"{label}, number {place}", expression, symbols)
-                if label in ("objective", "running") and expression.numel() != 1:
+                single = label in ("objective", "running")
+                check_expression(label if single else f"{label}, number {place}", expression, symbols)
+                if single and expression.numel() != 1:
                     raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
 
     def _check_count(self) -> None:
@@ -202,8 +203,9 @@ def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None
             raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
 
 
-def _check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
-    kind = type(symbols[1])
+def check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
+    """Raises TypeError for what is no expression of the symbols' kind, ValueError where it depends on others."""
+    kind = type(symbols[0])
     if not isinstance(expression, kind):
         raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
     stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()

@@ -1,0 +1,66 @@
+"""Simulations of any model against closed forms, and the cycles found in them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin import OdeModel, find_orbit, simulate
+from casadi_skin.integrators import IntegrationError
+
+X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
+VAN_DER_POL = OdeModel("van der Pol", ca.vertcat(X, Y), ca.vertcat(Y, MU * (1 - X**2) * Y - X), MU, nominal=(1.0,))
+
+
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-9])
+def test_a_forced_oscillator_follows_its_closed_form(tolerance: float) -> None:
+    """x'' + x = cos(2 t) from rest: x = (cos t - cos 2t)/3."""
+    field = ca.vertcat(Y, -X + ca.cos(2 * T))
+    model = OdeModel("forced", ca.vertcat(X, Y), field, time=T, forcing_period=np.pi)
+    t = np.linspace(0.0, 20.0, 41)
+    simulation = simulate(model, [0.0, 0.0], t, tolerance=tolerance)
+    assert np.max(np.abs(simulation.states[:, 0] - (np.cos(t) - np.cos(2 * t)) / 3)) < 10 * tolerance
+    between = np.linspace(0.0, 20.0, 777)
+    assert np.max(np.abs(simulation.evaluate(between)[:, 0] - (np.cos(between) - np.cos(2 * between)) / 3)) < 1e-2
+
+
+def test_a_model_of_second_order_is_followed_in_its_first_order_state() -> None:
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    simulation = simulate(OdeModel("spring", q, -4 * q, order=2, velocity=v), [1.0, 0.0], [0.0, 1.0])
+    np.testing.assert_allclose(simulation.states[-1], [np.cos(2.0), -2 * np.sin(2.0)], atol=1e-8)
+
+
+def test_the_last_cycle_is_a_guess_that_finds_the_orbit() -> None:
+    cycle = simulate(VAN_DER_POL, [0.1, 0.0], np.linspace(0.0, 100.0, 2001)).last_cycle()
+    assert cycle.period == pytest.approx(6.663286859323, abs=1e-3)
+    assert find_orbit(VAN_DER_POL, cycle).period == pytest.approx(6.663286859323, abs=1e-9)
+
+
+def test_a_state_at_rest_and_one_that_grows_have_no_cycle() -> None:
+    for rate in (0.0, 0.3):
+        model = OdeModel("growth", X, rate * X)
+        with pytest.raises(ValueError, match="last_cycle: from t = 0 to 5 the state does not come back to itself"):
+            simulate(model, [1.0], np.linspace(0.0, 5.0, 51)).last_cycle()
+
+
+def test_a_state_that_runs_away_is_told() -> None:
+    with pytest.raises(IntegrationError, match=r"cvodes: .* it returned"):
+        simulate(OdeModel("blow-up", X, X**2), [1.0], [0.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"start": [0.0]}, "start: given 1 states; accepted: 2, x, y"),
+        ({"t": [0.0]}, "t: given .*; accepted: two or more times, ascending"),
+        ({"t": [1.0, 0.0]}, "t: given .*; accepted: two or more times, ascending"),
+        ({"parameters": {"nu": 1.0}}, "parameters: given 'nu'; accepted: mu"),
+        ({"tolerance": 0.0}, "tolerance: given 0.0; accepted: 1e-13 to 1e-2"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        simulate(VAN_DER_POL, **({"start": [0.1, 0.0], "t": [0.0, 1.0]} | changes))
