@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.guesses import Guess, sampled
 from casadi_skin.boundary.optimum import Optimality, OptimalSolution, Optimum
-from casadi_skin.boundary.solving import ITERATIONS, TRIES, BoundaryError, Method, Sizes, build_ladder, packed
+from casadi_skin.boundary.solving import ITERATIONS, BoundaryError, Method, Sizes, build_ladder, packed
 from casadi_skin.boundary.statement import BoundaryValueProblem
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
@@ -31,7 +31,10 @@ WORDS = {
     "Invalid_Number_Detected": "an expression has no finite value or derivative on the way",
 }
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
-FACTOR = 10  # iterations allowed, times those of a problem without objective
+FACTOR = 3  # iterations allowed, times those of a problem without objective
+BARRIER = 1e-3  # at first: from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
+FUNNEL = 1.0  # violation that no iterate exceeds, or that of the guess where it is larger: Ipopt's own is 10^4
+MESHES = 2  # on which a first optimum is sought
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, method: Method) -> O
 def _first(ladder: Ladder, statement: BoundaryValueProblem, guess: Guess, method: Method) -> _Found:
     """The solution on the first mesh on which there is one."""
     failure: BoundaryError | None = None
-    for resolution in [r for r in ladder.rungs if r >= method.intervals][:TRIES]:
+    for resolution in [r for r in ladder.rungs if r >= method.intervals][:MESHES]:
         problem = ladder.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         try:
@@ -104,6 +107,8 @@ class _Programme:
             "ipopt.acceptable_iter": 0,
             "ipopt.max_iter": FACTOR * ITERATIONS,
             "ipopt.bound_relax_factor": 0.0,
+            "ipopt.mu_init": BARRIER,
+            "ipopt.theta_max_fact": FUNNEL,
         }
         self._solver = ca.nlpsol("programme", "ipopt", {"x": z, "f": value, "g": self._residual}, options)
         self._derivatives = ca.Function("derivatives", [z], [self._residual, jacobian, ca.gradient(value, z)])
