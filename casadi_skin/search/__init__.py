@@ -1,0 +1,1 @@
+"""Orbits and perturbations found by optimisation."""
