@@ -33,7 +33,8 @@ def scene_requests(scene: Scene) -> list[FamilyRequest]:
     if scene.family is None:
         return []
     family, method, chain = scene.family, scene.method, scene_chain(scene)
-    tail = method.tail or ("full" if scene.stability is not None else None)  # all sites take part in stability
+    whole = scene.stability is not None or (scene.export is not None and scene.export.S is not None)
+    tail = method.tail or ("full" if whole else None)  # all sites take part in stability, and in what is exported
     return [
         FamilyRequest(
             chain=chain,
@@ -67,8 +68,16 @@ def plan_lines(scene: Scene) -> list[tuple[str, str]]:
         lines += _family_lines(scene, requests)
         if scene.dynamics is not None:
             lines.append(("dynamics", _dynamics(scene.dynamics, requests[0].mode)))
+    elif scene.search is not None:
+        from casadi_skin.runsearch import plan_search
+
+        lines += plan_search(scene)
     else:
         lines.append(("not built", "any boundary-value problem: the scene asks for no family"))
+    if scene.export is not None:
+        from casadi_skin.runexport import plan_export
+
+        lines += plan_export(scene)
     return lines
 
 

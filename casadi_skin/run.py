@@ -33,6 +33,7 @@ from casadi_skin.scene import Scene
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
+    from casadi_skin.search.result import SearchResult
 
 TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
 
@@ -43,7 +44,8 @@ class Run:
 
     `branches` and `seconds` fill as families end; an exception or an interruption leaves what was computed in the
     files and in the journal. `evolution` is the time evolution where the scene asks for one, as far as it could be
-    followed; `evolution_failure` tells in one line why that is not to its end.
+    followed; `evolution_failure` tells in one line why that is not to its end. `search` is the result of a search.
+    `exported` are what was written for use outside of Python; `export_failure` tells why that could not be.
     """
 
     scene: Scene
@@ -54,6 +56,9 @@ class Run:
     seconds: list[float] = field(default_factory=list)
     evolution: Evolution | None = None
     evolution_failure: str = ""
+    search: SearchResult | None = None
+    exported: tuple[Path, ...] = ()
+    export_failure: str = ""
     _rows: list[dict[str, Cell]] = field(default_factory=list)
     _written: float = 0.0
 
@@ -68,7 +73,10 @@ class Run:
         finally:
             self._write_results()
         self._evolve()
-        complete = all(branch.complete for branch in self.branches) and not self.evolution_failure
+        searched = self._search()
+        self._export()
+        complete = all(branch.complete for branch in self.branches) and not self.evolution_failure and searched
+        complete = complete and not self.export_failure
         if complete:
             (self.directory / JOURNAL).unlink(missing_ok=True)
         return complete
@@ -132,6 +140,32 @@ class Run:
         if self.evolution is not None:
             self.progress.say("writing the time evolution")
             write_dynamics(self.scene, self.scene_text, orbit, self.evolution, self.directory)
+
+    def _export(self) -> None:
+        """What the scene wants out of Python; nothing of it is imported elsewhere."""
+        if self.scene.export is None:
+            return
+        from casadi_skin.runexport import export_scene
+
+        self.progress.say("exporting")
+        try:
+            self.exported = export_scene(self.scene, self.branches, self.directory)
+        except (ValueError, ArithmeticError) as error:
+            self.export_failure = str(error)
+
+    def _search(self) -> bool:
+        """The search with its files, where the scene asks for one, and whether it found an optimum."""
+        if self.scene.search is None:
+            return True
+        from casadi_skin.runsearch import COMPLETE, run_search, write_results
+        from casadi_skin.search.result import SearchStatus
+
+        self.search = run_search(self.scene, self.directory / JOURNAL, self.progress)
+        self.progress.say("writing the search")
+        write_results(self.scene, self.scene_text, self.search, self.directory)
+        if self.search.status is SearchStatus.INTERRUPTED:
+            raise KeyboardInterrupt
+        return self.search.status in COMPLETE
 
     # Writing --------------------------------------------------------------------------------------------------------
 

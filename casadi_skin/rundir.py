@@ -7,12 +7,17 @@ from enum import Enum
 from pathlib import Path
 
 from casadi_skin.files import replacing
-from casadi_skin.scene import Scene, SceneError, parse_scene
+from casadi_skin.scene import AnyScene, SceneError, parse_any_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
-WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", "dynamics.csv", "dynamics.nc", SCENE, JOURNAL)
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics")
+SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
+WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", "dynamics.csv", "dynamics.nc", "search.csv",
+           "starts.csv", "search.nc", "branch.csv", "branch.nc",
+           f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+EXPORT = "export"  # the folder of generated C
+EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
+PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit")
 
 
 class DirectoryError(ValueError):
@@ -27,7 +32,7 @@ class Existing(Enum):
     OVERWRITE = "overwrite"
 
 
-def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) -> bool:
+def prepare(directory: Path, scene: AnyScene, scene_text: str, existing: Existing) -> bool:
     """Make `directory` ready for a run of `scene`; False where a resumed run has nothing left to do.
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
@@ -35,9 +40,11 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     held = _check_free(directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite")
     if held and existing is Existing.RESUME:
         _check_same(directory, scene)
-        if not (directory / JOURNAL).exists() and (directory / "family.nc").exists():
+        written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc"))
+        if written and not (directory / JOURNAL).exists():
             return False
     if existing is Existing.OVERWRITE:
+        _remove_export(directory / EXPORT)
         for name in (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg"))):
             for path in directory.glob(name):
                 path.unlink()
@@ -45,6 +52,20 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     with replacing(directory / SCENE) as temporary:
         temporary.write_text(scene_text, encoding="utf-8")
     return True
+
+
+def _remove_export(folder: Path) -> None:
+    """Remove the C code of a run before; raises DirectoryError for a folder of that name with anything else in it."""
+    if not folder.exists():
+        return
+    own = {path for name in EXPORTED for path in folder.glob(name)}
+    others = sorted(path.name for path in folder.iterdir() if path not in own)
+    if others:
+        accepted = "accepted: a folder of generated C alone"
+        raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {accepted}")
+    for path in own:
+        path.unlink()
+    folder.rmdir()
 
 
 def prepare_study(directory: Path, overwrite: bool) -> None:
@@ -77,18 +98,19 @@ def _check_writable(directory: Path) -> None:
         raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
 
 
-def _check_same(directory: Path, scene: Scene) -> None:
+def _check_same(directory: Path, scene: AnyScene) -> None:
     """Raises DirectoryError where the directory is not a run of this scene."""
     path = directory / SCENE
     if not path.exists():
         raise DirectoryError(f"{directory}: holds no {SCENE}, so no run to resume; accepted: the directory of a run")
     try:
-        before = parse_scene(path.read_text(encoding="utf-8"), str(path))
+        before = parse_any_scene(path.read_text(encoding="utf-8"), str(path))
     except (SceneError, UnicodeDecodeError) as error:
         raise DirectoryError(f"{directory}: its {SCENE} cannot be read: {error}") from error
     if not scene.same_request(before):
-        tables = [name for name in scene.__struct_fields__ if name != "title"]
-        changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
+        names = dict.fromkeys((*scene.__struct_fields__, *before.__struct_fields__))
+        tables = [name for name in names if name != "title"]
+        changed = [f"[{name}]" for name in tables if getattr(scene, name, None) != getattr(before, name, None)]
         raise DirectoryError(
             f"{directory}: was begun with another scene ({', '.join(changed)} differs); accepted: the same scene but "
             "for its title, or --overwrite"

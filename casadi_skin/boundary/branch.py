@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers
+from casadi_skin.arguments import number, numbers, shown
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.boundary.solving import BoundaryError, Sizes, build_ladder, refined
+from casadi_skin.boundary.statement import check_name
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.locating import Locator
@@ -77,13 +78,18 @@ def follow(
     statement = solution.statement
     if statement.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
-    if parameter not in statement.model.parameter_names or parameter in statement.free:
-        accepted = [name for name in statement.model.parameter_names if name not in statement.free]
-        raise ValueError(f"parameter: given {parameter!r}; accepted: {', '.join(accepted) or 'none'}")
+    check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
     start, end = solution.parameters[parameter], number("end", end)
     if end == start:
         raise ValueError(f"end: given {end!r}, where the branch starts; accepted: another value")
-    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in numbers("at", at))
+    for value in numbers("at", at):
+        if not min(start, end) <= value <= max(start, end):
+            raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
+    if isinstance(max_points, bool) or not isinstance(max_points, int) or max_points < 2:
+        raise ValueError(f"max_points: given {shown(max_points)}; accepted: a whole number >= 2")
+    if not number("max_step", max_step) > 0.0:
+        raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
+    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
     settings = WalkSettings(
         1.0, solution.method.tolerance, wanted, max_step=number("max_step", max_step), max_points=max_points,
         tiny_first=False, max_parameter_step=0.2,

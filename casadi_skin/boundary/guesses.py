@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.arguments import shown
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.boundary.statement import BoundaryValueProblem, check_name
 from casadi_skin.bvp.problem import Array
 
 
@@ -46,13 +46,15 @@ def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
         return np.asarray(guess.evaluate(t), dtype=float)
     if isinstance(guess, Mapping):
         for name in guess:
-            if name not in names:
-                raise ValueError(f"guess: given {shown(name)}; accepted: {', '.join(names)}")
-        columns = [guess.get(name, 0.0) for name in names]
-        made = [[float(c(x)) for x in t] if callable(c) else np.full(t.size, float(c)) for c in columns]
-        return np.stack(made, axis=1).astype(float)
+            check_name("guess", name, names)
+        return np.stack([_column(name, guess.get(name, 0.0), t) for name in names], axis=1)
     if callable(guess):
-        return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
+        try:
+            return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"guess: the function fails: {error}; accepted: one that gives {len(names)} numbers"
+            ) from error
     if isinstance(guess, tuple) and len(guess) == 2 and np.ndim(guess[1]) == 2:
         return _interpolated(np.asarray(guess[0], dtype=float), np.asarray(guess[1], dtype=float), t)
     try:
@@ -62,10 +64,20 @@ def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
     return np.tile(constant, (t.size, 1))
 
 
+def _column(name: str, given: Any, t: Array) -> Array:
+    """Values of one state from a number or a function."""
+    try:
+        return np.array([float(given(float(x))) for x in t]) if callable(given) else np.full(t.size, float(given))
+    except (TypeError, ValueError):
+        raise ValueError(f"guess: given {shown(given)} for {name}; accepted: a number, or a function of t") from None
+
+
 def _interpolated(times: Array, values: Array, t: Array) -> Array:
     from scipy.interpolate import CubicSpline
 
-    if times.ndim != 1 or times.size != len(values) or np.any(np.diff(times) <= 0):
+    if times.ndim != 1 or times.size != len(values) or times.size < 2 or not np.all(np.diff(times) > 0):
         given = f"times of shape {times.shape}, states of shape {values.shape}"
-        raise ValueError(f"guess: given {given}; accepted: ascending times, one row of states each")
+        raise ValueError(f"guess: given {given}; accepted: two or more ascending times, one row of states each")
+    if not np.all(np.isfinite(values)):
+        raise ValueError("guess: given values that are not finite; accepted: finite numbers")
     return np.asarray(CubicSpline(times, values)(np.clip(t, times[0], times[-1])))

@@ -104,6 +104,8 @@ def _check(
         return
     if cycles != 1:
         raise ValueError(f"cycles: given {cycles} for {model.name}, which is autonomous; accepted: 1, with its period")
+    if symmetric and model.reversal is None:
+        raise ValueError(f"symmetric: given for {model.name}, which declares no reversal; accepted: with one")
     family = symmetric or model.hamiltonian is not None
     if family and select is None and not free:
         why = "symmetric" if symmetric else "conservative"

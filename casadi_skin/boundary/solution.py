@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.arguments import shown
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.statement import BoundaryValueProblem
 from casadi_skin.bvp import mesh
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
 class BoundarySolution:
     """States over the interval and values of all parameters, with estimated errors.
 
-    `error` is the estimated error of each state relative to its largest value, the largest of all; `parameter_error`
-    that of the free parameters, relative to their values.
+    `error` is the estimated error of each state relative to its largest value (no less than a millionth of the largest
+    of all states, nor a thousandth of that of the guess), the largest of these; `parameter_error` that of the free
+    parameters, relative to their values (no less than a thousandth of their guess; 1 at least where that is 0).
     """
 
     statement: BoundaryValueProblem
@@ -56,7 +58,11 @@ class BoundarySolution:
 
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times in the interval, shape (time, component); raises ValueError for others."""
-        times, (start, end) = np.atleast_1d(np.asarray(t, dtype=float)), self.interval
+        try:
+            times = np.atleast_1d(np.asarray(t, dtype=float))
+        except (TypeError, ValueError):
+            raise ValueError(f"t: given {shown(t)}; accepted: numbers") from None
+        start, end = self.interval
         slack = 1e-9 * (end - start)
         if not np.all((times >= start - slack) & (times <= end + slack)):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {start:g} to {end:g}")
@@ -102,6 +108,11 @@ class BoundarySolution:
     def parameter_error(self) -> float:
         """Estimated relative error of the free parameters; 0 where there are none."""
         return self.point.error.Omega if self.statement.free else 0.0
+
+    @property
+    def at_round_off(self) -> bool:
+        """Whether rounding keeps the estimated errors above the tolerance: no mesh makes them smaller."""
+        return self.point.at_round_off
 
     @property
     def residual(self) -> float:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from casadi_skin.arguments import number, shown
+from casadi_skin.boundary.diagnosis import weakness
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.guesses import Guess, sampled
+from casadi_skin.boundary.settling import settled
 from casadi_skin.boundary.solution import BoundarySolution
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.boundary.statement import BoundaryValueProblem, check_name
 from casadi_skin.bvp.butcher import gauss_table, radau_table
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.locating import Locator
@@ -21,6 +24,7 @@ from casadi_skin.correctors.bordered import SingularError
 from casadi_skin.correctors.ipopt import IpoptCorrector
 from casadi_skin.correctors.ladder import Ladder
 from casadi_skin.correctors.newton import NewtonCorrector
+from casadi_skin.correctors.rounding import RoundedCorrector
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 TABLES = {"gauss": gauss_table, "radau": radau_table}
@@ -53,20 +57,29 @@ class Method:
         ):
             if given not in accepted:
                 raise ValueError(f"{name}: given {shown(given)}; accepted: {', '.join(accepted)}")
-        if self.degree not in DEGREES:
-            raise ValueError(f"degree: given {shown(self.degree)}; accepted: {DEGREES[0]} to {DEGREES[-1]}")
+        for name, whole, highest in (
+            ("degree", self.degree, DEGREES[-1]),
+            ("intervals", self.intervals, INTERVALS[-2]),
+        ):
+            if isinstance(whole, bool) or not isinstance(whole, int) or not 1 <= whole <= highest:
+                raise ValueError(f"{name}: given {shown(whole)}; accepted: a whole number from 1 to {highest}")
         low, high = TOLERANCES
         if not low <= number("tolerance", self.tolerance) <= high:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")
-        if not 1 <= self.intervals <= INTERVALS[-2]:
-            raise ValueError(f"intervals: given {shown(self.intervals)}; accepted: 1 to {INTERVALS[-2]}")
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Method:
+        """From options by name; raises ValueError for what is not accepted, unknown names among it."""
+        known = [field.name for field in fields(cls)]
+        for name in options:
+            check_name("options", name, known)
+        return cls(**options)
 
     def build_corrector(self, problem: Problem) -> Corrector:
         """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
-        if self.corrector == "newton":
-            return NewtonCorrector(problem, tolerance, ITERATIONS)
-        return IpoptCorrector(problem, tolerance, ITERATIONS)
+        kind = NewtonCorrector if self.corrector == "newton" else IpoptCorrector
+        return RoundedCorrector(kind(problem, tolerance, ITERATIONS))
 
 
 @dataclass(frozen=True)
@@ -78,9 +91,8 @@ class Sizes:
 
     @classmethod
     def of(cls, statement: BoundaryValueProblem, guess: Array) -> Sizes:
-        """A thousandth of what the guess has; 1 where it has nothing."""
-        largest = float(np.max(np.abs(guess)))
-        states = np.full(guess.shape[1], 1e-3 * largest if largest > 0 else 1.0)
+        """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
+        states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
         values = np.array([statement.values[name] for name in statement.free])
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
 
@@ -107,7 +119,7 @@ def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Boun
     or "radau" with `degree` stages; `corrector` "ipopt" or "newton"; `intervals` the first mesh. Raises ValueError for
     arguments out of range and BoundaryError where no solution is found to the tolerance.
     """
-    method = Method(**options)
+    method = Method.of(options)
     if statement.optimises or statement.bounds:
         from casadi_skin.boundary.programme import optimise
 
@@ -121,30 +133,43 @@ def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Boun
 def first_point(locator: Locator, statement: BoundaryValueProblem, guess: Guess, method: Method) -> Point:
     """The solution near a guess with u = 0 held, refined to the tolerance; raises BoundaryError."""
     rungs = [r for r in locator.ladder.rungs if r >= method.intervals][:TRIES]
-    failure = ""
+    failures = []
+    for problem in _first_problems(locator.ladder, rungs, guess):
+        z = packed(problem, guess)
+        correction = _corrected(locator.ladder.corrector(problem), z, problem)
+        if correction.converged:
+            if not np.any(z[: problem.states]):
+                problem.measure_by(correction.z)
+            return refined(locator, *(settled(locator.ladder, problem, correction.z) or (problem, correction)))
+        words = f"{correction.status.value}; {problem.worst(correction.z)}", weakness(problem, correction.z)
+        failures.append("; there ".join(filter(None, words)))
+    raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
+
+
+def _first_problems(ladder: Ladder, rungs: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
+    """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess."""
+    if isinstance(guess, BoundarySolution) and guess.intervals in ladder.rungs:
+        problem = ladder.problem(guess.intervals).with_constants(guess.problem.constants)
+        assert isinstance(problem, BoundaryProblem)
+        yield problem
     for resolution in rungs:
-        problem = locator.ladder.problem(resolution)
+        problem = ladder.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         z = packed(problem, guess)
-        if problem.imbalance(z) > 1.0:
-            problem = problem.placed(z, problem)
-            assert isinstance(problem, BoundaryProblem)
-            z = packed(problem, guess)
-        correction = _corrected(locator.ladder.corrector(problem), z, problem)
-        if not correction.converged:
-            failure = f"{correction.status.value}; {problem.worst(correction.z)}"
-            continue
-        return refined(locator, problem, correction)
-    raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failure}")
+        placed = problem.placed(z, problem) if problem.imbalance(z) > 1.0 else problem
+        assert isinstance(placed, BoundaryProblem)
+        yield placed
 
 
 def refined(locator: Locator, problem: Problem, correction: Correction) -> Point:
     """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
-    name = problem.statement.model.name if isinstance(problem, BoundaryProblem) else ""
+    assert isinstance(problem, BoundaryProblem)
+    name = problem.statement.model.name
     try:
         point = locator.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
     except SingularError as error:
-        raise BoundaryError(f"{name}: the solution cannot be refined: {error}") from error
+        reason = weakness(problem, correction.z) or str(error)
+        raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
     if point is None:
         top = locator.ladder.rungs[-2]
         raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")

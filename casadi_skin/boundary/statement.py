@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -49,6 +50,7 @@ class BoundaryValueProblem:
     running: Expression | None = None
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         _check_names("free", self.free, self.model.parameter_names)
         if len(set(self.free)) < len(self.free):
             raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
@@ -58,6 +60,25 @@ class BoundaryValueProblem:
         self._check_bounds()
 
     # Checks ---------------------------------------------------------------------------------------------------------
+
+    def _check_kinds(self) -> None:
+        if not isinstance(self.model, OdeModel):
+            raise TypeError(f"model: given {shown(self.model)}; accepted: an OdeModel")
+        for label, given in (("conditions", self.conditions), ("integrals", self.integrals), ("free", self.free)):
+            if not isinstance(given, Sequence) or isinstance(given, str | bytes):
+                raise TypeError(f"{label}: given {shown(given)}; accepted: a list")
+        for label, mapping in (("parameters", self.parameters), ("bounds", self.bounds)):
+            if not isinstance(mapping, Mapping):
+                raise TypeError(f"{label}: given {shown(mapping)}; accepted: a mapping from names")
+        if not isinstance(self.interval, Sequence) or len(self.interval) != 2:
+            raise TypeError(f"interval: given {shown(self.interval)}; accepted: (start, end)")
+        for end in self.interval:
+            if isinstance(end, ca.SX | ca.MX):
+                check_expression("interval", end, [self.model.parameters])
+                if end.numel() != 1:
+                    raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
+            elif isinstance(end, bool) or not isinstance(end, Real):
+                raise TypeError(f"interval: given {shown(end)}; accepted: numbers or expressions in parameters")
 
     def _check_values(self) -> None:
         start, end = self.span(np.array(list(self.values.values())))
@@ -93,7 +114,8 @@ class BoundaryValueProblem:
     def _check_bounds(self) -> None:
         _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
         for name, bound in self.bounds.items():
-            if len(bound) != 2 or not bound[0] < bound[1]:
+            pair = isinstance(bound, Sequence) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
+            if not pair or not bound[0] < bound[1]:
                 raise ValueError(f"bounds: given {shown(bound)} for {name}; accepted: (lower, upper), lower < upper")
 
     # What it is made of ---------------------------------------------------------------------------------------------
@@ -195,12 +217,17 @@ def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
     return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
 
 
+def check_name(label: str, name: object, known: Sequence[str]) -> None:
+    """Raises ValueError, with the nearest known name, for an unknown one."""
+    if name not in known:
+        near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
+        hint = f"did you mean {near}? " if near else ""
+        raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
+
+
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
     for name in given:
-        if name not in known:
-            near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
-            hint = f"did you mean {near}? " if near else ""
-            raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
+        check_name(label, name, known)
 
 
 def check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
@@ -210,5 +237,6 @@ def check_expression(label: str, expression: Any, symbols: list[Expression]) -> 
         raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
     stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
     if stranger:
-        accepted = ", ".join(s.name() for block in symbols for s in ca.symvar(block))
-        raise ValueError(f"{label}: depends on {', '.join(stranger)}; accepted: {accepted}")
+        known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
+        other = " of another model" if set(stranger) <= set(known) else ""
+        raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {', '.join(known) or 'numbers'}")

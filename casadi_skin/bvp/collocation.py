@@ -219,5 +219,7 @@ def _barycentric(support: Array) -> Array:
 
 
 def _append(triplets: Triplets, rows: Indices, columns: Indices, values: ca.MX) -> None:
+    if not values.numel():  # CasADi's empty rows and columns do not fit each other
+        return
     for held, added in zip(triplets, (rows, columns, values), strict=True):
         held.append(added)

@@ -22,6 +22,14 @@ def uniform(intervals: int) -> Array:
     return np.full(intervals, 1.0 / intervals)
 
 
+def graded(intervals: int, smallest: float) -> Array:
+    """Lengths that grow by a factor from `smallest` at both ends up to a quarter, between which they are equal."""
+    outer = intervals // 3
+    left = np.geomspace(smallest, 0.25, outer)
+    inner = np.linspace(0.25, 0.75, intervals - 2 * outer + 1)[1:-1]
+    return np.diff(np.concatenate([[0.0], left, inner, 1.0 - left[::-1], [1.0]]))
+
+
 def edges(lengths: Array) -> Array:
     """Ends of the intervals from 0 to 1, shape (intervals + 1,)."""
     ends = np.concatenate([[0.0], np.cumsum(lengths)])

@@ -8,23 +8,28 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from casadi_skin.commands import model_commands
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.rundir import Existing, prepare
-from casadi_skin.scene import Scene, parse_scene, read_text
+from casadi_skin.scene import AnyScene, ModelScene, Scene, parse_any_scene, parse_scene, read_text
 
 if TYPE_CHECKING:
     from casadi_skin.run import Run
 
 
 def run(arguments: argparse.Namespace) -> int:
-    scene, text = read_scene(arguments.scene)
-    if scene.family is None and scene.spectrum is None:
-        raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: a table [family] or [spectrum]")
+    scene, text = _read_any_scene(arguments.scene)
+    directory = arguments.out or Path("results") / arguments.scene.stem
+    existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    if isinstance(scene, ModelScene):
+        return model_commands.run(arguments, scene, text, directory, existing)
+    if scene.family is None and scene.spectrum is None and scene.search is None and scene.export is None:
+        accepted = "a table [family], [search], [export] or [spectrum]"
+        raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     if scene.spectrum is not None:
         _check_spectrum(arguments.scene, scene)
     _check_tail(arguments.scene, scene)
-    directory = arguments.out or Path("results") / arguments.scene.stem
-    existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    _check_search(arguments.scene, scene)
     if not prepare(directory, scene, text, existing):
         print(f"{directory} holds the complete run already")
         return DONE
@@ -45,14 +50,21 @@ def run(arguments: argparse.Namespace) -> int:
     for branch in run.branches:
         if not branch.complete:
             print(f"{arguments.scene}: mode {branch.tools.request.mode}: {branch.reason}", file=sys.stderr)
+    if run.export_failure:
+        print(f"{arguments.scene}: [export]: {run.export_failure}", file=sys.stderr)
+    if run.search is not None and not complete:
+        print(f"{arguments.scene}: [search]: {run.search.reason}", file=sys.stderr)
     if run.evolution_failure:
         print(f"{arguments.scene}: [dynamics]: {run.evolution_failure}", file=sys.stderr)
     return DONE if complete else FAILED
 
 
 def check(arguments: argparse.Namespace) -> int:
-    scene, _ = read_scene(arguments.scene)
+    scene, _ = _read_any_scene(arguments.scene)
+    if isinstance(scene, ModelScene):
+        return model_commands.check(arguments, scene)
     _check_tail(arguments.scene, scene)
+    _check_search(arguments.scene, scene)
     from casadi_skin.plan import plan_lines
 
     for subject, words in plan_lines(scene):
@@ -83,9 +95,14 @@ def spectrum(arguments: argparse.Namespace) -> int:
 
 
 def read_scene(path: Path) -> tuple[Scene, str]:
-    """The scene of a file and its text."""
+    """The scene of a chain in a file and its text."""
     text = read_text(path)
     return parse_scene(text, str(path)), text
+
+
+def _read_any_scene(path: Path) -> tuple[AnyScene, str]:
+    text = read_text(path)
+    return parse_any_scene(text, str(path)), text
 
 
 def _check_spectrum(path: Path, scene: Scene) -> None:
@@ -111,8 +128,26 @@ def _check_tail(path: Path, scene: Scene) -> None:
         raise InputError(f"{path}: {table}{error}") from error
 
 
+def _check_search(path: Path, scene: Scene) -> None:
+    """Raises InputError where the scene's search cannot be meant."""
+    if scene.search is None:
+        return
+    from casadi_skin.runsearch import scene_search
+
+    try:
+        scene_search(scene)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path}: [search] {error}") from error
+
+
 def _summary(run: Run) -> None:
     """A table of the families on standard output."""
+    if run.search is not None and run.scene.search is not None:
+        from casadi_skin.runsearch import summary_lines
+
+        print("\n".join([*summary_lines(run.search, run.scene.search.objective), f"results in {run.directory}"]))
+    for path in run.exported:
+        print(f"exported to {path}")
     if not run.branches:
         return
     from rich.console import Console

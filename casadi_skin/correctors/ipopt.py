@@ -61,6 +61,7 @@ class IpoptCorrector:
             "calc_f": False,
             "calc_g": False,
             "error_on_fail": False,
+            "show_eval_warnings": False,  # a failure comes back as a status
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
             "ipopt.tol": tolerance,

@@ -50,7 +50,7 @@ def _faults(model: OdeModel) -> Iterator[str]:
         yield "of second order in MX; accepted: SX, or a model of first order"
     yield from _numbers(model)
     symbols = [model.full_state, model.parameters, *([] if model.time is None else [model.time])]
-    if not all(symbol.is_valid_input() for symbol in symbols):
+    if not all(_plain(symbol) for symbol in symbols):
         yield "state, velocity, parameters or time with expressions among them; accepted: symbols"
     yield from _names(model)
     yield from _strangers(model, symbols)
@@ -63,6 +63,13 @@ def _faults(model: OdeModel) -> Iterator[str]:
     for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
         if signs is not None and (len(signs) != model.full_size or set(signs) - {1, -1}):
             yield f"{label} needs {model.full_size} signs, each +1 or -1"
+
+
+def _plain(symbol: Expression) -> bool:
+    """Whether this is a symbol, or in SX several; in MX several are an expression, which has no name."""
+    if isinstance(symbol, ca.MX):
+        return bool(symbol.is_symbolic()) or symbol.numel() == 0
+    return bool(symbol.is_valid_input())
 
 
 def _numbers(model: OdeModel) -> Iterator[str]:

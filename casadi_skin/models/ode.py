@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from casadi_skin.models.declared import Expression, check_declarations, check_symmetries, names_of
+
+if TYPE_CHECKING:
+    from casadi_skin.models.fmu import FmuModel
 
 Signs = tuple[int, ...]
 
@@ -168,3 +172,24 @@ class OdeModel:
         from casadi_skin.models.saved import read
 
         return read(path)
+
+    @staticmethod
+    def from_fmu(
+        path: str | Path,
+        states: Sequence[str] | None = None,
+        parameters: Sequence[str] = (),
+        *,
+        forcing_period: float | None = None,
+    ) -> FmuModel:
+        """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
+
+        `states` are all of the FMU's continuous states in the wanted order, by default in its own; `parameters` its
+        real parameters and inputs that become those of the model, the others keep their values. A model that depends
+        on time needs its `forcing_period`. Jacobians are the FMU's where it offers them and they agree with
+        differences, else by differences, whose estimated error is the model's `noise`. Raises ValueError, in one line,
+        for an unknown name, an FMU that is damaged, hostile, of another platform, or without Model Exchange, and
+        where fmpy (the extra "fmu") is not installed.
+        """
+        from casadi_skin.models.fmu import from_fmu
+
+        return from_fmu(path, states, parameters, forcing_period=forcing_period)

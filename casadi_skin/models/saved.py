@@ -54,6 +54,8 @@ def read(path: str | Path) -> OdeModel:
     try:
         function = ca.Function.deserialize(given["equations"])
         symbols = _symbols(given)
+        if not isinstance(given["name"], str):
+            raise TypeError("a name that is no string")
         results = dict(zip(given["results"], _results(function, symbols), strict=True))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ValueError(f"{refused}: its equations are damaged") from error

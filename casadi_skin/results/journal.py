@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 import msgspec
 import numpy as np
@@ -71,6 +71,7 @@ class EndRecord(msgspec.Struct, frozen=True, tag="end"):
 
 
 Record = OrbitRecord | ChangeRecord | EndRecord
+Kind = TypeVar("Kind")
 
 
 def _doubles(data: bytes, kind: str = "<f8") -> np.ndarray:
@@ -135,7 +136,7 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def append(self, record: Record) -> None:
+    def append(self, record: msgspec.Struct) -> None:
         """Write one record and hand it to the operating system at once."""
         _write(self._file, self._encoder.encode(record))
         self._file.flush()
@@ -147,8 +148,12 @@ def _write(file: BinaryIO, payload: bytes) -> None:
 
 def read_journal(path: Path) -> list[Record]:
     """All whole records of a journal; what a kill cut off at its end is left out."""
+    return read_records(path, msgspec.msgpack.Decoder(Record))
+
+
+def read_records(path: Path, decoder: msgspec.msgpack.Decoder[Kind]) -> list[Kind]:
+    """All whole records of a journal, of the kind that the decoder knows."""
     data, place, records = path.read_bytes(), 0, []
-    decoder = msgspec.msgpack.Decoder(Record)
     while place + 4 <= len(data):
         (length,) = struct.unpack_from("<I", data, place)
         if place + 4 + length > len(data):
@@ -158,7 +163,7 @@ def read_journal(path: Path) -> list[Record]:
     return records
 
 
-def trim_journal(path: Path, records: Sequence[Record]) -> None:
+def trim_journal(path: Path, records: Sequence[msgspec.Struct]) -> None:
     """Replace the journal by these records."""
     encoder = msgspec.msgpack.Encoder()
     with replacing(path) as temporary, temporary.open("wb") as file:

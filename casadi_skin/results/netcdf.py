@@ -39,7 +39,8 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDArray[np.generic], meaning: str) -> None:
+def put(file: netcdf_file, name: str, dimensions: tuple[str, ...], values: NDArray[np.generic], meaning: str) -> None:
+    """Write one variable; raises ArithmeticError on a value that is not finite."""
     data = np.asarray(values)
     if np.iscomplexobj(data):
         dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
@@ -65,9 +66,9 @@ def _put_logarithms(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     )
     at_rest = np.isneginf(logarithms) & (signs == 0)
     meaning = "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0"
-    _put(file, "log10_profile", ("point", "site"), np.where(at_rest, EMPTY, logarithms), meaning)
+    put(file, "log10_profile", ("point", "site"), np.where(at_rest, EMPTY, logarithms), meaning)
     setattr(file.variables["log10_profile"], "_FillValue", EMPTY)  # noqa: B010
-    _put(file, "profile_sign", ("point", "site"), signs.astype(int), "sign of y_n at t = 0")
+    put(file, "profile_sign", ("point", "site"), signs.astype(int), "sign of y_n at t = 0")
 
 
 def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title: str, vectors: bool) -> None:
@@ -83,10 +84,10 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
         return
     chain, sites = orbits[0].chain, orbits[0].shown_sites
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        _write_origin(file, chain, scene_text, title)
+        write_origin(file, chain, scene_text, title)
         file.createDimension("point", len(orbits))
         file.createDimension("site", sites.size)
-        _put(file, "site", ("site",), sites, "number of the site, from 1; up to 0 in an infinite chain with gamma > 0")
+        put(file, "site", ("site",), sites, "number of the site, from 1; up to 0 in an infinite chain with gamma > 0")
         file.createDimension("part", 2)
         _write_orbits(file, orbits)
         if branches[0].with_stability:
@@ -103,23 +104,28 @@ def write_evolution(path: Path, evolution: Evolution, orbit: Orbit, scene_text: 
     from scipy.io import netcdf_file
 
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        _write_origin(file, orbit.chain, scene_text, title)
+        write_origin(file, orbit.chain, scene_text, title)
         how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
         start = {"orbit_mode": orbit.tools.request.mode, "orbit_S": orbit.S, "orbit_Omega": orbit.Omega}
         for name, value in {**how, "step": evolution.step or 0.0, **start}.items():
             setattr(file, name, value)
         file.createDimension("time", evolution.t.size)
         file.createDimension("site", orbit.chain.sites)
-        _put(file, "t", ("time",), evolution.t, "time")
-        _put(file, "energy", ("time",), evolution.energy, "Hamiltonian of the gauge with rho = 1 at the favoured edge")
-        _put(file, "displacements", ("time", "site"), evolution.displacements, "displacements y_n")
-        _put(file, "velocities", ("time", "site"), evolution.velocities, "velocities of y_n")
+        put(file, "t", ("time",), evolution.t, "time")
+        put(file, "energy", ("time",), evolution.energy, "Hamiltonian of the gauge with rho = 1 at the favoured edge")
+        put(file, "displacements", ("time", "site"), evolution.displacements, "displacements y_n")
+        put(file, "velocities", ("time", "site"), evolution.velocities, "velocities of y_n")
 
 
-def _write_origin(file: netcdf_file, chain: Chain, scene_text: str, title: str) -> None:
-    """What was asked for, of which chain, and what computed it."""
+def write_versions(file: netcdf_file, scene_text: str, title: str) -> None:
+    """What was asked for, and what computed it."""
     for name, value in {"title": title, "scene": scene_text, **_versions()}.items():
         setattr(file, name, value or "untitled")
+
+
+def write_origin(file: netcdf_file, chain: Chain, scene_text: str, title: str) -> None:
+    """What was asked for, of which chain, and what computed it."""
+    write_versions(file, scene_text, title)
     for name in ("sites", "alpha", "gamma", "g"):
         setattr(file, name, getattr(chain, name))
 
@@ -142,18 +148,18 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
         "resolution": ([o.point.problem.resolution for o in orbits], "harmonics or intervals of the discretisation"),
     }
     for name, (values, meaning) in columns.items():
-        _put(file, name, ("point",), np.array(values), meaning)
+        put(file, name, ("point",), np.array(values), meaning)
     profiles = np.array([o.evaluate(0.0, o.shown_sites)[0] for o in orbits])
-    _put(file, "profile", ("point", "site"), profiles, "displacements y_n at t = 0")
+    put(file, "profile", ("point", "site"), profiles, "displacements y_n at t = 0")
     if all(o.regime is not None for o in orbits):
         regimes = np.array([list(Regime).index(o.regime) for o in orbits if o.regime is not None])
-        _put(file, "regime", ("point",), regimes, "; ".join(f"{i}: {r.value}" for i, r in enumerate(Regime)))
+        put(file, "regime", ("point",), regimes, "; ".join(f"{i}: {r.value}" for i, r in enumerate(Regime)))
     _put_logarithms(file, orbits)
     harmonics = max(o.harmonics for o in orbits)
     file.createDimension("harmonic", harmonics)
     coefficients = np.stack([o.coefficients(harmonics, o.shown_sites) for o in orbits])
     meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
-    _put(file, "coefficients", ("point", "harmonic", "site"), coefficients, meaning)
+    put(file, "coefficients", ("point", "harmonic", "site"), coefficients, meaning)
 
 
 def _places(orbits: Sequence[Orbit]) -> list[tuple[int, int]]:
@@ -170,21 +176,21 @@ def _places(orbits: Sequence[Orbit]) -> list[tuple[int, int]]:
 def _write_stability(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     results = [o.floquet() for o in orbits]
     stable = np.array([f.stable for f in results])
-    _put(file, "stable", ("point",), stable, "1 where every mu lies in [-1, 0] within its estimated error")
+    put(file, "stable", ("point",), stable, "1 where every mu lies in [-1, 0] within its estimated error")
     largest = np.array([f.max_abs_multiplier for f in results])
-    _put(file, "max_abs_multiplier", ("point",), largest, "largest modulus, the trivial pair left out")
+    put(file, "max_abs_multiplier", ("point",), largest, "largest modulus, the trivial pair left out")
     error = np.array([f.error for f in results])
-    _put(file, "multiplier_error", ("point",), error, "estimated error of mu and of max_abs_multiplier where unstable")
+    put(file, "multiplier_error", ("point",), error, "estimated error of mu and of max_abs_multiplier where unstable")
     deviation = np.array([f.trivial_deviation for f in results])
-    _put(file, "trivial_deviation", ("point",), deviation, "distance of the trivial mu from its exact value")
+    put(file, "trivial_deviation", ("point",), deviation, "distance of the trivial mu from its exact value")
     file.createDimension("multiplier", results[0].multipliers.size)
     multipliers = np.stack([f.multipliers for f in results])
-    _put(file, "multipliers", ("point", "multiplier"), multipliers, "Floquet multipliers, the trivial pair first")
+    put(file, "multipliers", ("point", "multiplier"), multipliers, "Floquet multipliers, the trivial pair first")
     if results[0].mu.size:
         file.createDimension("mu_index", results[0].mu.size)
-        _put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C")
+        put(file, "mu", ("point", "mu_index"), np.stack([f.mu for f in results]), "eigenvalues of B^T C")
         errors = np.stack([f.mu_error for f in results])
-        _put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu")
+        put(file, "mu_error", ("point", "mu_index"), errors, "estimated errors of mu")
 
 
 def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
@@ -193,7 +199,7 @@ def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
         return
     file.createDimension("requested_point", len(places))
     file.createDimension("component", 2 * orbits[0].chain.sites)
-    _put(file, "vectors_point", ("requested_point",), np.array(places), "place along `point`, from 0")
+    put(file, "vectors_point", ("requested_point",), np.array(places), "place along `point`, from 0")
     vectors = np.stack([orbits[i].floquet_vectors() for i in places])
     dimensions = ("requested_point", "component", "multiplier")
-    _put(file, "vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, columns")
+    put(file, "vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, columns")

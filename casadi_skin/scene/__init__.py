@@ -4,8 +4,10 @@ Loads no numerics, so that reading a scene is instant.
 """
 
 from casadi_skin.scene.faults import SceneError
-from casadi_skin.scene.reading import parse_scene, read_scene, read_text, scene_schema
+from casadi_skin.scene.model_tables import ModelScene
+from casadi_skin.scene.reading import AnyScene, parse_any_scene, parse_scene, read_scene, read_text, scene_schema
 from casadi_skin.scene.tables import (
+    C_PARTS,
     CORRECTORS,
     EVOLVERS,
     FLOWS,
@@ -16,15 +18,19 @@ from casadi_skin.scene.tables import (
     AccuracyTable,
     ChainTable,
     DynamicsTable,
+    ExportTable,
     FamilyTable,
     MethodTable,
     Scene,
+    SearchCondition,
+    SearchTable,
     SpectrumTable,
     StabilityTable,
 )
 
 __all__ = [
     "CORRECTORS",
+    "C_PARTS",
     "EVOLVERS",
     "FLOWS",
     "PRESETS",
@@ -32,14 +38,20 @@ __all__ = [
     "TRANSCRIPTIONS",
     "WALKERS",
     "AccuracyTable",
+    "AnyScene",
     "ChainTable",
     "DynamicsTable",
+    "ExportTable",
     "FamilyTable",
     "MethodTable",
+    "ModelScene",
     "Scene",
     "SceneError",
+    "SearchCondition",
+    "SearchTable",
     "SpectrumTable",
     "StabilityTable",
+    "parse_any_scene",
     "parse_scene",
     "read_scene",
     "read_text",

@@ -2,8 +2,9 @@
 
 import math
 
-from casadi_skin.scene.faults import SceneError, refusal, shown
+from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, shown
 from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
+from casadi_skin.search.names import FREE, NAMED
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
 NARROWEST_BAND = 1e-10  # the same as in families.request
@@ -193,3 +194,68 @@ def _moves_alone(dynamics: DynamicsTable, edge: int, sites: int) -> bool:
     if dynamics.vector is not None:
         return not any(value for i, value in enumerate(dynamics.vector) if i % sites != edge - 1)
     return dynamics.site == edge or sites == 1
+
+
+def check_export(scene: Scene) -> None:
+    export, family = scene.export, scene.family
+    if export is None:
+        return
+    if scene.chain.sites == math.inf:
+        raise refusal("[export]", "with sites = inf", "with a whole number of sites")
+    if export.c not in (None, "all") and abs(scene.chain.gamma) == 1:
+        for part in export.c:
+            if part in ("flow", "residual", "newton", "ipopt"):
+                given = f"{shown(part)} with gamma = {scene.chain.gamma!r}"
+                accepted = "rhs, jacobian, variational, orbit (the gauge holds the edge site alone)"
+                raise refusal("[export] c", given, accepted)
+    if export.S is None:
+        if export.mode is not None:
+            raise refusal("[export] mode", shown(export.mode), "beside S, the orbit of that mode's family")
+        if export.c is not None and "orbit" in export.c:
+            raise refusal("[export] c", '"orbit" without S', "with S, that of the orbit")
+        return
+    if family is None:
+        raise refusal("[export] S", repr(export.S), "beside a [family], one of whose orbits it names")
+    followed = family.modes(scene.chain.sites)
+    modes = f"one of the modes of [family], {shown(list(followed))}"
+    if export.mode is None and len(followed) > 1:
+        raise SceneError(f"[export] mode: missing; accepted: {modes}")
+    if export.mode is not None and export.mode not in followed:
+        raise refusal("[export] mode", shown(export.mode), modes)
+    if family.amplitude_max < export.S:
+        raise refusal("[export] S", repr(export.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
+
+
+def check_search(scene: Scene) -> None:
+    search, chain = scene.search, scene.chain
+    if search is None:
+        return
+    if scene.family is not None:
+        raise refusal("[search]", "beside [family]", "[search] or [family] in one scene")
+    if chain.sites == math.inf:
+        raise refusal("[search]", "with sites = inf", "with a whole number of sites")
+    if chain.g == 0:
+        raise refusal("[chain] g", repr(chain.g), "with a [search] a finite number other than 0")
+    if isinstance(search.mode, int) and search.mode > chain.sites:
+        raise refusal(
+            "[search] mode", shown(search.mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
+        )
+    _check_known("[search] objective", search.objective, tuple(NAMED))
+    for name in search.free:
+        _check_known("[search] free", name, tuple(FREE))
+    for name, (lower, upper) in search.bounds.items():
+        _check_known("[search] bounds", name, tuple({**FREE, **NAMED}))
+        if not lower <= upper:
+            raise refusal(f"[search] bounds {name}", shown([lower, upper]), "a list [lower, upper] with lower <= upper")
+    for item, held in enumerate(search.constraints, start=1):
+        place = f"[search] constraints, item {item}"
+        _check_known(place, held.quantity, tuple(NAMED))
+        if (held.equal is None) == (held.lower is None and held.upper is None):
+            given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
+            raise refusal(place, given, "equal, or lower and upper or one of these")
+
+
+def _check_known(place: str, name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        near = nearest(name, known)
+        raise SceneError(f"{place}: given {shown(name)}{did_you_mean(near and shown(near), ', '.join(known))}")

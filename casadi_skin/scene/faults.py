@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import get_type_hints
 
 from msgspec import Meta
@@ -57,6 +57,11 @@ def shown(value: object, depth: int = 3) -> str:
         items = [shown(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
         return cut(f"[{', '.join(items)}]")
     return "a table" if isinstance(value, dict) else str(value)
+
+
+def inline(table: Mapping[str, object]) -> str:
+    """A table as TOML would write it in one line, cut where it is long."""
+    return cut(f"{{{', '.join(f'{cut(key)} = {shown(value)}' for key, value in table.items())}}}")
 
 
 def with_kind(value: object) -> str:

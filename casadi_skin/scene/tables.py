@@ -13,6 +13,8 @@ from typing import Annotated, Literal, get_args
 import msgspec
 from msgspec import Meta, Struct
 
+from casadi_skin.search.names import FREE, NAMED
+
 Preset = Literal["draft", "standard", "reference"]
 Transcription = Literal["trigonometric", "gauss", "radau", "shooting"]
 Corrector = Literal["ipopt", "newton"]
@@ -20,6 +22,8 @@ Walker = Literal["arclength", "series"]
 Flow = Literal["splitting", "cvodes", "gauss", "rk4"]
 Tail = Literal["eliminated", "full"]
 Evolver = Literal["cvodes", "dop853", "symplectic"]
+Fmi = Literal["3.0", "2.0"]
+CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
 
 PRESETS: tuple[str, ...] = get_args(Preset)
 TRANSCRIPTIONS: tuple[str, ...] = get_args(Transcription)
@@ -28,11 +32,15 @@ WALKERS: tuple[str, ...] = get_args(Walker)
 FLOWS: tuple[str, ...] = get_args(Flow)
 TAILS: tuple[str, ...] = get_args(Tail)
 EVOLVERS: tuple[str, ...] = get_args(Evolver)
+FMI_VERSIONS: tuple[str, ...] = get_args(Fmi)
+C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export.subject, which loads numerics
 PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
 _MAX_SITES = 10_000_000
 _MAX_SAMPLES = 1_000_000
 _MAX_POINTS = 1_000_000
+_MAX_STARTS = 10_000
+_MAX_WORKERS = 256
 _POINTS = 2000  # the same as in families.request, which loads numerics
 
 
@@ -165,6 +173,96 @@ class DynamicsTable(Table, frozen=True):
     ] = None
 
 
+class ExportTable(Table, frozen=True):
+    """The chain, or one of its orbits, out of Python."""
+
+    c: Annotated[
+        Literal["all"] | Annotated[tuple[CPart, ...], Meta(min_length=1)] | None,
+        Meta(title="Parts written as C, in DIR/export", description=f'"all", or a list of {_one_of(C_PARTS)}'),
+    ] = None
+    fmu: Annotated[
+        Annotated[str, Meta(pattern=r"^\w[\w.-]*\.fmu$")] | None,
+        Meta(title="Functional Mock-up Unit, in DIR", description="a file name without folders that ends in .fmu"),
+    ] = None
+    fmi: Annotated[Fmi, Meta(title="Version of its interface", description=_one_of(FMI_VERSIONS))] = "3.0"
+    S: Annotated[
+        _Positive | None,
+        Meta(
+            title="S of the orbit",
+            description="a finite number > 0, up to amplitude_max (left out: the chain without an orbit)",
+        ),
+    ] = None
+    mode: Annotated[
+        _Mode | None,
+        Meta(
+            title="Mode of its family",
+            description="one of the modes of [family]; required with S where these are several",
+        ),
+    ] = None
+
+
+class SearchCondition(Table, frozen=True):
+    """A quantity of the orbit that is held between bounds, or equal to a number."""
+
+    quantity: Annotated[str, Meta(title="Name of the quantity", description="a quantity by name")]
+    equal: Annotated[_Finite | None, Meta(title="Its value", description="a finite number")] = None
+    lower: Annotated[_Finite | None, Meta(title="Lower bound", description="a finite number")] = None
+    upper: Annotated[_Finite | None, Meta(title="Upper bound", description="a finite number")] = None
+
+
+class SearchTable(Table, frozen=True):
+    """An orbit found by optimisation: what is free, what is optimised, what must hold."""
+
+    objective: Annotated[
+        str,
+        Meta(title="Quantity that is optimised", description=_one_of(NAMED), extra_json_schema={"enum": list(NAMED)}),
+    ]
+    free: Annotated[
+        Annotated[tuple[str, ...], Meta(min_length=1)],
+        Meta(title="What is free", description=f"a list of {_one_of(FREE)}, each once"),
+    ]
+    maximise: Annotated[bool, Meta(title="Maximise in place of minimise", description="true or false")] = False
+    bounds: Annotated[
+        dict[str, tuple[float, float]],
+        Meta(
+            title="Bounds of what is free, and of quantities",
+            description="a table of names, each with a list [lower, upper]; -inf or inf where there is none",
+        ),
+    ] = {}
+    constraints: Annotated[
+        tuple[SearchCondition, ...],
+        Meta(
+            title="Quantities held",
+            description="a list of tables with quantity, and equal or lower and upper or one of these",
+        ),
+    ] = ()
+    mode: Annotated[
+        _Mode | _Named | None,
+        Meta(
+            title="Linear mode of the family",
+            description='a mode from 1 to sites, "first" or "last" (left out: last for g > 0, first for g < 0)',
+        ),
+    ] = None
+    S: Annotated[_Positive, Meta(title="S of the orbit, or of the first start", description="a finite number > 0")] = (
+        1.0
+    )
+    starts: Annotated[
+        Annotated[int, Meta(ge=1, le=_MAX_STARTS)],
+        Meta(title="Number of starts", description=f"a whole number >= 1 and <= {_MAX_STARTS}"),
+    ] = 8
+    seed: Annotated[
+        Annotated[int, Meta(ge=0, le=2**63 - 1)],
+        Meta(title="Seed of the starts but for the first", description="a whole number >= 0 and < 2^63"),
+    ] = 0
+    deflate: Annotated[
+        bool, Meta(title="Use starts that led to a known optimum again, away from it", description="true or false")
+    ] = False
+    workers: Annotated[
+        Annotated[int, Meta(ge=1, le=_MAX_WORKERS)],
+        Meta(title="Processes that share the starts", description=f"a whole number >= 1 and <= {_MAX_WORKERS}"),
+    ] = 1
+
+
 class AccuracyTable(Table, frozen=True):
     """The relative error allowed in the results, by a preset or as a number."""
 
@@ -218,12 +316,16 @@ class Scene(Table, frozen=True):
     family: FamilyTable | None = None
     stability: StabilityTable | None = None
     dynamics: DynamicsTable | None = None
+    search: SearchTable | None = None
+    export: ExportTable | None = None
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
 
-    def same_request(self, other: "Scene") -> bool:
-        """Whether the other scene is equal but for the title."""
+    def same_request(self, other: object) -> bool:
+        """Whether the other scene is one of a chain as well, and equal but for the title."""
+        if not isinstance(other, Scene):
+            return False
         return msgspec.structs.replace(self, title=None) == msgspec.structs.replace(other, title=None)
 
 
@@ -234,6 +336,8 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "family": FamilyTable,
         "stability": StabilityTable,
         "dynamics": DynamicsTable,
+        "search": SearchTable,
+        "export": ExportTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,
     }

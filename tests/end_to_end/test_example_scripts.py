@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, Orbit
+from casadi_skin.dynamics import distance_from_orbit, evolve
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
@@ -90,6 +91,27 @@ def test_kick_from_the_far_end(load: Load, tmp_path: Path) -> None:
     assert found[0] > 2 > 0 > found[1]
 
 
+@pytest.mark.slow
+def test_smallest_kick(load: Load, tmp_path: Path) -> None:
+    kick = load("smallest_kick").main(tmp_path / "picture.png", starts=2)
+    assert drawn(tmp_path / "picture.png")
+    orbit, n = kick.orbit, kick.orbit.chain.sites
+    assert kick.best.optimum.strict
+    assert abs(kick.norm / 6.52883e-4 - 1) < 1e-5
+    # Dormand-Prince in physical coordinates: it escapes at the very end, the far end at the same norm does not.
+    far_end = kick.far_end_kick * kick.norm / kick.far_end_norm
+    for z, least, most in ((kick.best.kick, 0.49999, 0.50001), (far_end, 0.3, 0.45)):
+        run = evolve(orbit.chain, orbit.profile + z[:n], z[n:], np.linspace(0, 40, 801), "dop853", 1e-11, "physical")
+        assert least < distance_from_orbit(orbit, run).max() < most
+    # What linear growth makes of it, by the linearised equations written out above.
+    seen = physical_flow(orbit, np.eye(2 * n), kick.linear_time) / np.repeat([1.0, orbit.Omega], n)[:, None]
+    y = [orbit.evaluate(kick.linear_time + h)[0] for h in (-1e-4, 0.0, 1e-4)]
+    tangent = np.concatenate([y[2] - y[0], (y[2] - 2 * y[1] + y[0]) / (0.5e-4 * orbit.Omega)])
+    tangent /= np.linalg.norm(tangent)
+    gain = np.linalg.svd(seen - np.outer(tangent, tangent @ seen))[1][0]
+    assert abs(kick.linear_norm * gain / (0.5 * np.sqrt(orbit.S)) - 1) < 1e-5
+
+
 def test_thousand_sites(load: Load, tmp_path: Path) -> None:
     example = load("thousand_sites")
     extended, breather = example.main(tmp_path / "picture.png")
@@ -134,7 +156,40 @@ def test_duffing_check(load: Load, tmp_path: Path) -> None:
     assert errors["trigonometric"].true[-1] < 1e-14
 
 
+def test_export_c(load: Load, tmp_path: Path) -> None:
+    numbers, in_c, in_python = load("export_c").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert abs(numbers["period"] / (2 * np.pi / 1.018532435491958) - 1) < 1e-13  # independent codes
+    assert abs(numbers["largest_multiplier"] - 1.171275734790) < 1e-12
+    assert np.abs(in_c[:, 1] - in_python).max() < 1e-9
+    assert np.abs(in_c[:400, 1]).max() < 0.35 < 0.45 < np.abs(in_c[:, 1]).max()  # the kick arrives after four periods
+
+
+def test_chain_as_fmu(load: Load, tmp_path: Path) -> None:
+    differences = load("chain_as_fmu").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert differences["CoSimulation"] < 1e-11
+    assert differences["ModelExchange"] < 1e-5
+
+
+@pytest.mark.slow
+def test_foreign_fmu(load: Load, tmp_path: Path) -> None:
+    branch = load("foreign_fmu").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert branch.at(1.0).period == pytest.approx(6.66328685932313, abs=1e-8)
+
+    def field(_: float, x: np.ndarray) -> list[float]:
+        return [x[1], 4.0 * (1.0 - x[0] ** 2) * x[1] - x[0]]
+
+    def turns(_: float, x: np.ndarray) -> float:
+        return float(x[1])
+
+    turns.direction = -1.0  # type: ignore[attr-defined]
+    crossings = solve_ivp(field, (0.0, 80.0), [2.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12, events=turns).t_events[0]
+    assert branch.at(4.0).period == pytest.approx(crossings[-1] - crossings[-2], abs=1e-7)
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
     assert (PICTURES / f"{path.stem}.png").stat().st_size < 150_000
-    assert Chain.__name__ in path.read_text(encoding="utf-8")
+    assert "from casadi_skin import" in path.read_text(encoding="utf-8")

@@ -107,3 +107,14 @@ def test_a_layer_inside_draws_the_intervals_to_it() -> None:
     placed = interpolants(lambda x: np.tanh((x - 0.3) / 0.01), lengths, 5)[1]
     even = interpolants(lambda x: np.tanh((x - 0.3) / 0.01), mesh.uniform(24), 5)[1]
     assert placed < 0.02 * even
+
+
+@pytest.mark.parametrize("intervals", [12, 40, 91])
+def test_a_graded_mesh_grows_from_both_ends(intervals: int) -> None:
+    lengths = mesh.graded(intervals, 1e-8)
+    assert lengths.shape == (intervals,)
+    assert lengths.sum() == pytest.approx(1.0, rel=1e-14)
+    assert lengths[0] == pytest.approx(1e-8)
+    np.testing.assert_allclose(lengths, lengths[::-1], rtol=1e-6, atol=1e-15)
+    outer = intervals // 3
+    assert np.all(np.diff(lengths[1:outer]) > 0)

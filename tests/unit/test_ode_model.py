@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -277,3 +278,210 @@ def test_a_wrong_declaration_is_found_where_parameters_must_be_positive() -> Non
     rhs = ca.vertcat(x[1], -ca.sum1(ca.sqrt(p)) * x[0] + x[0] ** 2)  # even: no half-period symmetry
     with pytest.raises(ValueError, match="half_period"):
         OdeModel("square roots", x, rhs, p, half_period=(-1, -1)).check_symmetries()
+
+
+# Names, forcing, outputs, nominal values ----------------------------------------------------------------------------
+
+
+def forced(**changes: Any) -> OdeModel:
+    """A forced pendulum whose forcing's period is a parameter's."""
+    q, v, w, a, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "a", "t"))
+    declared = {
+        "name": "forced",
+        "state": ca.vertcat(q, v),
+        "rhs": ca.vertcat(v, -ca.sin(q) - 0.1 * v + a * ca.cos(w * t)),
+        "parameters": ca.vertcat(w, a),
+        "time": t,
+        "forcing_period": 2 * ca.pi / w,
+        "outputs": {"energy": v**2 / 2 - ca.cos(q), "power": a * v * ca.cos(w * t)},
+        "nominal": (2.0, 0.1),
+    }
+    return OdeModel(**(declared | changes))  # type: ignore[arg-type]
+
+
+def test_components_are_called_as_their_symbols_or_labels() -> None:
+    assert forced().state_names == ("q", "v")
+    assert forced().parameter_names == ("omega", "a")
+    assert pendulums().state_names == ("q_0", "q_1", "v_0", "v_1")
+    assert forced(state_labels=("angle", "rate")).state_names == ("angle", "rate")
+    assert forced(parameter_labels=("w", "force")).parameter_names == ("w", "force")
+
+
+def test_a_model_without_parameters_has_none() -> None:
+    x = ca.SX.sym("x")
+    model = OdeModel("decay", x, -x)
+    assert model.parameter_names == ()
+    assert float(model.vector_field(0.0, 2.0, [])) == -2.0
+
+
+def test_outputs_are_functions_of_time_state_and_parameters() -> None:
+    model = forced()
+    power = model.function("power", model.outputs["power"])
+    assert float(power(0.5, [0.1, 3.0], [2.0, 0.7])) == pytest.approx(0.7 * 3.0 * np.cos(1.0))
+    assert model.forced
+    assert not pendulums().forced
+
+
+def test_the_first_order_form_keeps_names_forcing_outputs_and_nominal_values() -> None:
+    q, v, k, t = (ca.SX.sym(name) for name in "qvkt")
+    model = OdeModel(
+        "driven", q, -k * q + ca.sin(t), k, 2, v, time=t, forcing_period=2 * np.pi, outputs={"work": q * ca.sin(t)},
+        nominal=(4.0,), state_labels=("place", "speed"), parameter_labels=("stiffness",),
+    )  # fmt: skip
+    first = model.first_order()
+    assert first.state_names == ("place", "speed")
+    assert first.parameter_names == ("stiffness",)
+    assert (first.nominal, first.forcing_period, list(first.outputs)) == ((4.0,), 2 * np.pi, ["work"])
+    np.testing.assert_array_equal(first.vector_field(1.0, [0.5, 0.2], 4.0), model.vector_field(1.0, [0.5, 0.2], 4.0))
+
+
+def test_the_ends_of_an_interval_have_their_own_symbols() -> None:
+    model = forced()
+    q = model.state[0]
+    assert str(model.start(q)) == "q(start)"
+    assert str(model.end(2 * q)) == "(2.*q(end))"
+    assert model.ends is model.ends
+    assert not ca.depends_on(model.start(q), q)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"nominal": (1.0,)}, "forced: nominal needs 2 values, given 1"),
+        ({"state_labels": ("a",)}, "forced: state_labels needs 2 names, given 1"),
+        ({"parameter_labels": ("a", "b", "c")}, "forced: parameter_labels needs 2 names, given 3"),
+        ({"outputs": {"both": ca.SX.zeros(2)}}, "forced: outputs with several components"),
+        ({"outputs": {"q": ca.SX(0)}}, "forced: q named more than once among states, parameters and outputs"),
+        ({"outputs": {"strange": ca.SX.sym("w")}}, "forced: output strange depends on w, which is not declared"),
+        ({"forcing_period": None}, "forced: time without forcing_period; accepted: the forcing's period"),
+        ({"forcing_period": ca.SX.sym("T")}, "forced: forcing_period depends on T; accepted: parameters"),
+        ({"time": None}, "which is not declared"),
+        ({"hamiltonian": ca.SX(1)}, "forced: a hamiltonian in a model that is forced"),
+        ({"half_period": (1, -1)}, "forced: the declared half_period is not a symmetry"),
+        ({"reversal": (1, -1)}, "forced: the declared reversal is not a symmetry"),
+        ({"shown": (1.0,)}, "forced: shown needs 2 factors, given 1"),
+    ],
+)
+def test_declarations_that_do_not_fit_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=r"^forced: ") as error:
+        forced(**changes)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_state_that_is_an_expression_is_refused() -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match="with expressions among them; accepted: symbols"):
+        OdeModel("shifted", x + 1, -x)
+
+
+def test_the_half_period_symmetry_of_a_forced_model_shifts_the_forcing() -> None:
+    """cos changes its sign half a period later, so that the odd pendulum has odd orbits; with cos^2 it has not."""
+    assert forced(half_period=(-1, -1)).half_period == (-1, -1)
+    model = forced()
+    even = model.rhs + ca.vertcat(0, ca.cos(model.parameters[0] * model.time) ** 2)
+    with pytest.raises(ValueError, match="declared half_period is not a symmetry"):
+        replace(model, rhs=even, half_period=(-1, -1))
+
+
+def test_symmetries_are_checked_when_declared_unless_told_otherwise() -> None:
+    with pytest.raises(ValueError, match="the declared half_period is not a symmetry"):
+        predator(half_period=(-1, -1))
+    with pytest.raises(ValueError, match="the declared half_period is not a symmetry"):
+        predator(half_period=(-1, -1), checked=False).check_symmetries()
+
+
+def test_a_model_that_is_never_finite_is_told() -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match="not finite at a random point"):
+        OdeModel("nowhere", x, ca.log(-(x**2)), half_period=(-1,))
+
+
+# Files ---------------------------------------------------------------------------------------------------------------
+
+
+def mx_model() -> OdeModel:
+    x, p = ca.MX.sym("x", 3), ca.MX.sym("p", 2)
+    rhs = ca.vertcat(x[1] * p[0], -ca.sin(x[0]), p[1] - x[2])
+    return OdeModel("matrix", x, rhs, p, nominal=(1.0, 2.0), outputs={"sum": ca.sum1(x)})
+
+
+@pytest.mark.parametrize("make", [pendulums, predator, van_der_pol, forced, mx_model])
+def test_what_is_read_is_what_was_saved(make: Make, tmp_path: Path) -> None:
+    model = make()
+    again = OdeModel.read(model.save(tmp_path / "model.json"))
+    for label in ("name", "order", "size", "state_names", "parameter_names", "reversal", "half_period", "nominal"):
+        assert getattr(again, label) == getattr(model, label)
+    assert (again.forced, list(again.outputs)) == (model.forced, list(model.outputs))
+    generator = np.random.default_rng(1)
+    point = (0.3, generator.normal(size=model.full_size), 1 + generator.random(model.parameters.numel()))
+    results = [
+        [m.full_rhs, *m.outputs.values(), *([] if m.hamiltonian is None else [m.hamiltonian])] for m in (model, again)
+    ]
+    ours, theirs = (m.function("f", *r)(*point) for m, r in zip((model, again), results, strict=True))
+    for one, other in zip(*(r if isinstance(r, tuple) else (r,) for r in (ours, theirs)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    if model.forced:
+        periods = [ca.Function("T", [m.parameters], [m.forcing_period])(point[2]) for m in (model, again)]
+        assert periods[0] == periods[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "cannot be read as a saved model"),
+        ("{", "cannot be read as a saved model"),
+        ("[]", "not a model saved by casadi_skin; accepted: a file with format"),
+        ('{"format": "casadi_skin model 0"}', "not a model saved by casadi_skin; accepted: a file with format"),
+        ('{"format": "casadi_skin model 1"}', "its equations are damaged"),
+        ('{"format": "casadi_skin model 1", "equations": "nonsense"}', "its equations are damaged"),
+    ],
+)
+def test_other_files_are_refused_in_one_line(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=words) as error:
+        OdeModel.read(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_and_a_picture_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot be read as a saved model"):
+        OdeModel.read(tmp_path / "nothing.json")
+    (tmp_path / "picture.png").write_bytes(bytes(range(256)))
+    with pytest.raises(ValueError, match="cannot be read as a saved model"):
+        OdeModel.read(tmp_path / "picture.png")
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = forced().save(tmp_path / "model.json")
+    text = path.read_text(encoding="utf-8")
+    broken = [text.replace('"results": [', '"results": ["more", '), text.replace('"name": "forced",', ""),
+              text.replace('"nominal": [', '"nominal": [1.0, ')]  # fmt: skip
+    for damaged in broken:
+        assert damaged != text
+        path.write_text(damaged, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"model.json|forced|nominal") as error:
+            OdeModel.read(path)
+        assert "\n" not in str(error.value)
+
+
+# MX -----------------------------------------------------------------------------------------------------------------
+
+
+def test_mx_models_number_their_components() -> None:
+    model = mx_model()
+    assert model.state_names == ("x_0", "x_1", "x_2")
+    assert model.parameter_names == ("p_0", "p_1")
+    np.testing.assert_allclose(np.array(model.vector_field(0.0, [0.0, 2.0, 3.0], [1.0, 2.0])).ravel(), [2.0, 0.0, -1.0])
+    x = ca.MX.sym("x")
+    assert OdeModel("alone", x, -x).state_names == ("x",)
+
+
+def test_mx_models_of_second_order_or_of_several_symbols_are_refused() -> None:
+    x, v = ca.MX.sym("x", 2), ca.MX.sym("v", 2)
+    with pytest.raises(ValueError, match="of second order in MX; accepted: SX, or a model of first order"):
+        OdeModel("second", x, -x, order=2, velocity=v)
+    with pytest.raises(ValueError, match="with expressions among them; accepted: symbols"):
+        OdeModel("several", ca.vertcat(x, v), ca.vertcat(v, -x))

@@ -27,7 +27,8 @@ from casadi_skin.scene import (
 
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
-TABLES = "accepted: [chain], [spectrum], [family], [stability], [dynamics], [accuracy], [method], title"
+NAMES = ("chain", "spectrum", "family", "stability", "dynamics", "search", "export", "accuracy", "method")
+TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
 
 
 def chain(**changes: str) -> str:

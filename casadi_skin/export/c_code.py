@@ -1,0 +1,169 @@
+"""A chain, a model or an orbit as a directory of C99 with a header, an example program and a build description."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Collection, Mapping
+from importlib.resources import files
+from pathlib import Path
+
+from casadi_skin.arguments import shown
+from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
+from casadi_skin.export.ctext import comment, plain
+from casadi_skin.export.equations import (
+    flow_part,
+    jacobian_part,
+    model_part,
+    outputs_part,
+    rhs_part,
+    variational_part,
+)
+from casadi_skin.export.mainprogram import main_text
+from casadi_skin.export.optimiser import IPOPT_HEADER, ipopt_part
+from casadi_skin.export.orbits import newton_part, orbit_part, residual_part
+from casadi_skin.export.part import Part
+from casadi_skin.export.readme import cmake_text, readme_text
+from casadi_skin.export.subject import Subject, subject_of, wanted
+from casadi_skin.families.orbit import Orbit
+from casadi_skin.models.chain import Chain
+from casadi_skin.models.ode import OdeModel
+
+MAKERS: Mapping[str, Callable[[Subject], Part]] = {
+    "rhs": rhs_part,
+    "jacobian": jacobian_part,
+    "variational": variational_part,
+    "outputs": outputs_part,
+    "flow": flow_part,
+    "residual": residual_part,
+    "newton": newton_part,
+    "orbit": orbit_part,
+    "ipopt": ipopt_part,
+}
+HARMONICS = 12
+
+
+def export_c(
+    source: Chain | OdeModel | Orbit,
+    directory: str | Path,
+    what: Collection[str] | None = None,
+    *,
+    name: str | None = None,
+    harmonics: int = HARMONICS,
+) -> Path:
+    """Write a chain, a model or an orbit as C99 into a new or empty directory, and return its path.
+
+    `what` names the parts: rhs, jacobian, variational, outputs, flow, residual, newton, orbit, ipopt; by default all
+    that the source has and that need libm only. `name` is the prefix of all C names and files, by default that of the
+    model or "chain". `harmonics` are those of the collocation equations of a chain without an orbit. All is
+    dimensionless.
+
+    Raises TypeError and ValueError for an argument that is not accepted, CodegenError (a ValueError) for equations that
+    CasADi cannot write as C, each in one line; nothing is written then.
+    """
+    subject = subject_of(source, name, harmonics)
+    chosen = wanted(subject, what)
+    target = _free(directory)
+    check_parts(subject.model.vector_field)  # before derivatives are asked for that it may not have
+    texts = export_texts(subject, chosen)
+    _write(texts, target)
+    return target
+
+
+def export_texts(subject: Subject, chosen: Collection[str]) -> dict[str, str]:
+    """The files of an export by their names."""
+    parts = {"model": model_part(subject), **{what: MAKERS[what](subject) for what in chosen}}
+    name, every = subject.name, list(parts.values())
+    plainly = [part for what, part in parts.items() if what != "ipopt"]
+    generated = c_source(f"{name}_generated", [f for part in plainly for f in part.functions])
+    templates = [stem for part in every for stem in part.files]
+    texts = {
+        f"{name}.h": _header(subject, every),
+        f"{name}.c": _definitions(subject, plainly, generated),
+        f"{name}_generated.c": generated.text,
+        **{f"{name}_{stem}.c": _template(stem) for stem in templates},
+        "main.c": main_text(subject, chosen),
+    }
+    if "ipopt" in parts:
+        own = c_source(f"{name}_ipopt_generated", parts["ipopt"].functions, LIBM_HEADERS | {IPOPT_HEADER})
+        texts |= {f"{name}_ipopt.c": _definitions(subject, [parts["ipopt"]], own), f"{own.name}.c": own.text}
+    sources = [file for file in texts if file.endswith(".c")]
+    texts |= {
+        "CMakeLists.txt": cmake_text(name, sources),
+        "README.md": readme_text(subject, parts, sources),
+    }
+    return {file: text.replace("@p", name).replace("@P", name.upper()) for file, text in texts.items()}
+
+
+def _header(subject: Subject, parts: list[Part]) -> str:
+    guard = f"{subject.name.upper()}_H"
+    about = (
+        f"{plain(subject.model.name)}: C99 written by casadi_skin. The model is dimensionless. Arrays are the "
+        "caller's; matrices are stored by columns, indices count from 0. Each function has an array `work` of its own "
+        "length, is free of other memory, and may be called from several threads with different arrays."
+    )
+    lines = [comment(about), f"#ifndef {guard}\n#define {guard}\n", "#include <stddef.h>\n", CPLUSPLUS_OPEN]
+    for part in parts:
+        lines.append(f"{comment(part.title + '.')}\n")
+        if part.sizes:
+            entries = [f"    @P_{size.suffix} = {size.value}, {comment(size.words)}" for size in part.sizes]
+            last = entries.pop().replace(", /*", " /*", 1)
+            lines.append("\n".join(["enum {", *entries, last, "};\n"]))
+        lines += [f"{declaration}\n" for declaration in part.declarations]
+    return "\n".join([*lines, CPLUSPLUS_CLOSE, f"#endif /* {guard} */\n"])
+
+
+CPLUSPLUS_OPEN = '#ifdef __cplusplus\nextern "C" {\n#endif\n'
+CPLUSPLUS_CLOSE = "#ifdef __cplusplus\n}\n#endif\n"
+
+
+def _definitions(subject: Subject, parts: list[Part], generated: CSource) -> str:
+    prototypes = [f"{function.prototype};" for function in generated.functions]
+    about = comment("Tables, and plain functions around the generated ones.")
+    texts = [definition for part in parts for definition in part.definitions]
+    return "\n\n".join([f'{about}\n\n#include "@p.h"', *prototypes, *texts]) + "\n"
+
+
+def _template(stem: str) -> str:
+    return files("casadi_skin.export").joinpath("c", f"{stem}.c").read_text(encoding="utf-8")
+
+
+# The directory --------------------------------------------------------------------------------------------------------
+
+
+def _free(directory: str | Path) -> Path:
+    """The directory, which does not exist or is empty; raises ValueError, TypeError where it cannot be used."""
+    if not isinstance(directory, str | Path) or not str(directory):
+        raise TypeError(f"directory: given {shown(directory)}; accepted: a path")
+    target = Path(directory)
+    accepted = "accepted: an empty or new directory"
+    if target.exists() and not target.is_dir():
+        raise ValueError(f"{target}: is not a directory; {accepted}")
+    held = sorted(path.name for path in target.iterdir()) if target.exists() else []
+    if held:
+        raise ValueError(f"{target}: holds {held[0]}{' and more' if len(held) > 1 else ''}; {accepted}")
+    parent = target.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise ValueError(f"{target}: cannot be written (in {parent}); accepted: a directory that can be")
+    return target
+
+
+def _write(texts: Mapping[str, str], target: Path) -> None:
+    """All files, in a directory beside the target that takes its place when it is complete."""
+    parent = target.absolute().parent
+    parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=parent, prefix=f".{target.name}."))
+    try:
+        for file, text in texts.items():
+            (temporary / file).write_text(text, encoding="utf-8", newline="\n")
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o777 & ~umask)  # mkdtemp makes directories that only their owner can read
+        if target.exists():
+            target.rmdir()
+        temporary.rename(target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,199 @@
+"""CasADi functions as C99 sources: valid names, nothing that CasADi cannot write, compile times linear in their size.
+
+CasADi writes a function that it has no C for with an `#error` inside, and calls of external programs as calls of
+symbols that are not there: both are refused here, by name. It writes scalar expressions as one long block with a test
+of a pointer at each access, which takes optimising compilers a time that grows with the square of its length: long
+blocks are cut into parts without these tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
+EXTERNAL = "External"  # CasADi's class name of a function in a library that is loaded when it is called
+LONGEST_BLOCK = 300  # statements: shorter parts compile no faster
+ARGUMENTS = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
+KEYWORDS = frozenset(
+    ("auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
+     "float", "for", "goto", "if", "inline", "int", "long", "main", "register", "restrict", "return", "short",
+     "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile",
+     "while", "null", "jac", "hess")
+)  # fmt: skip
+
+
+class CodegenError(ValueError):
+    """A function that cannot be written as C, named in one line."""
+
+
+@dataclass(frozen=True)
+class CFunction:
+    """One function in a source: its C name, numbers of arguments and results, and lengths of its work arrays.
+
+    It is called as `int NAME(const double **arg, double **res, long long *iw, double *w, int mem)` with mem = 0 and
+    returns 0. `arg[i]` and `res[i]` point to the non-zeros of argument and result i, by columns; arg, res, iw and w
+    hold sz_arg, sz_res, sz_iw and sz_w entries.
+    """
+
+    name: str
+    nnz_in: tuple[int, ...]
+    nnz_out: tuple[int, ...]
+    sz_arg: int
+    sz_res: int
+    sz_iw: int
+    sz_w: int
+
+    @property
+    def prototype(self) -> str:
+        """Its declaration, without a semicolon."""
+        return f"int {self.name}(const double **arg, double **res, long long int *iw, double *w, int mem)"
+
+
+@dataclass(frozen=True)
+class CSource:
+    """A C99 translation unit and the functions in it; `text` has no dependency but libm unless one was allowed."""
+
+    name: str
+    text: str
+    functions: tuple[CFunction, ...]
+
+    def __getitem__(self, name: str) -> CFunction:
+        return next(function for function in self.functions if function.name == name)
+
+
+def c_name(words: str, taken: Collection[str] = ()) -> str:
+    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and not `taken`."""
+    stem = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_") or "model"
+    if not stem[0].isalpha() or stem in KEYWORDS:
+        stem = f"m_{stem}"
+    name, count = stem, 1
+    while name in taken:
+        count += 1
+        name = f"{stem}_{count}"
+    return name
+
+
+def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> CSource:
+    """The functions, each under its own name, as one C99 source for a file NAME.c.
+
+    Symbols beside the functions begin with NAME. `headers` are the system headers that the source may need.
+    Raises CodegenError naming the function, and the part of it, that cannot be written as C.
+    """
+    if c_name(name) != name.lower() or not re.fullmatch(r"\w+", name):
+        raise CodegenError(f"name: given {name!r}; accepted: a C identifier such as {c_name(name)}")
+    for function in functions:
+        check_parts(function)
+    generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True})
+    with contextlib.redirect_stderr(io.StringIO()):  # CasADi warns of what is refused below
+        for function in functions:
+            generator.add(function)
+        text = generator.dump()
+    refused = re.search(r"#error (.*)", text)
+    if refused:
+        names = ", ".join(function.name() for function in functions)
+        raise CodegenError(f"{names}: CasADi has no C for a part of it: {refused[1].strip()}")
+    for header in re.findall(r"#include <(.+?)>", text):
+        if header not in headers:
+            raise CodegenError(f"{name}: needs {header}; accepted: functions that need libm only")
+    return CSource(name, _in_short_blocks(text), tuple(_described(function) for function in functions))
+
+
+def _described(function: ca.Function) -> CFunction:
+    nnz_in = tuple(int(function.nnz_in(i)) for i in range(function.n_in()))
+    nnz_out = tuple(int(function.nnz_out(i)) for i in range(function.n_out()))
+    sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
+    return CFunction(function.name(), nnz_in, nnz_out, *(int(size) for size in sizes))
+
+
+def check_parts(function: ca.Function) -> None:
+    """Raises CodegenError for a part that is no C: generated on its own, so that it can be named."""
+    for part in (function, *function.find_functions()):
+        kind = part.class_name()
+        if kind == EXTERNAL:
+            raise CodegenError(f"{function.name()}: calls {part.name()} of an external library, which has no C source")
+        if kind in ("SXFunction", "MXFunction"):  # told by their own parts and operations
+            continue
+        with contextlib.redirect_stderr(io.StringIO()):
+            single = ca.CodeGenerator("part.c", {"with_export": False})
+            single.add(part)
+            text = single.dump()
+        if re.search(rf"#error .*{re.escape(kind)}", text):
+            raise CodegenError(f"{function.name()}: its part {part.name()} ({kind}) cannot be written as C by CasADi")
+
+
+# Long blocks ---------------------------------------------------------------------------------------------------------
+
+
+def _in_short_blocks(text: str) -> str:
+    """The source with every long function of assignments alone cut into parts of LONGEST_BLOCK statements."""
+    lines, result = iter(text.split("\n")), []
+    for line in lines:
+        opening = re.match(rf"static int (\w+){re.escape(ARGUMENTS)} {{$", line)
+        if opening is None:
+            result.append(line)
+            continue
+        body = list(_until_brace(lines))
+        if len(body) > LONGEST_BLOCK and body[-1] == "  return 0;" and all(map(_is_assignment, body[:-1])):
+            result += _parts(opening[1], body[:-1])
+        else:
+            result += [line, *body, "}"]
+    return "\n".join(result)
+
+
+def _until_brace(lines: Iterator[str]) -> Iterator[str]:
+    for line in lines:
+        if line == "}":
+            return
+        yield line
+
+
+def _is_assignment(line: str) -> bool:
+    """Whether a line gives a work value, or a result where that is wanted, one number."""
+    return re.match(r"  (w\[\d+\]=|if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=)[^{}]*;$", line) is not None
+
+
+def _parts(name: str, body: list[str]) -> list[str]:
+    """The function in parts that are called one after the other, and take no null pointers.
+
+    The table of parts is volatile: a compiler would put functions that are called once together again.
+    """
+    bare = [_without_tests(line) for line in body]
+    parts = [bare[i : i + LONGEST_BLOCK] for i in range(0, len(bare), LONGEST_BLOCK)]
+    result = []
+    for i, part in enumerate(parts):
+        result += [f"static void {name}_part{i}{ARGUMENTS} {{", *part, "}", ""]
+    n_arg, largest_arg = _used("arg", bare)
+    n_res, largest_res = _used("res", bare)
+    table = ", ".join(f"{name}_part{i}" for i in range(len(parts)))
+    return [
+        *result,
+        f"static int {name}{ARGUMENTS} {{",
+        f"  static void (*const volatile parts[]){ARGUMENTS} = {{{table}}};",
+        f"  static const casadi_real zeros[{largest_arg}] = {{0}};",
+        f"  casadi_real unused[{largest_res}];",
+        f"  const casadi_real* given[{n_arg}];",
+        f"  casadi_real* wanted[{n_res}];",
+        "  casadi_int i;",
+        f"  for (i = 0; i < {n_arg}; i++) given[i] = arg[i] ? arg[i] : zeros;",
+        f"  for (i = 0; i < {n_res}; i++) wanted[i] = res[i] ? res[i] : unused;",
+        f"  for (i = 0; i < {len(parts)}; i++) parts[i](given, wanted, iw, w, mem);",
+        "  return 0;",
+        "}",
+    ]
+
+
+def _without_tests(line: str) -> str:
+    line = re.sub(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0;", r"arg[\1][\2];", line)
+    return re.sub(r"if \(res\[(\d+)\]!=0\) ", "", line)
+
+
+def _used(array: str, lines: list[str]) -> tuple[int, int]:
+    """How many pointers of an array of pointers the lines use, and the largest number of entries of one; at least 1."""
+    uses = [(int(i), int(k)) for line in lines for i, k in re.findall(rf"\b{array}\[(\d+)\]\[(\d+)\]", line)]
+    return max((i for i, _ in uses), default=0) + 1, max((k for _, k in uses), default=0) + 1

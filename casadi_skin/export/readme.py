@@ -1,0 +1,98 @@
+"""README.md and CMakeLists.txt of an export."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from casadi_skin.export.ctext import plain
+from casadi_skin.export.mainprogram import CHAIN_S
+from casadi_skin.export.part import Part
+from casadi_skin.export.subject import WHAT, Subject
+
+FLAGS = "-std=c99 -O2"
+
+
+def cmake_text(name: str, sources: Collection[str]) -> str:
+    """A static library of all that needs libm only, the example program, and Ipopt's part where that is asked for."""
+    library = "\n".join(f"  {file}" for file in sources if file != "main.c" and "_ipopt" not in file)
+    ipopt = [file for file in sources if "_ipopt" in file]
+    text = f"""cmake_minimum_required(VERSION 3.10)
+project({name}_export C)
+set(CMAKE_C_STANDARD 99)
+set(CMAKE_C_STANDARD_REQUIRED ON)
+set(CMAKE_C_EXTENSIONS OFF)
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release)
+endif()
+
+add_library({name}_c STATIC
+{library})
+target_include_directories({name}_c PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+if(NOT MSVC)
+  target_link_libraries({name}_c PUBLIC m)
+endif()
+
+add_executable({name}_main main.c)
+target_link_libraries({name}_main {name}_c)
+"""
+    if ipopt:
+        text += f"""
+option(WITH_IPOPT "Build the part that needs libipopt" OFF)
+if(WITH_IPOPT)
+  add_library({name}_with_ipopt STATIC {" ".join(ipopt)})
+  target_link_libraries({name}_with_ipopt {name}_c ipopt)
+endif()
+"""
+    return text
+
+
+def readme_text(subject: Subject, parts: Mapping[str, Part], sources: Collection[str]) -> str:
+    """What is in the directory, how to build it, and which numbers to expect."""
+    name = subject.name
+    plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
+    rows = "\n".join(f"| `{what}` | {WHAT[what]} |" for what in parts if what in WHAT)
+    text = f"""# {plain(subject.model.name)} in C
+
+Written by casadi_skin: C99 that needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
+The model is dimensionless. `{name}.h` tells every function, size and order; `main.c` is an example.
+
+| part | what it is |
+| --- | --- |
+{rows}
+
+## Build
+
+```sh
+cc {FLAGS} {plain_sources} -lm -o {name}_main
+./{name}_main
+```
+
+or, with CMake, `cmake -S . -B build && cmake --build build && ./build/{name}_main`.
+Parameters that generated functions do not use may be warned about with `-Wextra`; add `-Wno-unused-parameter`.
+"""
+    if "ipopt" in parts:
+        text += f"""
+Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
+
+```sh
+cc {FLAGS} YOUR_PROGRAM.c {name}.c {name}_generated.c {name}_ipopt.c {name}_ipopt_generated.c -lipopt -lm
+```
+"""
+    return text + _expected(subject, parts)
+
+
+def _expected(subject: Subject, parts: Mapping[str, Part]) -> str:
+    """The numbers of the example program as Python has them."""
+    orbit = subject.orbit
+    if orbit is None or "orbit" not in parts:
+        if "newton" in parts:
+            return f"\nThe program follows an edge mode to S = {CHAIN_S:g} and prints its period.\n"
+        return ""
+    period = "period" if "newton" in parts else "orbit_period"
+    lines = [f"{period} {orbit.period:.17g} (estimated error {orbit.period * orbit.Omega_error / orbit.Omega:.1g})"]
+    if "flow" in parts:
+        floquet = orbit.floquet()
+        words = f"(estimated error {floquet.error:.1g})"
+        lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
+    told = "\n".join(lines)
+    return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{told}\n```\n"

@@ -1,0 +1,147 @@
+"""The first orbit or solution of a scene of a model: simulated, cut to a cycle, corrected."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.boundary.orbit import PeriodicOrbit
+from casadi_skin.boundary.periodic import find_orbit
+from casadi_skin.boundary.solution import BoundarySolution
+from casadi_skin.modelrequest import ModelRequest
+from casadi_skin.models.declared import Expression
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.scene.model_tables import SELECTED
+from casadi_skin.simulation import Cycle, Simulation, simulate
+
+SAMPLES = 801  # of the cycle that is the guess
+TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
+
+
+def first_solution(request: ModelRequest) -> BoundarySolution:
+    """The orbit or the solution that a scene asks for, at its parameters.
+
+    Raises BoundaryError where none is found, IntegrationError where the simulation fails, ValueError where the
+    simulation does not settle on a cycle or the guess is none.
+    """
+    options = method_options(request)
+    if request.problem is not None:
+        if request.guess is None:
+            raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
+        return request.problem.solve(request.guess, **options)
+    return _orbit(request, options)
+
+
+def method_options(request: ModelRequest) -> dict[str, Any]:
+    """What [accuracy] and [method] say to the solver."""
+    method = request.scene.method
+    return {
+        "tolerance": request.scene.accuracy.relative_tolerance,
+        "transcription": method.transcription,
+        "degree": method.degree,
+        "corrector": method.corrector,
+        "intervals": method.intervals,
+    }
+
+
+def _orbit(request: ModelRequest, options: dict[str, Any]) -> PeriodicOrbit:
+    orbit, model, values = request.orbit, request.model, dict(request.parameters)
+    guess = cycle(request)
+    if model.forced:
+        return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
+    select, section = _vanishing(request.condition(orbit.select)), _vanishing(request.condition(orbit.section))
+    followed = request.scene.continuation
+    if followed is not None and followed.parameter == SELECTED and SELECTED not in values:
+        expression, value = _known(request.condition(orbit.select))
+        values[SELECTED] = value
+        model, expression = with_selected(model, expression)
+        select = expression - model.parameters[-1]
+    return find_orbit(
+        model, guess, guess.period, parameters=values, select=select, section=section, symmetric=orbit.symmetric,
+        **options,
+    )  # fmt: skip
+
+
+def cycle(request: ModelRequest) -> Cycle:
+    """A stretch of a simulation that is the guess of an orbit.
+
+    A forced model starts it at a multiple of its period after the transient, an autonomous one where the section is
+    crossed, if there is one.
+    """
+    orbit, model, values = request.orbit, request.model, request.parameters
+    if model.forced:
+        length = orbit.cycles * _forcing_period(model, np.array(list(values.values())))
+        before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
+        t = np.linspace(before, before + length, SAMPLES)
+        simulation = simulate(model, request.start, t if before == 0.0 else np.append(0.0, t), parameters=values)
+        return Cycle(simulation, before, length)
+    if orbit.period is not None:
+        simulation = simulate(model, request.start, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
+        return Cycle(simulation, 0.0, orbit.period)
+    t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
+    found = simulate(model, request.start, t, parameters=values).last_cycle()
+    section = request.condition(orbit.section)
+    return found if section is None else _from_section(found, section[0] - section[1])
+
+
+def _from_section(found: Cycle, section: Expression) -> Cycle:
+    """The cycle from the first place on at which the section's expression passes zero; as it is where it never does."""
+    simulation = found.simulation
+    t = np.linspace(0.0, found.period, SAMPLES)
+    values = _along(simulation, section, found.evaluate(t))
+    crossed = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    if crossed.size == 0:
+        return found
+    i = int(crossed[0])
+    start = found.start + t[i] + (t[i + 1] - t[i]) * values[i] / (values[i] - values[i + 1])
+    end = float(simulation.t[-1])
+    while start + found.period > end:  # the cycle has to lie in what was simulated
+        start -= found.period
+    return Cycle(simulation, start, found.period) if start >= 0.0 else found
+
+
+def _along(simulation: Simulation, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    function = simulation.model.function("section", expression)
+    values = [float(function(0.0, state, simulation.parameters)) for state in states]
+    return np.array(values)
+
+
+def _forcing_period(model: OdeModel, parameters: np.ndarray[Any, Any]) -> float:
+    if isinstance(model.forcing_period, ca.SX | ca.MX):
+        return float(ca.Function("T", [model.parameters], [model.forcing_period])(parameters))
+    return float(model.forcing_period or 0.0)
+
+
+def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:
+    """The model with the value that picks an orbit as one more parameter, and the expression in its symbols."""
+    kind, count = type(model.state), int(model.parameters.numel())
+    p = kind.sym("p", count + 1)
+    outputs = list(model.outputs)
+    conserved = [] if model.hamiltonian is None else [model.hamiltonian]
+    results = [model.rhs, expression, *model.outputs.values(), *conserved]
+    rhs, selected, *rest = model.function("selected", *results).call([0.0, model.state, p[:count]], True, False)
+    extended = replace(
+        model,
+        rhs=rhs,
+        parameters=p,
+        outputs=dict(zip(outputs, rest, strict=False)),
+        hamiltonian=rest[-1] if conserved else None,
+        nominal=None,
+        parameter_labels=(*model.parameter_names, SELECTED),
+        checked=False,  # these are the same declarations
+    )
+    return extended, selected
+
+
+def _known(condition: tuple[Expression, float] | None) -> tuple[Expression, float]:
+    if condition is None:
+        raise ValueError("[orbit] select: missing; accepted: a table with one number")
+    return condition
+
+
+def _vanishing(condition: tuple[Expression, float] | None) -> Expression | None:
+    return None if condition is None else condition[0] - condition[1]

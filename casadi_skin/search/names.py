@@ -1,0 +1,49 @@
+"""Names of what a search may free and of the quantities that it may optimise or bound; loads no numerics."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+NAMED: Mapping[str, str] = MappingProxyType(
+    {
+        "S": "total amplitude, the sum of y_n^2 at the phase where all velocities vanish",
+        "Omega": "frequency",
+        "period": "2 pi/Omega",
+        "energy": "Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to",
+        "participation": "participation ratio (sum of y_n^2)^2 / sum of y_n^4 at that phase, from 1 to N",
+        "Omega_slope": "dOmega/dS along the family, at fixed parameters",
+        "energy_slope": "d(energy)/dS along the family, at fixed parameters",
+        "gamma": "nonreciprocity",
+        "alpha": "on-site stiffness; its mean where every site has one of its own",
+        "g": "cubic on-site coefficient",
+        "upper_cutoff": "upper cutoff sqrt(2 + alpha + 2 s) of the infinite chain",
+        "lower_cutoff": "lower cutoff sqrt(2 + alpha - 2 s) of the infinite chain",
+        "above_band": "Omega - upper_cutoff",
+        "below_band": "lower_cutoff - Omega",
+        "amplification": "r^((N-1)/2), the scale of the amplification of a kick at the far end",
+        "log_amplification": "natural logarithm of amplification",
+        "roughness": "sum of (alpha_{n+1} - alpha_n)^2",
+    }
+)
+# Quantities of the chain, the same for all orbits of a search.
+SHARED = ("gamma", "alpha", "g", "upper_cutoff", "lower_cutoff", "amplification", "log_amplification", "roughness")
+
+FREE: Mapping[str, str] = MappingProxyType(
+    {
+        "S": "total amplitude",
+        "gamma": "nonreciprocity",
+        "alpha": "on-site stiffness, the same at every site",
+        "g": "cubic on-site coefficient",
+        "alpha_n": "on-site stiffness, one a site",
+    }
+)
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str:
+    """Words that name the nearest known name, if any is near, and all that are known."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    accepted = ", ".join(names)
+    return f"did you mean {near[0]}? (accepted: {accepted})" if near else f"accepted: {accepted}"

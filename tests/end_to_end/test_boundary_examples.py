@@ -1,0 +1,100 @@
+"""The example scripts of boundary-value problems and of orbits of any model, each against an independent number."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+Load = Callable[[str], ModuleType]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    """An example by name; what it draws is looked at in passing."""
+
+    def by_name(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return by_name
+
+
+def drawn(path: Path) -> bool:
+    return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
+
+
+def test_bratu_fold(load: Load, tmp_path: Path) -> None:
+    branch = load("bratu_fold").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert [round(fold["lambda"], 9) for fold in branch.folds] == [3.513830719]  # Bratu 1914: 8 (z^2 - 1), z tanh z = 1
+    for which, bracket in enumerate(((0.0, 4.5), (4.5, 20.0))):  # u(1/2) = 2 log cosh(theta/4), lambda = 1
+        theta = brentq(lambda z: z - np.sqrt(2.0) * np.cosh(z / 4.0), *bracket, xtol=1e-15)
+        assert abs(branch.at(1.0, which).evaluate(0.5)[0, 0] - 2.0 * np.log(np.cosh(theta / 4.0))) < 1e-7
+
+
+def test_van_der_pol(load: Load, tmp_path: Path) -> None:
+    branch = load("van_der_pol").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert abs(branch.at(1.0).period - 6.6632868593231301897) < 1e-9  # Hairer, Norsett and Wanner 1993, exercise I.16.1
+    orbit = branch.at(10.0)
+    run = solve_ivp(
+        lambda t, s: [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0]], (0.0, orbit.period), orbit.evaluate(0.0)[0], "DOP853",
+        rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    assert np.abs(run.y[:, -1] - orbit.evaluate(0.0)[0]).max() < 1e-6
+    assert abs(orbit.period - 19.078369567) < 1e-8
+
+
+def test_forced_duffing(load: Load, tmp_path: Path) -> None:
+    branch = load("forced_duffing").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    for fold in branch.folds:  # where a multiplier is 1
+        assert np.abs(fold.multipliers().values - 1.0).min() < 1e-3
+    assert [branch.at(2.0, which).multipliers().stable for which in range(3)] == [True, False, True]
+    for which in range(3):
+        orbit = branch.at(2.0, which)
+        run = solve_ivp(
+            lambda t, s: [s[1], -s[0] - s[0] ** 3 - 0.1 * s[1] + 0.5 * np.cos(2.0 * t)], (0.0, np.pi),
+            orbit.evaluate(0.0)[0], "DOP853", rtol=1e-12, atol=1e-13,
+        )  # fmt: skip
+        np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0)[0], atol=1e-6)
+
+
+def test_lyapunov_orbit(load: Load, tmp_path: Path) -> None:
+    example = load("lyapunov_orbit")
+    branch = example.main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    orbit, mu = branch.at(-1.55), 0.0121505856
+
+    def field(_: float, s: np.ndarray) -> list[float]:
+        x, y, u, v = s
+        r1, r2 = ((x + mu) ** 2 + y**2) ** 1.5, ((x - 1 + mu) ** 2 + y**2) ** 1.5
+        return [u, v, 2 * v + x - (1 - mu) * (x + mu) / r1 - mu * (x - 1 + mu) / r2,
+                -2 * u + y - (1 - mu) * y / r1 - mu * y / r2]  # fmt: skip
+
+    # From one crossing at right angles to the other: half a period, no digits lost to the multiplier of 1112.
+    run = solve_ivp(field, (0.0, orbit.period / 2), orbit.evaluate(0.0)[0], "DOP853", rtol=1e-12, atol=1e-13)
+    assert np.abs(run.y[[1, 2], -1]).max() < 1e-7
+    assert abs(orbit.period - 3.1237510090) < 1e-8
+
+
+def test_boundary_layer(load: Load, tmp_path: Path) -> None:
+    example = load("boundary_layer")
+    found = example.main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    for solution in found:
+        assert example.true_error(solution) <= solution.error <= 1e-7
+        assert solution.intervals <= 60
+    assert found[-1]["eps"] == 1e-6

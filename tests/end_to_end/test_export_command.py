@@ -1,0 +1,133 @@
+"""Scenes with [export]: what is written, what the plan says, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadi_skin.cli import main
+from casadi_skin.export.build import build_c
+
+CHAIN = "[chain]\nsites = 6\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
+FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-11\n"
+ORBIT = '[export]\nc = "all"\nS = 0.4\nmode = 1\n'
+
+
+def write_scene(path: Path, *tables: str) -> Path:
+    path.write_text("".join((CHAIN, *tables)), encoding="utf-8")
+    return path
+
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="cc is not there (CI has it)")
+
+
+@needs_compiler
+def test_from_a_scene_to_a_running_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, scene = tmp_path / "out", write_scene(tmp_path / "s.toml", FAMILY, "[stability]\n", ORBIT)
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert f"exported to {out / 'export'}" in capsys.readouterr().out
+    printed = subprocess.run([str(build_c(out / "export"))], capture_output=True, text=True, check=True).stdout
+    found = {name: float(value) for name, value in (line.split() for line in printed.splitlines())}
+    code = (
+        "from casadi_skin import *; o = follow_family(Chain(6, 1.0, 0.25, -1.0), mode=1, amplitude_max=0.4, at=(0.4,),"
+        "tolerance=1e-11).at(S=0.4); print(o.period, o.floquet().max_abs_multiplier)"
+    )
+    python = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    np.testing.assert_allclose([found["period"], found["largest_multiplier"]], np.array(python, float), rtol=1e-12)
+    before = (out / "export" / "main.c").stat().st_mtime_ns
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
+    assert (out / "export" / "main.c").stat().st_mtime_ns == before
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2  # the program is not ours to remove
+    assert "holds main, which no run wrote" in capsys.readouterr().err
+    (out / "export" / "main").unlink()
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+    assert (out / "export" / "chain_orbit.c").exists()
+
+
+def test_a_chain_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "s.toml", '[export]\nc = ["rhs"]\n')
+    assert main(["check", str(scene)]) == 0
+    assert "export        C code of the chain in export/: rhs" in capsys.readouterr().out
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    wanted = ["CMakeLists.txt", "README.md", "chain.c", "chain.h", "chain_generated.c", "main.c"]
+    assert sorted(path.name for path in (tmp_path / "out" / "export").iterdir()) == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not there")
+def test_cmake_builds_it(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "s.toml", '[export]\nc = "all"\n')
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    folder, build = tmp_path / "out" / "export", tmp_path / "build"
+    subprocess.run(["cmake", "-S", str(folder), "-B", str(build)], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", str(build)], check=True, capture_output=True)
+    done = subprocess.run([str(build / "chain_main")], check=True, capture_output=True, text=True)
+    assert done.stdout.startswith("period ")
+
+
+@pytest.mark.parametrize(
+    ("tables", "told"),
+    [
+        (('[export]\nc = ["rsh"]\n',), '[export] c: given "rsh" as item 1; did you mean "rhs"?'),
+        (('[export]\nc = ["orbit"]\n',), '[export] c: given "orbit" without S; accepted: with S, that of the orbit'),
+        (("[export]\nC = 'all'\n",), "[export] C: unknown key; did you mean 'c'?"),
+        (('[export]\nc = "all"\nmode = 2\n',), "[export] mode: given 2; accepted: beside S"),
+        (('[export]\nc = "all"\nS = 0.1\n',), "[export] S: given 0.1; accepted: beside a [family]"),
+        (
+            (FAMILY, '[export]\nc = "all"\nS = 0.1\n'),
+            "[export] mode: missing; accepted: one of the modes of [family], [2, 1]",
+        ),
+        ((FAMILY, ORBIT.replace("mode = 1", "mode = 3")), "[export] mode: given 3; accepted: one of the modes"),
+        ((FAMILY, ORBIT.replace("0.4", "0.6")), "[export] S: given 0.6; accepted: a number <= amplitude_max = 0.5"),
+    ],
+)
+def test_what_is_refused(
+    tables: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(tmp_path / "s.toml", *tables)
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"casadi-skin: {scene}: {told}")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_edge_chains_are_refused_parts_of_the_gauge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "s.toml", '[export]\nc = ["rhs", "newton"]\n')
+    scene.write_text(scene.read_text().replace("0.25", "1.0"))
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert '[export] c: given "newton" with gamma = 1.0; accepted: rhs' in capsys.readouterr().err
+
+
+def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "s.toml", FAMILY.replace("0.5", "0.5\nmax_points = 3"), ORBIT)
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
+    assert "[export]: at: given S = 0.4, which = 0; the branch covers" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "export").exists()
+
+
+def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "s.toml", FAMILY)
+    code = (
+        "import sys; from casadi_skin.cli import main; "
+        f"assert main(['run', {str(scene)!r}, '--out', {str(tmp_path / 'out')!r}, '--quiet']) == 0; "
+        "print('loaded:', [m for m in sys.modules if 'export' in m and m.startswith('casadi_skin')])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "loaded: []"
+
+
+@needs_compiler
+def test_the_example_prints_numbers_of_independent_codes(tmp_path: Path) -> None:
+    scene = Path(__file__).parents[2] / "examples" / "breather_in_c.toml"
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    program = build_c(tmp_path / "out" / "export")
+    lines = subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout.splitlines()
+    found = {name: float(value) for name, value in map(str.split, lines)}
+    assert abs(found["period"] / (2 * np.pi / 1.018532435491958) - 1) < 1e-13
+    assert abs(found["largest_multiplier"] - 1.171275734790) < 1e-12

@@ -1,0 +1,111 @@
+"""Continuation of boundary-value problems: folds, values asked for, ends, and what is told on the way."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin.boundary.solution import BoundarySolution
+from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.models.ode import OdeModel
+
+
+def buckling() -> BoundaryValueProblem:
+    """Euler's rod with a small imperfection: phi'' + P sin(phi) = 0, phi'(0) = d, phi'(1) = 0."""
+    phi, m, P, d = (ca.SX.sym(name) for name in ("phi", "m", "P", "d"))
+    model = OdeModel("rod", ca.vertcat(phi, m), ca.vertcat(m, -P * ca.sin(phi)), ca.vertcat(P, d), nominal=(1.0, 0.0))
+    return BoundaryValueProblem(model, [model.start(m) - d, model.end(phi)], parameters={"d": -0.1})
+
+
+@pytest.fixture(scope="module")
+def cubic() -> BoundarySolution:
+    """x' = 0 with (x^3 - 3 x - a)(start) = 0: an S with folds at a = 2 and a = -2."""
+    x, a = ca.SX.sym("x"), ca.SX.sym("a")
+    model = OdeModel("cubic", x, ca.SX(0.0), a)
+    s = model.start(x)
+    return BoundaryValueProblem(model, [s**3 - 3 * s - a], parameters={"a": -4.0}).solve([-2.2], tolerance=1e-10)
+
+
+def test_an_s_is_followed_round_both_folds(cubic: BoundarySolution) -> None:
+    branch = cubic.follow("a", 4.0, at=[0.0, 1.0])
+    assert branch.complete
+    assert branch.reason == ""
+    np.testing.assert_allclose([f.parameters["a"] for f in branch.folds], [2.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose([f.states[0, 0] for f in branch.folds], [-1.0, 1.0], atol=1e-4)
+    three = [branch.at(0.0, which).states[0, 0] for which in range(3)]
+    np.testing.assert_allclose(three, [-np.sqrt(3), 0.0, np.sqrt(3)], atol=1e-9)
+    assert [branch.at(1.0, k).parameters["a"] for k in range(3)] == [1.0] * 3
+    assert branch.missed == ()
+    assert len(branch) == len(branch.values) == len(branch.solutions)
+    assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
+
+
+def test_values_that_were_not_asked_for_are_refused(cubic: BoundarySolution) -> None:
+    branch = cubic.follow("a", 4.0, at=[0.0])
+    with pytest.raises(ValueError, match=r"at: given 0.0, passage 3; the branch has 3 solutions there"):
+        branch.at(0.0, 3)
+
+
+def test_a_branch_ends_where_it_is_told_to(cubic: BoundarySolution) -> None:
+    seen: list[float] = []
+    branch = cubic.follow("a", 4.0, until=lambda s: s.states[0, 0] > 0.5, progress=lambda s: seen.append(s["a"]))  # type: ignore[arg-type]
+    assert branch.complete
+    assert branch.solutions[-1].states[0, 0] > 0.5
+    assert seen == list(branch.values)
+
+
+def test_too_few_points_are_told(cubic: BoundarySolution) -> None:
+    branch = cubic.follow("a", 4.0, max_points=4)
+    assert not branch.complete
+    assert len(branch) <= 5
+    assert branch.reason
+
+
+def test_a_branch_that_comes_back_says_so() -> None:
+    """Bratu's branch turns at 3.51 and comes back to where it started."""
+    u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lambda"))
+    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
+    first = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lambda": 1.0}).solve([0.0, 0.0])
+    branch = first.follow("lambda", 4.0)
+    assert not branch.complete
+    assert "came back to the value" in branch.reason
+    assert len(branch.folds) == 1
+
+
+def test_followed_towards_smaller_values(cubic: BoundarySolution) -> None:
+    branch = cubic.follow("a", -5.0, at=[-4.5])
+    x = branch.at(-4.5).states[0, 0]
+    assert abs(x**3 - 3 * x + 4.5) < 1e-9
+
+
+def test_branches_follow_branches(cubic: BoundarySolution) -> None:
+    middle = cubic.follow("a", -3.0).solutions[-1]
+    assert middle.follow("a", 4.0).solutions[-1].states[0, 0] == pytest.approx(2.195823345445647, abs=1e-9)  # x^3-3x=4
+
+
+def test_an_imperfect_rod_bends_where_the_perfect_one_buckles() -> None:
+    """Beyond P = pi^2/4 = 2.467; P = K(sin^2(a/2))^2 at the amplitude a of the perfect rod (Euler 1744)."""
+    from scipy.special import ellipk
+
+    bent = buckling().solve([0.05, 0.0]).follow("P", 4.0).solutions[-1]
+    perfect = bent.follow("d", 0.0).solutions[-1]
+    assert abs(perfect["d"]) < 1e-12  # type: ignore[arg-type]
+    amplitude = abs(perfect.states[0, 0])
+    assert amplitude > 1.0
+    assert abs(ellipk(np.sin(amplitude / 2) ** 2) ** 2 / 4.0 - 1) < 1e-7
+
+
+def test_errors_hold_along_the_branch() -> None:
+    """u'' = -k u, u(0) = 0, u(1) = 1: sin(sqrt(k) x)/sin(sqrt(k)), at every point of the walk."""
+    u, v, k = (ca.SX.sym(name) for name in ("u", "v", "k"))
+    model = OdeModel("string", ca.vertcat(u, v), ca.vertcat(v, -k * u), k)
+    first = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1], parameters={"k": 1.0}).solve([0.0, 1.0])
+    x = np.linspace(0.0, 1.0, 101)
+    branch = first.follow("k", 9.0)
+    for solution in branch.solutions:
+        root = np.sqrt(solution.parameters["k"])
+        exact = np.sin(root * x) / np.sin(root)
+        error = np.abs(solution.evaluate(x)[:, 0] - exact).max() / np.abs(exact).max()
+        assert error <= max(solution.error, 1e-13)
+        assert solution.error <= 1e-8

@@ -1,0 +1,533 @@
+"""Generated C against Python and against numbers computed by other means; refusals; what compilers make of it."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import resource
+import shutil
+import subprocess
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed
+from scipy.integrate import solve_ivp
+
+from casadi_skin import Chain, OdeModel, Orbit, export_c, follow_family
+from casadi_skin.export.build import CompilerError, build_c
+from casadi_skin.export.codegen import CodegenError, c_name, c_source
+from casadi_skin.export.subject import WHAT
+from casadi_skin.scene import C_PARTS
+from casadi_skin.stability.splitting import srkn_coefficients
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there (CI has it)")
+SOFT = Chain(24, 1.0, 0.25, -1.0)
+
+
+@pytest.fixture(scope="module")
+def orbit() -> Orbit:
+    return follow_family(SOFT, mode=1, amplitude_max=1.0, at=(1.0,), tolerance=1e-12).at(S=1.0)
+
+
+@pytest.fixture(scope="module")
+def exported(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_c(orbit, tmp_path_factory.mktemp("c") / "orbit")
+
+
+@pytest.fixture(scope="module")
+def library(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> Library:
+    copy = tmp_path_factory.mktemp("library")
+    shutil.copytree(exported, copy, dirs_exist_ok=True)
+    return Library(copy, "chain")
+
+
+def forced_oscillator(**changes: Any) -> OdeModel:
+    """A forced Duffing oscillator with two outputs, of first order, named as no C name may be."""
+    x, p, t = ca.SX.sym("x", 2), ca.vertcat(ca.SX.sym("delta"), ca.SX.sym("double")), ca.SX.sym("t")
+    field = ca.vertcat(x[1], -p[0] * x[1] - x[0] - x[0] ** 3 + p[1] * ca.cos(1.3 * t))
+    declared: dict[str, Any] = {
+        "time": t, "forcing_period": 2 * np.pi / 1.3, "outputs": {"energy": x[1] ** 2 / 2, "int": x[0] * p[1] + t},
+        "nominal": (0.2, 0.5),
+    }  # fmt: skip
+    return OdeModel('while "*/ 1 Duffing\\', x, field, p, **(declared | changes))
+
+
+# The equations of motion ---------------------------------------------------------------------------------------------
+
+
+def physical_field(y: np.ndarray, v: np.ndarray, chain: Chain) -> np.ndarray:
+    """Eq. 1, written out."""
+    padded = np.pad(y, 1)
+    force = (1 + chain.gamma) * padded[:-2] + (1 - chain.gamma) * padded[2:] - (2 + chain.alpha) * y - chain.g * y**3
+    return np.concatenate([v, force])
+
+
+def test_rhs_jacobian_and_variational_of_the_chain(library: Library) -> None:
+    generator = np.random.default_rng(1)
+    x, n = generator.normal(size=48), 48
+    p, rhs = np.array([0.7, -0.4, 1.3]), np.zeros(48)
+    other = Chain(24, *p)
+    library.call("rhs", 0.0, x, p, rhs, library.work("RHS_WORK"))
+    np.testing.assert_allclose(rhs, physical_field(x[:24], x[24:], other), rtol=0, atol=1e-13)
+    again, nonzeros, dfdp = np.zeros(n), np.zeros(library["JACOBIAN_NONZEROS"]), np.zeros(3 * n)
+    library.call("jacobian", 0.0, x, p, again, nonzeros, dfdp, library.work("JACOBIAN_WORK"))
+    np.testing.assert_array_equal(again, rhs)
+    J = library.sparse("jacobian", nonzeros, n)
+    h, unit = 1e-6, np.eye(n)
+    columns = [
+        (physical_field(*np.split(x + h * e, 2), other) - physical_field(*np.split(x - h * e, 2), other)) / (2 * h)
+        for e in unit
+    ]
+    np.testing.assert_allclose(J, np.transpose(columns), atol=1e-7)
+    by_gamma = (physical_field(x[:24], x[24:], Chain(24, 0.7, -0.4 + h, 1.3)) - rhs) / h
+    np.testing.assert_allclose(dfdp.reshape(3, n)[1], by_gamma, atol=1e-6)
+    V, product = generator.normal(size=(3, n)), np.zeros((3, n))
+    library.call("variational", 0.0, x, p, 3, V, again, product, library.work("VARIATIONAL_WORK"))
+    np.testing.assert_allclose(product, V @ J.T, atol=1e-13)
+
+
+def test_results_that_are_not_wanted(library: Library) -> None:
+    x, nonzeros = np.full(48, 0.5), np.zeros(library["JACOBIAN_NONZEROS"])
+    library.call("jacobian", 0.0, x, np.array([1.0, 0.25, -1.0]), None, nonzeros, None, library.work("JACOBIAN_WORK"))
+    assert np.count_nonzero(nonzeros) == nonzeros.size
+
+
+def test_flow_of_the_chain_is_symplectic_and_that_of_the_physical_equations(library: Library) -> None:
+    """Against Dormand and Prince in physical coordinates, with columns of its transition matrix by differences."""
+    q = np.random.default_rng(2).normal(size=24) * 0.3
+    S, duration, rho = 0.8, 1.7, SOFT.rho
+    x, Phi = np.concatenate([q, np.zeros(24)]), np.zeros((48, 48))
+    assert library.call("flow", 0.0, duration, 0, x, Phi, np.array([-S]), library.work("FLOW_WORK")) == 1
+    assert library.call("flow", 0.0, duration, 120, x, Phi, np.array([-S]), library.work("FLOW_WORK")) == 0
+    Phi = Phi.T  # by columns
+
+    def end(positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+        start = np.concatenate([np.sqrt(S) * rho * positions, np.sqrt(S) * rho * velocities])
+        field = lambda _, s: physical_field(s[:24], s[24:], SOFT)  # noqa: E731
+        return solve_ivp(field, (0, duration), start, "DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+
+    scale = np.sqrt(S) * np.tile(rho, 2)
+    np.testing.assert_allclose(scale * x, end(q, np.zeros(24)), atol=1e-10)
+    h, unit = 1e-5, np.eye(24)[20]
+    column = (end(q + h * unit, np.zeros(24)) - end(q - h * unit, np.zeros(24))) / (2 * h) / scale
+    np.testing.assert_allclose(Phi[20:, 20][:28], column[20:], atol=1e-6)
+    J = np.block([[np.zeros((24, 24)), np.eye(24)], [-np.eye(24), np.zeros((24, 24))]])
+    np.testing.assert_allclose(Phi.T @ J @ Phi, J, atol=1e-12)
+
+
+def test_the_splitting_in_c_has_the_coefficients_of_python_and_its_order(library: Library) -> None:
+    template = files("casadi_skin.export").joinpath("c", "flow_splitting.c").read_text(encoding="utf-8")
+    for name, values in zip(("DRIFTS", "KICKS"), srkn_coefficients(), strict=True):
+        text = re.search(rf"{name}\[6\] = {{(.*?)}}", template, re.DOTALL)
+        assert text is not None
+        np.testing.assert_array_equal([float(entry) for entry in text[1].split(",")][:5], values[:5])
+    ends = []
+    for steps in (6, 12, 96):
+        x = np.concatenate([np.sin(np.arange(24.0)), np.zeros(24)])
+        library.call("flow", 0.0, 2.0, steps, x, None, np.array([-1.0]), library.work("FLOW_WORK"))
+        ends.append(x)
+    assert 5.5 < np.log2(np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()) < 7.5
+
+
+def test_multipliers_against_lapack(library: Library) -> None:
+    """Of random matrices: B^T C has real and complex eigenvalues, and lambda follows from the quadratic equation."""
+    for seed in range(5):
+        Phi = np.random.default_rng(seed).normal(size=(48, 48))
+        real, imaginary, largest, trivial = np.zeros(24), np.zeros(24), np.zeros(1), np.zeros(1)
+        work = library.work("MULTIPLIERS_WORK")
+        assert library.call("multipliers", Phi, 1e-10, real, imaginary, largest, trivial, work) == 0
+        matrix = Phi.T
+        mu = np.linalg.eigvals(matrix[:24, 24:].T @ matrix[24:, :24])
+        found = real + 1j * imaginary
+        assert np.abs(found[:, None] - mu).min(axis=0).max() < 1e-11 * np.abs(mu).max()
+        assert np.abs(found[:, None] - mu).min(axis=1).max() < 1e-11 * np.abs(mu).max()
+        rest = np.delete(mu, np.argmin(np.abs(mu + 1)))
+        lambdas = np.abs(np.concatenate([np.roots([1, -2 - 4 * m, 1]) for m in rest])) ** 2
+        np.testing.assert_allclose(largest[0], lambdas.max(), rtol=1e-10)
+        np.testing.assert_allclose(trivial[0], np.abs(mu + 1).min(), rtol=1e-9)
+
+
+def test_general_models_of_first_order(tmp_path: Path) -> None:
+    model = forced_oscillator()
+    export_c(model, tmp_path / "c")
+    assert printed(compiled(tmp_path / "c"))
+    c = Library(
+        tmp_path / "c", "m_while_1_duffing" if (tmp_path / "c" / "m_while_1_duffing.h").exists() else "while_1_duffing"
+    )
+    p, x, y = np.array([0.2, 0.5]), np.array([0.3, -0.1]), np.zeros(2)
+    c.call("outputs", 2.0, x, p, y, c.work("OUTPUTS_WORK"))
+    np.testing.assert_allclose(y, [0.005, 0.15 + 2.0], rtol=1e-15)
+
+    def field(t: float, z: np.ndarray) -> np.ndarray:
+        J = np.array([[0.0, 1.0], [-1 - 3 * z[0] ** 2, -0.2]])
+        f = [z[1], -0.2 * z[1] - z[0] - z[0] ** 3 + 0.5 * np.cos(1.3 * t)]
+        return np.concatenate([f, (J @ z[2:].reshape(2, 2)).ravel()])
+
+    end = solve_ivp(field, (0.4, 3.4), [*x, 1, 0, 0, 1], "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    Phi = np.zeros((2, 2))
+    c.call("flow", 0.4, 3.0, 60, x, Phi, p, c.work("FLOW_WORK"))
+    np.testing.assert_allclose(np.concatenate([x, Phi.T.ravel()]), end, rtol=0, atol=2e-11)
+    errors = []
+    for steps in (5, 10):
+        moved = np.array([0.3, -0.1])
+        c.call("flow", 0.4, 3.0, steps, moved, None, p, c.work("FLOW_WORK"))
+        errors.append(np.abs(moved - end[:2]).max())
+    assert 7 < np.log2(errors[0] / errors[1]) < 10  # order 8
+
+
+def test_models_of_second_order_and_in_mx(tmp_path: Path) -> None:
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    forced = OdeModel("parametric", q, -(1 + ca.cos(t) / 5) * q, order=2, velocity=v, time=t, forcing_period=2 * np.pi)
+    export_c(forced, tmp_path / "second")
+    c, x, Phi = Library(tmp_path / "second", "parametric"), np.array([1.0, 0.0]), np.zeros((2, 2))
+    c.call("flow", 0.3, 2.0, 40, x, Phi, np.zeros(1), c.work("FLOW_WORK"))
+    mathieu = solve_ivp(
+        lambda s, z: [z[1], -(1 + np.cos(s) / 5) * z[0]], (0.3, 2.3), [1, 0], "DOP853", rtol=1e-13, atol=1e-14
+    )
+    np.testing.assert_allclose(x, mathieu.y[:, -1], atol=1e-11)
+    np.testing.assert_allclose(Phi[0], x, atol=1e-14)
+    assert abs(np.linalg.det(Phi) - 1) < 1e-13
+    z, p = ca.MX.sym("z", 3), ca.MX.sym("p", 2)
+    matrix = ca.DM([[0, 1, 0], [-1, 0, 2], [0, 0, -3]])
+    linear = OdeModel(
+        "linear", z, matrix @ z + ca.vertcat(p[0], 0, p[1] * z[0] * z[1]), p, state_labels=("a", "b", "c")
+    )
+    export_c(linear, tmp_path / "mx")
+    assert printed(compiled(tmp_path / "mx", "gcc", *SANITIZED)).keys() == {"a", "b", "c", "trace"}
+    c, f = Library(tmp_path / "mx", "linear"), np.zeros(3)
+    c.call("rhs", 0.0, np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.25]), f, c.work("RHS_WORK"))
+    np.testing.assert_allclose(f, [2.5, 5.0, -8.5])
+
+
+# Orbits --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_program_prints_the_numbers_of_python(exported: Path, orbit: Orbit, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
+    found = printed(compiled(tmp_path, "gcc", "-O2"))
+    reference = 2 * np.pi / 1.018532435491958  # independent codes
+    assert abs(found["period"] / reference - 1) < 1e-14
+    assert abs(found["period"] / orbit.period - 1) < 1e-12
+    assert found["iterations"] <= 5
+    assert abs(found["largest_multiplier"] - orbit.floquet().max_abs_multiplier) < 1e-12
+    assert abs(found["largest_multiplier"] - 1.171275734790) < 1e-12  # independent codes
+    assert found["trivial_deviation"] < 1e-12
+    assert abs(found["orbit_S"] - 1) < 1e-14
+
+
+def test_the_orbit_as_data(library: Library, orbit: Orbit) -> None:
+    y, v = np.zeros(24), np.zeros(24)
+    for t in (0.0, 1.234, -7.0, 0.25 * orbit.period, 1e3):
+        library.call("orbit", t, y, v)
+        np.testing.assert_allclose(y, orbit.evaluate(t)[0], rtol=0, atol=5e-13)
+        before, after = orbit.evaluate([t - 1e-5, t + 1e-5])
+        np.testing.assert_allclose(v, (after - before) / 2e-5, rtol=0, atol=1e-8)
+    multipliers = library.doubles("orbit_multipliers_real") + 1j * library.doubles("orbit_multipliers_imaginary")
+    np.testing.assert_array_equal(multipliers, orbit.floquet().multipliers)
+
+
+def test_residual_and_newton(library: Library, orbit: Orbit) -> None:
+    problem, z = orbit.point.problem, orbit.point.z * 1.01
+    R, nonzeros = np.zeros(library["EQUATIONS"]), np.zeros(library["RESIDUAL_NONZEROS"])
+    library.call("residual", z, R, nonzeros, library.work("RESIDUAL_WORK"))
+    for mine, python in zip((R, nonzeros), problem.evaluate(z), strict=True):
+        np.testing.assert_allclose(mine, python, rtol=0, atol=1e-13)
+    guess, report = orbit.point.z * 1.01, ctypes.create_string_buffer(64)
+    held = library["OMEGA"]
+    status = library.call(
+        "newton", guess, held, float(orbit.Omega), 1e-13, 20, ctypes.byref(report), library.work("NEWTON_WORK")
+    )
+    assert status == 0
+    np.testing.assert_allclose(guess, orbit.point.z, rtol=0, atol=1e-11)
+
+
+def test_newton_tells_what_is_wrong_and_keeps_the_guess(library: Library, orbit: Orbit) -> None:
+    report, work = ctypes.create_string_buffer(64), library.work("NEWTON_WORK")
+    kappa = library["PARAMETER"]
+    cases = {1: (orbit.point.z * 1.01, kappa, 1), 4: (-orbit.point.z, kappa, 20), 3: (orbit.point.z * 40.0, kappa, 20)}
+    for wanted, (guess, held, most) in cases.items():
+        z = guess.copy()
+        assert library.call("newton", z, held, -1.0, 1e-13, most, ctypes.byref(report), work) == wanted
+        np.testing.assert_array_equal(z, guess)
+    z = np.full(library["UNKNOWNS"], np.nan)
+    assert library.call("newton", z, kappa, -1.0, 1e-13, 20, ctypes.byref(report), work) == 4
+    z = np.zeros(library["UNKNOWNS"])
+    z[library["OMEGA"]] = 1.0
+    assert library.call("newton", z, kappa, -1.0, 1e-13, 20, ctypes.byref(report), work) == 2
+
+
+@pytest.mark.parametrize(("sites", "gamma", "g"), [(1, 0.0, 1.0), (2, -0.5, -1.0), (24, 0.25, 1.0)])
+def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, tmp_path: Path) -> None:
+    """The program follows an edge mode to S = 0.2; one and two sites have the dense LU."""
+    chain = Chain(sites, 1.0, gamma, g)
+    export_c(chain, tmp_path / "c")
+    found = printed(compiled(tmp_path / "c", "gcc", "-O2"))
+    mode = sites if g > 0 else 1
+    orbit = follow_family(chain, mode=mode, amplitude_max=0.2, at=(0.2,), tolerance=1e-12).at(S=0.2)
+    assert abs(found["period"] / orbit.period - 1) < 1e-13
+    assert abs(found["largest_multiplier"] - orbit.floquet().max_abs_multiplier) < 1e-11
+    assert (tmp_path / "c" / f"chain_solve_{'band' if sites > 3 else 'dense'}.c").exists()
+
+
+@pytest.mark.parametrize("transcription", ["gauss", "shooting"])
+def test_orbits_of_other_transcriptions_have_their_flow_but_no_equations(transcription: str, tmp_path: Path) -> None:
+    chain = Chain(5, 1.0, 0.25, -1.0)
+    family = follow_family(chain, 1, 0.6, at=(0.6,), tolerance=1e-9, transcription=transcription)
+    orbit = family.at(S=0.6)
+    export_c(orbit, tmp_path / "c")
+    found = printed(compiled(tmp_path / "c", "gcc", *SANITIZED))
+    assert abs(found["orbit_period"] / orbit.period - 1) < 1e-14
+    assert found["trivial_deviation"] < 1e-7
+    assert abs(found["largest_multiplier"] - orbit.floquet().max_abs_multiplier) < 1e-7
+    with pytest.raises(
+        ValueError, match="its equations are not in odd cosines; with transcription trigonometric it can"
+    ):
+        export_c(orbit, tmp_path / "n", ["newton"])
+
+
+def test_an_orbit_whose_tail_was_eliminated(tmp_path: Path) -> None:
+    orbit = follow_family(Chain(500, 1.0, 0.25, 1.0), "last", 1.0, at=(1.0,), tolerance=1e-9, tail="eliminated").at(
+        S=1.0
+    )
+    with pytest.raises(ValueError, match='the linear tail of its chain was eliminated; with tail="full"'):
+        export_c(orbit, tmp_path / "n", ["newton"])
+    c, y = Library(export_c(orbit, tmp_path / "c", ["orbit"]), "chain"), np.zeros(500)
+    c.call("orbit", 0.4, y, None)
+    np.testing.assert_allclose(y, orbit.evaluate(0.4)[0], atol=1e-13)
+
+
+# Compilers -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "compiler", [*COMPILERS[:1], *(pytest.param(c, marks=pytest.mark.slow) for c in COMPILERS[1:])]
+)
+def test_no_compiler_warns_and_sanitizers_find_nothing(compiler: str, exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
+    found = printed(compiled(tmp_path, compiler, *SANITIZED))
+    assert abs(found["largest_multiplier"] - 1.171275734790) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not there")
+def test_valgrind_finds_nothing(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
+    program = compiled(tmp_path, "gcc", "-O1", "-g")
+    assert printed(program, "valgrind", "-q", "--error-exitcode=9", "--leak-check=full")["iterations"] <= 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_sizes_are_linear_and_a_thousand_sites_compile_in_seconds(compiler: str, tmp_path: Path) -> None:
+    """Processor time, on any machine of these years; blocks that are not cut take minutes."""
+    sizes = {}
+    for sites in (100, 1000):
+        export_c(Chain(sites, 1.0, 0.25, -1.0), tmp_path / str(sites), ["rhs", "jacobian"])
+        source = tmp_path / str(sites) / "chain_generated.c"
+        sizes[sites] = source.stat().st_size
+    assert sizes[1000] < 13 * sizes[100]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    subprocess.run([compiler, "-std=c99", "-O2", "-c", str(source), "-o", str(tmp_path / "o.o")], check=True)
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 30
+
+
+@pytest.mark.slow
+def test_two_hundred_sites(tmp_path: Path) -> None:
+    orbit = follow_family(
+        Chain(200, 1.0, 0.25, 1.0), mode=200, amplitude_max=1.0, at=(1.0,), tolerance=1e-11, tail="full"
+    ).at(S=1.0)
+    export_c(orbit, tmp_path / "c")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    found = printed(compiled(tmp_path / "c", "gcc", "-O2"))
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 60
+    assert abs(found["period"] / orbit.period - 1) < 1e-12
+    assert abs(found["largest_multiplier"] - orbit.floquet().max_abs_multiplier) < 1e-9
+
+
+def test_long_blocks_in_parts_compute_the_same(tmp_path: Path) -> None:
+    """A function with long blocks, called with null pointers for an argument and a result, and inside a map."""
+    x, y = ca.SX.sym("x", 200), ca.SX.sym("y", 2)
+    inner = ca.Function("inner", [x, y], [ca.sin(x) * y[0] + ca.cumsum(x), x**3 - y[1]])
+    X = ca.MX.sym("x", 200)
+    outer = ca.Function(
+        "outer", [X], [inner(X, ca.DM(2, 1))[0], *inner.map(2)(ca.horzcat(X, 2 * X), ca.DM([[1, 0], [0, 1]]))]
+    )
+    source = c_source("lengthy", [outer])
+    assert "_part1(" in source.text
+    (tmp_path / "lengthy.c").write_text(source.text)
+    command = [
+        "gcc",
+        *STRICT,
+        "-Wno-unused-parameter",
+        *SANITIZED[:2],
+        "-shared",
+        "-fPIC",
+        "-o",
+        "lengthy.so",
+        "lengthy.c",
+        "-lm",
+    ]
+    subprocess.run(command, check=True, cwd=tmp_path)
+    compiled_function = ca.external("outer", str(tmp_path / "lengthy.so"))
+    at = np.linspace(-1, 2, 200)
+    for mine, casadi in zip(compiled_function(at), outer(at), strict=True):
+        np.testing.assert_allclose(np.array(mine), np.array(casadi), rtol=1e-15, atol=1e-15)
+
+
+# Refusals ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("Duffing", "duffing"),
+        ("int", "m_int"),
+        ("9 lives", "m_9_lives"),
+        ("", "model"),
+        ("Müller*/", "m_ller"),
+        ("a__b", "a_b"),
+    ],
+)
+def test_names(words: str, wanted: str) -> None:
+    assert c_name(words) == wanted
+    assert c_name(words, {wanted}) == f"{wanted}_2"
+
+
+def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
+    assert set(C_PARTS) == set(WHAT) - {"outputs"}
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        (["rsh"], "what: given 'rsh'; did you mean rhs?"),
+        (["quux"], "what: given 'quux'; accepted: rhs, jacobian"),
+        ([], "what: given an empty list"),
+        (["orbit"], "which cannot be exported: a chain alone is no orbit"),
+        (["outputs"], "the model names no outputs"),
+        ([3], "what: given 3"),
+    ],
+)
+def test_what_is_refused(what: list[Any], told: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="what: given") as refusal:
+        export_c(SOFT, tmp_path / "c", what)
+    assert told in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_arguments_that_are_refused(orbit: Orbit, tmp_path: Path) -> None:
+    cases: list[tuple[dict[str, Any], type[Exception], str]] = [
+        ({"source": 3}, TypeError, "source: given 3; accepted: a Chain, an OdeModel or an Orbit"),
+        ({"source": Chain(np.inf, 1.0, 0.25, 1.0)}, ValueError, "sites: given inf"),  # type: ignore[arg-type]
+        ({"what": "rhs"}, TypeError, "what: given 'rhs'; accepted: a list"),
+        ({"name": "My Chain"}, ValueError, "name: given 'My Chain'; accepted: .* my_chain"),
+        ({"harmonics": 1}, ValueError, "harmonics: given 1"),
+        ({"source": forced_oscillator(), "what": ["newton"]}, ValueError, "a model alone has no orbit"),
+        ({"source": Chain(4, 1.0, 1.0, 1.0), "what": ["flow"]}, ValueError, "the gauge holds the edge site alone"),
+        ({"directory": ""}, TypeError, "directory: given ''; accepted: a path"),
+    ]
+    for changes, kind, told in cases:
+        with pytest.raises(kind, match=told) as refusal:
+            export_c(**({"source": SOFT, "directory": tmp_path / "c"} | changes))
+        assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_directories_that_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "held").mkdir()
+    (tmp_path / "held" / "mine.txt").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match=r"held: holds mine.txt; accepted: an empty or new directory"):
+        export_c(SOFT, tmp_path / "held")
+    with pytest.raises(ValueError, match="is not a directory"):
+        export_c(SOFT, tmp_path / "held" / "mine.txt")
+    assert export_c(SOFT, tmp_path / "empty", ["rhs"]) == tmp_path / "empty"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "held"]
+
+
+def test_what_is_no_c_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    x, X = ca.SX.sym("x"), ca.MX.sym("x")
+    cvodes = ca.integrator("motion", "cvodes", {"x": x, "ode": -x}, 0.0, 1.0)
+    inside = OdeModel("integrated", X, cvodes(x0=X)["xf"])
+    with pytest.raises(CodegenError, match=r"its part motion \(CvodesInterface\) cannot be written as C"):
+        export_c(inside, tmp_path / "c", ["rhs"])
+    solved = ca.Function("solved", [X], [ca.solve(ca.blockcat([[X, 1], [2, X]]), ca.DM([1, 2]), "csparse")])
+    with pytest.raises(CodegenError, match="solved: CasADi has no C for a part of it: CsparseInterface"):
+        c_source("name", [solved])
+    (tmp_path / "f.c").write_text(c_source("f", [ca.Function("twice", [x], [2 * x])]).text)
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", "f.so", "f.c"], check=True, cwd=tmp_path)
+    external = ca.external("twice", str(tmp_path / "f.so"))
+    with pytest.raises(CodegenError, match="calls twice of an external library"):
+        export_c(OdeModel("outside", X, external(X)), tmp_path / "c")
+    ipopt = ca.nlpsol("least", "ipopt", {"x": x, "f": (x - 1) ** 2})
+    with pytest.raises(CodegenError, match=r"needs coin-or/IpStdCInterface.h"):
+        c_source("name", [ipopt])
+    with pytest.raises(CodegenError, match="name: given '9'"):
+        c_source("9", [ca.Function("twice", [x], [2 * x])])
+    assert not (tmp_path / "c").exists()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_building_needs_a_compiler_and_an_export(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path / "c")
+    with pytest.raises(
+        CompilerError, match="compiler: given 'no-such-cc', which is not there; accepted: a C99 compiler"
+    ):
+        build_c(tmp_path / "c", "no-such-cc")
+    with pytest.raises(ValueError, match="accepted: one that export_c wrote"):
+        build_c(tmp_path)
+    assert printed(build_c(tmp_path / "c"))["iterations"] <= 5
+    (tmp_path / "c" / "main.c").write_text("int main(void) { return nothing; }\n")
+    with pytest.raises(CompilerError, match=r"cc: main.c:1:.*error.*nothing"):
+        build_c(tmp_path / "c")
+
+
+def test_the_part_of_ipopt_compiles_with_its_headers(tmp_path: Path) -> None:
+    """CasADi's wheels bring headers and library of Ipopt with them."""
+    folder = Path(ca.__file__).parent
+    library = next(iter(sorted(folder.glob("libipopt.so*"))), None)
+    if not (folder / "include" / "coin-or" / "IpStdCInterface.h").exists() or library is None:
+        pytest.skip("no headers or library of Ipopt")
+    chain = Chain(6, 1.0, 0.25, -1.0)
+    directory = export_c(chain, tmp_path / "c", ["newton", "ipopt"], harmonics=8)
+    assert "-lipopt" in (directory / "README.md").read_text()
+    sources = [path.name for path in directory.glob("*.c") if path.name != "main.c"]
+    (directory / "main.c").write_text(IPOPT_MAIN)
+    command = [
+        "gcc",
+        "-std=c99",
+        "-O1",
+        f"-I{folder / 'include'}",
+        "main.c",
+        *sources,
+        str(library),
+        "-lm",
+        f"-Wl,-rpath,{folder}",
+        "-o",
+        "program",
+    ]
+    subprocess.run(command, cwd=directory, check=True)
+    found = printed(directory / "program")
+    orbit = follow_family(chain, mode=1, amplitude_max=0.01, at=(0.01,), tolerance=1e-12).at(S=0.01)
+    assert abs(found["Omega"] / orbit.Omega - 1) < 1e-11
+    assert found["residual"] < 1e-11
+
+
+IPOPT_MAIN = """#include <math.h>
+#include <stdio.h>
+#include "chain.h"
+int main(void)
+{
+    static double guess[CHAIN_UNKNOWNS], z[CHAIN_UNKNOWNS], R[CHAIN_UNKNOWNS], work[CHAIN_IPOPT_WORK];
+    double largest = 0.0;
+    int i, failed = chain_linear_mode(1, guess) || chain_ipopt(guess, -0.01, z, R, work);
+    for (i = 0; i < CHAIN_EQUATIONS; i++) largest = fmax(largest, fabs(R[i]));
+    printf("Omega %.17g\\nresidual %.17g\\n", z[CHAIN_OMEGA], largest);
+    return failed;
+}
+"""

@@ -1,0 +1,454 @@
+"""Periodic orbits of any model against published periods, direct integration and each other."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from casadi_skin.boundary.multipliers import TrivialMultiplierWarning
+from casadi_skin.boundary.orbit import PeriodicOrbit
+from casadi_skin.boundary.periodic import find_orbit
+from casadi_skin.boundary.solving import BoundaryError
+from casadi_skin.models.ode import OdeModel
+
+Array = np.ndarray
+
+
+def flow(field: Callable[[float, Array], Any], start: Array, time: float, method: str = "DOP853") -> Any:
+    """An independent integration."""
+    return solve_ivp(field, (0.0, time), start, method, rtol=1e-12, atol=1e-13, dense_output=True)
+
+
+# Models ---------------------------------------------------------------------------------------------------------------
+
+
+def van_der_pol() -> OdeModel:
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    return OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+
+
+def circle(t: float) -> list[float]:
+    return [2 * np.cos(t), -2 * np.sin(t)]
+
+
+def brusselator() -> OdeModel:
+    x, y, a, b = (ca.SX.sym(name) for name in ("x", "y", "A", "B"))
+    rhs = ca.vertcat(a - (b + 1) * x + x**2 * y, b * x - x**2 * y)
+    return OdeModel("Brusselator", ca.vertcat(x, y), rhs, ca.vertcat(a, b), nominal=(1.0, 3.0))
+
+
+def duffing(**declared: Any) -> OdeModel:
+    q, v, w, a, d, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "a", "delta", "t"))
+    rhs = ca.vertcat(v, -q - q**3 - d * v + a * ca.cos(w * t))
+    return OdeModel(
+        "Duffing", ca.vertcat(q, v), rhs, ca.vertcat(w, a, d), time=t, forcing_period=2 * ca.pi / w, **declared
+    )  # fmt: skip
+
+
+MOON = 0.0121505856  # of the mass of Earth and Moon
+L1 = 0.8369151323  # rounded
+
+
+def three_bodies(energy_parameter: bool = False) -> tuple[OdeModel, ca.SX, ca.SX]:
+    """The planar circular restricted three-body problem in rotating coordinates; also its energy and x."""
+    x, y, u, v, mu, energy = (ca.SX.sym(name) for name in ("x", "y", "u", "v", "mu", "E"))
+    effective = (x**2 + y**2) / 2 + (1 - mu) / ca.sqrt((x + mu) ** 2 + y**2) + mu / ca.sqrt((x - 1 + mu) ** 2 + y**2)
+    rhs = ca.vertcat(u, v, 2 * v + ca.gradient(effective, x), -2 * u + ca.gradient(effective, y))
+    jacobi = (u**2 + v**2) / 2 - effective
+    p = ca.vertcat(mu, energy) if energy_parameter else mu
+    model = OdeModel("three bodies", ca.vertcat(x, y, u, v), rhs, p, reversal=(1, -1, -1, 1), hamiltonian=jacobi)
+    return model, jacobi - energy if energy_parameter else jacobi, x
+
+
+def lyapunov_by_shooting(x0: float) -> tuple[Any, float, float]:
+    """The Lyapunov orbit through (x0, 0) that crosses the x axis at right angles twice: states, period, speed at x0."""
+    mu = MOON
+
+    def field(_: float, s: Array) -> Array:
+        x, y, u, v = s
+        r1, r2 = ((x + mu) ** 2 + y**2) ** 1.5, ((x - 1 + mu) ** 2 + y**2) ** 1.5
+        return np.array(
+            [u, v, 2 * v + x - (1 - mu) * (x + mu) / r1 - mu * (x - 1 + mu) / r2,
+             -2 * u + y - (1 - mu) * y / r1 - mu * y / r2]
+        )  # fmt: skip
+
+    def crossing(_: float, s: Array) -> float:
+        return float(s[1])
+
+    crossing.terminal, crossing.direction = True, -1.0  # type: ignore[attr-defined]
+
+    def half(speed: float) -> Any:
+        start = [x0, 1e-300, 0.0, speed]
+        return solve_ivp(field, (0.0, 3.0), start, "DOP853", events=crossing, rtol=1e-13, atol=1e-14)
+
+    speed = brentq(lambda s: half(s).y[2, -1], 0.05, 0.12, xtol=1e-15)
+    period = 2.0 * half(speed).t[-1]
+    return flow(field, np.array([x0, 0.0, 0.0, speed]), period).sol, period, speed
+
+
+# Autonomous -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("transcription", ["gauss", "radau"])
+@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
+    """Period and amplitude to 28 digits: Hairer, Norsett and Wanner (1993), section I.16, exercise 1."""
+    options = {"transcription": transcription, "corrector": corrector, "tolerance": 1e-10}
+    orbit = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, **options)
+    assert abs(orbit.period - 6.6632868593231301897) <= max(orbit.period_error, 1e-14)
+    assert orbit.period_error < 1e-9
+    assert abs(orbit.evaluate(np.linspace(0, orbit.period, 20001))[:, 0].max() - 2.00861986087484313651) < 1e-7
+    # Liouville: the other multiplier is the exponential of the integral of the divergence.
+    divergence, _ = quad(lambda t: 1 - orbit.evaluate(t)[0, 0] ** 2, 0.0, orbit.period, epsabs=1e-12, limit=200)
+    for by in ("collocation", "cvodes"):
+        found = orbit.multipliers(by)
+        assert found.trivial == 1
+        assert found.stable
+        assert abs(found.others[0] / np.exp(divergence) - 1) < (1e-8 if by == "collocation" else 1e-3)
+        assert found.deviation < 1e-8
+
+
+def test_van_der_pol_at_10() -> None:
+    """Period 19.0783695669..., and the multiplier, by DOP853: return map and integral of the divergence."""
+    first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
+    branch = first.follow("mu", 10.0, max_step=0.5)
+    orbit = branch.solutions[-1]
+    assert isinstance(orbit, PeriodicOrbit)
+
+    def field(_: float, s: Array) -> list[float]:
+        return [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0], 1 - s[0] ** 2]
+
+    def crossing(_: float, s: Array) -> float:
+        return float(s[1])
+
+    crossing.direction = -1.0  # type: ignore[attr-defined]
+    run = solve_ivp(field, (0.0, 60.0), [2.0, 0.0, 0.0], "DOP853", events=crossing, rtol=1e-12, atol=1e-13)
+    times, states = run.t_events[0], run.y_events[0]
+    assert abs(orbit.period - (times[-1] - times[-2])) < 1e-9
+    assert abs(orbit.period - 19.078369567) < 1e-8
+    log_multiplier = 10.0 * (states[-1, 2] - states[-2, 2])
+    assert abs(np.log(abs(orbit.multipliers().others[0])) / log_multiplier - 1) < 1e-6
+    assert log_multiplier < -300
+
+
+def test_the_brusselator() -> None:
+    """A = 1, B = 3: closure and multiplier by DOP853 with the variational equations, which share nothing with us."""
+    orbit = find_orbit(brusselator(), lambda t: [1 + np.cos(t), 3 - np.sin(t)], 7.2, tolerance=1e-10)
+
+    def field(_: float, s: Array) -> Array:
+        x, y = s[:2]
+        jacobian = np.array([[2 * x * y - 4, x**2], [3 - 2 * x * y, -(x**2)]])
+        return np.concatenate([[1 - 4 * x + x**2 * y, 3 * x - x**2 * y], (jacobian @ s[2:].reshape(2, 2)).ravel()])
+
+    start = orbit.evaluate(0.0)[0]
+    end = flow(field, np.concatenate([start, np.eye(2).ravel()]), orbit.period).y[:, -1]
+    np.testing.assert_allclose(end[:2], start, atol=1e-8)
+    values = np.linalg.eigvals(end[2:].reshape(2, 2))
+    other = values[np.argmax(np.abs(values - 1.0))]
+    for by in ("collocation", "cvodes"):
+        assert abs(orbit.multipliers(by).others[0] - other) < 1e-7
+    np.testing.assert_allclose(orbit.multipliers().monodromy, end[2:].reshape(2, 2), atol=1e-6)
+
+
+def test_a_section_in_place_of_the_phase_condition() -> None:
+    model = van_der_pol()
+    free = find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-10)
+    cut = find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, section=model.state[1], tolerance=1e-10)
+    assert abs(free.period - cut.period) < 1e-9
+    assert abs(cut.evaluate(0.0)[0, 1]) < 1e-12
+    assert abs(abs(cut.evaluate(0.0)[0, 0]) - 2.00861986087484313651) < 1e-9
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
+def test_the_phase_follows_the_guess(phase: float) -> None:
+    model = van_der_pol()
+    turned = find_orbit(model, lambda t: circle(t + phase), 2 * np.pi, parameters={"mu": 0.1})
+    at_zero = turned.evaluate(0.0)[0]
+    assert abs(turned.period - 2 * np.pi * (1 + 0.1**2 / 16)) < 1e-5  # Lindstedt and Poincare
+    np.testing.assert_allclose(at_zero, circle(phase), atol=0.12)
+
+
+def test_an_orbit_is_a_guess_of_an_orbit() -> None:
+    first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
+    again = find_orbit(van_der_pol(), first, parameters={"mu": 1.1})
+    assert again.period > first.period
+
+
+def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
+    """The trivial multiplier tells that the others are not to be trusted, and so does `deviation`."""
+    coarse = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-2, degree=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = coarse.multipliers()
+    assert 1e-8 < found.deviation < found.allowed
+    judged = replace(coarse, method=replace(coarse.method, tolerance=1e-12))
+    with pytest.warns(TrivialMultiplierWarning, match="the trivial multiplier is off by .*; try a smaller tolerance"):
+        judged.multipliers()
+
+
+# Forced ---------------------------------------------------------------------------------------------------------------
+
+
+def test_forced_duffing_through_both_folds() -> None:
+    """Folds are where a multiplier is 1; between them three orbits, each closed by DOP853 and the middle unstable."""
+    first = find_orbit(
+        duffing(half_period=(-1, -1)), [0.0, 0.0],
+        parameters={"omega": 0.8, "a": 0.5, "delta": 0.1}, tolerance=1e-9,
+    )  # fmt: skip
+    branch = first.follow("omega", 3.0, at=[2.0])
+    assert branch.complete
+    folds = [fold["omega"] for fold in branch.folds]
+    assert folds[0] > 2.0 > folds[-1]
+    for fold in branch.folds:
+        assert isinstance(fold, PeriodicOrbit)
+        nearest = np.min(np.abs(fold.multipliers().values - 1.0))
+        assert nearest < 1e-3
+        # det M = exp(-delta T) in any case (Liouville)
+        assert abs(np.prod(fold.multipliers().values) / np.exp(-0.1 * fold.period) - 1) < 1e-7
+    orbits = [branch.at(2.0, which) for which in range(3)]
+    assert [o.multipliers().stable for o in orbits if isinstance(o, PeriodicOrbit)] == [True, False, True]
+    for orbit in orbits:
+        field = lambda t, s: [s[1], -s[0] - s[0] ** 3 - 0.1 * s[1] + 0.5 * np.cos(2.0 * t)]  # noqa: E731
+        start = orbit.evaluate(0.0)[0]
+        np.testing.assert_allclose(flow(field, start, np.pi).y[:, -1], start, atol=1e-7)
+    for orbit in orbits:
+        assert isinstance(orbit, PeriodicOrbit)
+        by = [np.sort_complex(orbit.multipliers(b).values) for b in ("collocation", "cvodes")]
+        np.testing.assert_allclose(by[0], by[1], atol=1e-7)
+        assert orbit.multipliers().trivial == 0
+
+
+def test_the_amplitude_of_a_forced_orbit_by_harmonic_balance() -> None:
+    """First and third harmonic by Newton's method in numpy, at a small force where higher ones are below 1e-7."""
+    orbit = find_orbit(duffing(), [0.0, 0.0], parameters={"omega": 1.6, "a": 0.02, "delta": 0.1}, tolerance=1e-10)
+    theta = 2 * np.pi * np.arange(64) / 64
+    basis = np.stack([np.cos(theta), np.sin(theta), np.cos(3 * theta), np.sin(3 * theta)])
+    k = np.array([1.0, 1.0, 3.0, 3.0]) * 1.6
+
+    def residual(c: Array) -> Array:
+        q = c @ basis
+        rate = np.array([c[1], -c[0], c[3], -c[2]]) * k @ basis
+        force = -(c * k**2) @ basis + q + q**3 + 0.1 * rate - 0.02 * np.cos(theta)
+        return np.asarray(basis @ force / 32)
+
+    c = np.zeros(4)
+    for _ in range(20):
+        jacobian = np.stack([(residual(c + h) - residual(c - h)) / 2e-6 for h in 1e-6 * np.eye(4)], axis=1)
+        c = c - np.linalg.solve(jacobian, residual(c))
+    t = theta / 1.6
+    np.testing.assert_allclose(orbit.evaluate(t)[:, 0], c @ basis, atol=1e-9)
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 3])
+def test_a_linear_forced_oscillator_has_the_multipliers_of_its_matrix(cycles: int) -> None:
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    matrix = np.array([[0.0, 1.0], [-2.0, -0.3]])
+    model = OdeModel("linear", ca.vertcat(q, v), matrix @ ca.vertcat(q, v) + ca.vertcat(0, ca.sin(3 * t)), time=t,
+                     forcing_period=2 * np.pi / 3)  # fmt: skip
+    orbit = find_orbit(model, [0.0, 0.0], cycles=cycles, tolerance=1e-11)
+    assert orbit.period == pytest.approx(2 * np.pi / 3 * cycles, rel=1e-15)
+    exact = np.sort_complex(np.exp(np.linalg.eigvals(matrix) * orbit.period))
+    np.testing.assert_allclose(np.sort_complex(orbit.multipliers().values), exact, atol=1e-10)
+    response = (1j * 3 * np.eye(2) - matrix) @ np.array([0, 0]) if cycles == 0 else np.linalg.solve(
+        3j * np.eye(2) - matrix, np.array([0.0, 1.0])
+    )  # fmt: skip
+    at = np.linspace(0, orbit.period, 7)
+    exact_q = np.imag(response[0] * np.exp(3j * at))
+    np.testing.assert_allclose(orbit.evaluate(at)[:, 0], exact_q, atol=1e-10)
+
+
+# Conservative and reversible ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lyapunov() -> tuple[Any, float, float]:
+    return lyapunov_by_shooting(L1 - 0.01)
+
+
+def test_a_lyapunov_orbit_both_ways(lyapunov: tuple[Any, float, float]) -> None:
+    """Half of it by symmetry; all of it with unfolding, by section or phase, selected by x or energy: one period."""
+    guess, period, speed = lyapunov
+    model, jacobi, x = three_bodies()
+    x0, given = L1 - 0.01, {"parameters": {"mu": MOON}, "tolerance": 1e-11}
+    half = find_orbit(model, guess, period, select=x - x0, symmetric=True, **given)  # type: ignore[arg-type]
+    cut = find_orbit(model, guess, period, select=x - x0, section=model.state[1], **given)  # type: ignore[arg-type]
+    energy = float(ca.Function("J", [model.state, model.parameters], [jacobi])(half.evaluate(0.0)[0], MOON))
+    whole = find_orbit(model, guess, period, select=jacobi - energy, **given)  # type: ignore[arg-type]
+    assert abs(half.period - period) < 1e-10
+    assert abs(cut.period - half.period) < 1e-10
+    assert abs(whole.period - half.period) < 1e-10
+    assert abs(cut.unfolding) < 1e-10
+    assert abs(whole.unfolding) < 1e-10
+    assert abs(half.evaluate(0.0)[0, 3] - speed) < 1e-9
+    t = np.linspace(-period, 2 * period, 41)  # the symmetric half is unfolded to all times
+    np.testing.assert_allclose(half.evaluate(t), cut.evaluate(t), atol=1e-8)
+    largest = [orbit.multipliers(by).values[0].real for orbit in (half, cut, whole) for by in ("collocation", "cvodes")]
+    np.testing.assert_allclose(largest, largest[0], rtol=1e-7)
+    for orbit in (half, cut, whole):
+        found = orbit.multipliers()
+        assert found.trivial == 2
+        assert not found.stable
+        assert abs(found.values[0] * found.values[-1] - 1) < 1e-6  # reciprocal pairs
+        assert found.deviation < 1e-5
+
+
+def test_a_family_of_lyapunov_orbits_in_its_energy(lyapunov: tuple[Any, float, float]) -> None:
+    """E is a parameter that only `select` knows; every orbit has it, and the last agrees with shooting."""
+    guess, period, _ = lyapunov
+    model, excess, _ = three_bodies(energy_parameter=True)
+    at_guess = ca.Function("J", [model.state, model.parameters], [excess])
+    energy = float(at_guess(guess(0.0), [MOON, 0.0]))
+    first = find_orbit(
+        model, guess, period, select=excess, symmetric=True, parameters={"mu": MOON, "E": energy}, tolerance=1e-9
+    )
+    branch = first.follow("E", energy + 0.002)
+    assert branch.complete
+    for orbit in branch.solutions:
+        assert abs(float(at_guess(orbit.evaluate(0.0)[0], [MOON, orbit.parameters["E"]]))) < 1e-9
+    last = branch.solutions[-1]
+    assert isinstance(last, PeriodicOrbit)
+    _, other, _ = lyapunov_by_shooting(float(last.evaluate(0.0)[0, 0]))
+    assert abs(last.period - other) < 1e-8
+    assert np.all(np.diff([o.period for o in branch.solutions if isinstance(o, PeriodicOrbit)]) > 0)
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_a_pendulum_has_its_period(symmetric: bool) -> None:
+    """4 K(sin^2(a/2)); a quarter is unknown where reversal and half-period symmetry are declared."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = OdeModel(
+        "pendulum", q, -ca.sin(q), order=2, velocity=v, reversal=(1, -1), half_period=(-1, -1),
+        hamiltonian=v**2 / 2 - ca.cos(q),
+    )  # fmt: skip
+    orbit = find_orbit(
+        model, lambda t: [2 * np.cos(t * 2 * np.pi / 8), 0], 8.0, select=q - 2.0, symmetric=symmetric,
+        section=None if symmetric else v, tolerance=1e-11,
+    )  # fmt: skip
+    exact = 4 * ellipk(np.sin(1.0) ** 2)
+    assert abs(orbit.period - exact) <= max(orbit.period_error, 1e-13)
+    assert orbit.interval[1] == pytest.approx(exact / 4 if symmetric else exact)
+    assert orbit.multipliers().trivial == 2
+    assert orbit.multipliers().stable
+    assert abs(np.linalg.det(orbit.multipliers().monodromy) - 1) < 1e-9
+
+
+def test_an_unfolding_that_does_not_vanish_is_told() -> None:
+    """A damped oscillator that claims to conserve its energy: only with the damping undone is there an orbit."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = OdeModel(
+        "liar", ca.vertcat(q, v), ca.vertcat(v, -q - 0.01 * v), hamiltonian=(q**2 + v**2) / 2, checked=False
+    )
+    with pytest.raises(BoundaryError, match=r"the unfolding parameter is .* in place of 0: the hamiltonian is not"):
+        find_orbit(model, lambda t: [np.cos(t), -np.sin(t)], 6.28, select=q - 1, section=v)
+
+
+# What is refused ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "words"),
+    [
+        (van_der_pol, {"period": None}, "period: given None; accepted: a number > 0"),
+        (van_der_pol, {"period": -1.0}, "period: given -1.0; accepted: a number > 0"),
+        (van_der_pol, {"period": 6.6, "cycles": 2}, "cycles: given 2 for van der Pol, which is autonomous"),
+        (van_der_pol, {"period": 6.6, "cycles": 1.5}, "cycles: given 1.5; accepted: a whole number >= 1"),
+        (van_der_pol, {"period": 6.6, "select": ca.SX(0)}, "select: given for van der Pol"),
+        (van_der_pol, {"period": 6.6, "parameters": {"nu": 1.0}}, "parameters: given 'nu'"),
+        (duffing, {"period": 1.0}, "period: given for Duffing, which is forced; accepted: cycles alone"),
+        (duffing, {"symmetric": True}, "symmetric: given for Duffing, which is forced"),
+        (lambda: three_bodies()[0], {"period": 2.7}, "select: given none; accepted: an expression, for conservative"),
+        (lambda: three_bodies()[0], {"period": 2.7, "symmetric": True}, "select: given none"),
+    ],
+)
+def test_arguments_that_do_not_fit_the_model_are_refused(
+    make: Callable[[], OdeModel], arguments: dict[str, Any], words: str
+) -> None:
+    model = make()
+    given = {"parameters": dict.fromkeys(model.parameter_names, 1.0)} | arguments
+    with pytest.raises((ValueError, TypeError)) as error:
+        find_orbit(model, [0.1] * model.full_size, **given)  # type: ignore[arg-type]
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_guess_that_does_not_move_is_refused() -> None:
+    with pytest.raises(ValueError, match="guess: given a state that does not move; accepted: one period of an orbit"):
+        find_orbit(van_der_pol(), [0.0, 0.0], 6.6, parameters={"mu": 1.0})
+
+
+def test_a_symmetric_orbit_of_a_model_without_reversal_is_refused() -> None:
+    model = van_der_pol()
+    with pytest.raises(
+        ValueError, match="symmetric: given for van der Pol, which declares no reversal; accepted: with one"
+    ):
+        find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, select=model.state[0] - 2, symmetric=True)
+
+
+def test_another_way_to_multipliers_is_refused() -> None:
+    orbit = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
+    with pytest.raises(ValueError, match="by: given 'hand'; accepted: collocation, cvodes"):
+        orbit.multipliers("hand")
+
+
+# Programs -------------------------------------------------------------------------------------------------------------
+
+
+class VanDerPolField(ca.Callback):  # type: ignore[misc]
+    """The field as a program with its own derivatives, as an FMU has them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.construct("field", {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(2 if i == 0 else 1, 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(2, 1)
+
+    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        s, mu = arguments
+        return [ca.vertcat(s[1], mu * (1 - s[0] ** 2) * s[1] - s[0])]
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
+        s, mu, out = ca.MX.sym("s", 2), ca.MX.sym("mu"), ca.MX.sym("out", 2)
+        by_s = ca.vertcat(ca.horzcat(0, 1), ca.horzcat(-2 * mu * s[0] * s[1] - 1, mu * (1 - s[0] ** 2)))
+        by_mu = ca.vertcat(0, (1 - s[0] ** 2) * s[1])
+        return ca.Function(name, [s, mu, out], [ca.densify(by_s), ca.densify(by_mu)], inames, onames)
+
+
+def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
+    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), VanDerPolField()
+    model = OdeModel("program", s, field(s, mu), mu)
+    orbit = find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
+    symbolic = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
+    assert abs(orbit.period - 6.6632868593231301897) < 1e-9
+    for by in ("collocation", "cvodes"):
+        np.testing.assert_allclose(orbit.multipliers(by).values, symbolic.multipliers(by).values, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_program_is_followed() -> None:
+    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), VanDerPolField()
+    orbit = find_orbit(OdeModel("program", s, field(s, mu), mu), circle, 6.6, parameters={"mu": 1.0})
+    last = orbit.follow("mu", 1.2).solutions[-1]
+    assert isinstance(last, PeriodicOrbit)
+    assert abs(last.period - find_orbit(van_der_pol(), last, parameters={"mu": 1.2}).period) < 1e-7
