@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from casadi_skin.families.orbit import Orbit
     from casadi_skin.models.chain import Chain
     from casadi_skin.models.ode import OdeModel
-    from casadi_skin.search.finding import search_orbit
+    from casadi_skin.search.door import search_orbit
     from casadi_skin.search.kick import smallest_kick
     from casadi_skin.simulation import simulate
 
@@ -54,7 +54,7 @@ def __getattr__(name: str) -> Any:
         "find_orbit": "boundary.periodic",
         "follow_family": "families.follow",
         "simulate": "simulation",
-        "search_orbit": "search.finding",
+        "search_orbit": "search.door",
         "smallest_kick": "search.kick",
     }
     if name not in places:

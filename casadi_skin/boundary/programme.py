@@ -77,10 +77,15 @@ def _first(ladder: Ladder, statement: BoundaryValueProblem, guess: Guess, method
     for resolution in [r for r in ladder.rungs if r >= method.intervals][:MESHES]:
         problem = ladder.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
+        start = packed(problem, guess)
         try:
-            return _Programme(problem, method).solve(packed(problem, guess))
+            found = _Programme(problem, method).solve(start)
         except BoundaryError as error:
             failure = error
+            continue
+        if not np.any(start[: problem.states]):
+            problem.measure_by(found.z)
+        return found
     assert failure is not None
     raise failure
 

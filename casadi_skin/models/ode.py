@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
@@ -165,6 +165,12 @@ class OdeModel:
         from casadi_skin.models.saved import save
 
         return save(self, path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as it is saved, so that processes can share it; raises ValueError where it cannot be saved."""
+        from casadi_skin.models.saved import dumps, loads
+
+        return loads, (dumps(self),)
 
     @staticmethod
     def read(path: str | Path) -> OdeModel:

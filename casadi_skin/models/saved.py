@@ -16,38 +16,54 @@ if TYPE_CHECKING:
 
 Symbols = tuple[Expression, Expression, Expression | None, Expression]
 FORMAT = "casadi_skin model 1"
+PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
 PLAIN = ("name", "order", "reversal", "half_period", "shown", "nominal")
 OPTIONAL = ("normalisation", "hamiltonian")
 
 
 def save(model: OdeModel, path: str | Path) -> Path:
     """Write a model as JSON; raises ValueError where its equations are those of a program, as of an FMU."""
+    text = dumps(model)
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def dumps(model: OdeModel) -> str:
+    """A model as JSON text; raises ValueError where its equations are those of a program, as of an FMU."""
     expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
     expressions |= {f"output {name}": output for name, output in model.outputs.items()}
     if model.forcing_period is not None:
         expressions["forcing_period"] = type(model.state)(model.forcing_period)
     function = model.function("model", *expressions.values())
-    try:
-        equations = function.serialize()
-    except RuntimeError as error:
-        raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program") from error
+    programs = [f.name() for f in function.find_functions() if f.class_name() in PROGRAMS]
+    if programs:  # CasADi writes their names alone
+        raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program, {', '.join(programs)}")
+    equations = function.serialize()
     declared: dict[str, Any] = {key: getattr(model, key) for key in PLAIN}
     kind = "MX" if isinstance(model.state, ca.MX) else "SX"
     declared |= {"state_labels": model.state_names, "parameter_labels": model.parameter_names}
     declared |= {"format": FORMAT, "kind": kind, "forced": model.forced, "results": list(expressions)}
-    with replacing(Path(path)) as temporary:
-        temporary.write_text(json.dumps(declared | {"equations": equations}, indent=1), encoding="utf-8")
-    return Path(path)
+    return json.dumps(declared | {"equations": equations}, indent=1)
 
 
 def read(path: str | Path) -> OdeModel:
     """The model in a file written by `save`; raises ValueError, in one line, for what is not one."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as a saved model: {error}") from error
+    return loads(text, str(path))
+
+
+def loads(text: str, path: str = "text") -> OdeModel:
+    """The model in text made by `dumps`; `path` is where it comes from, for messages. Raises ValueError as `read`."""
     from casadi_skin.models.ode import OdeModel
 
     refused = f"{path}: not a model saved by casadi_skin"
     try:
-        given = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        given = json.loads(text)
+    except json.JSONDecodeError as error:
         raise ValueError(f"{path}: cannot be read as a saved model: {error}") from error
     if not isinstance(given, dict) or given.get("format") != FORMAT:
         raise ValueError(f"{refused}; accepted: a file with format {FORMAT!r}")

@@ -34,7 +34,7 @@ NEAREST = 4  # starts from which the orbit nearest to the constraints is looked 
 STARTS = 8
 
 
-def search_orbit(
+def search_chain(
     chain: Chain,
     *,
     objective: Quantity,
@@ -212,4 +212,4 @@ class Search:
         return f"{self.request.free_names[k]} = {free[k]:.3g}, objective {gone.solution.objective:.3g}"
 
 
-__all__ = ["Search", "SearchProgress", "search_orbit"]
+__all__ = ["Search", "SearchProgress", "search_chain"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_skin.arguments import shown
 from casadi_skin.models.chain import Chain
-from casadi_skin.search.finding import search_orbit
+from casadi_skin.search.finding import search_chain
 from casadi_skin.search.names import NAMED, nearest_name
 from casadi_skin.search.result import Optimum, SearchResult, SearchStatus
 from casadi_skin.theory.linear import Array
@@ -42,7 +42,7 @@ class ParetoFront:
 def pareto_front(chain: Chain, first: str, second: str, *, points: int = 10, **options: Any) -> ParetoFront:
     """The front of the least `first` against the least `second`, names of quantities, in `points` points.
 
-    `options` are those of `search_orbit` but for the objective and `maximise`; constraints and bounds hold everywhere.
+    `options` are those of `search_chain` but for the objective and `maximise`; constraints and bounds hold everywhere.
     Raises ValueError where a name is not known or an end of the front is not found. Ctrl-C ends it.
     """
     for name in (first, second):
@@ -55,7 +55,7 @@ def pareto_front(chain: Chain, first: str, second: str, *, points: int = 10, **o
     def search(objective: str, *more: tuple[str, None, float], near: Optimum | None = None) -> SearchResult:
         start, own = (chain, {}) if near is None else _beside(chain, near)
         held = (*constraints, *more)
-        result = search_orbit(start, objective=objective, constraints=held, **{**options, **own})
+        result = search_chain(start, objective=objective, constraints=held, **{**options, **own})
         if result.status is SearchStatus.INTERRUPTED:
             raise KeyboardInterrupt
         return result

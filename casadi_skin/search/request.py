@@ -111,10 +111,9 @@ def search_request(
     constraints: Sequence[object],
     tolerance: float,
 ) -> SearchRequest:
-    """The request made of the arguments of `search_orbit`, which see; raises ValueError or TypeError."""
+    """The request made of the arguments of `search_chain`, which see; raises ValueError or TypeError."""
     if not isinstance(chain, Chain):
-        accepted = "a Chain (boundary-value problems of other models take bounds and an objective themselves)"
-        raise TypeError(f"chain: given {shown(chain)}; accepted: {accepted}")
+        raise TypeError(f"chain: given {shown(chain)}; accepted: a Chain")
     if chain.infinite:
         raise ValueError("chain: given an infinite chain; accepted: a whole number of sites")
     several = not (isinstance(S, int | float) or hasattr(S, "__float__"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, Orbit
+from casadi_skin import Orbit
 from casadi_skin.dynamics import distance_from_orbit, evolve
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -1,0 +1,71 @@
+"""The equations of a model as C: derivatives, outputs and their products with seeds, and what depends on what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.export.codegen import c_source
+from casadi_skin.models.ode import OdeModel
+
+Pattern = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Functions (t, x, p, ...) of a model, all arguments and results dense.
+
+    `derivatives` gives x', `outputs` y, `forward` (with seeds dt, dx, dp) the directional derivatives of both and
+    `adjoint` (with seeds of x' and y) their products from the left, shape (1,), (states,), (parameters,).
+    """
+
+    model: OdeModel
+    identifier: str
+
+    @cached_property
+    def both(self) -> ca.Function:
+        """Function (t, x, p) -> (x', y)."""
+        outputs = list(self.model.outputs.values())
+        empty = type(self.model.state)(0, 1)
+        return self.model.function(
+            "both", ca.densify(self.model.full_rhs), ca.densify(ca.vertcat(*outputs)) if outputs else empty
+        )
+
+    def functions(self) -> tuple[ca.Function, ...]:
+        """The functions that are generated, each named with the identifier of the model."""
+        kind = type(self.model.state)
+        t, x, p = (kind.sym(name, self.both.size1_in(i)) for i, name in enumerate("txp"))
+        xdot, y = self.both.call([t, x, p], True, False)
+        dt, dx, dp = (kind.sym(f"d{name}", self.both.size1_in(i)) for i, name in enumerate("txp"))
+        forward = self.both.forward(1).call([t, x, p, xdot, y, dt, dx, dp], True, False)
+        sx, sy = kind.sym("sx", xdot.numel()), kind.sym("sy", y.numel())
+        adjoint = self.both.reverse(1).call([t, x, p, xdot, y, sx, sy], True, False)
+        return (
+            self._function("derivatives", [t, x, p], [xdot]),
+            self._function("outputs", [t, x, p], [y]),
+            self._function("forward", [t, x, p, dt, dx, dp], forward),
+            self._function("adjoint", [t, x, p, sx, sy], adjoint),
+        )
+
+    def _function(self, name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+        return ca.Function(f"{self.identifier}_{name}", arguments, [ca.densify(result) for result in results])
+
+    @cached_property
+    def depends(self) -> Pattern:
+        """Which of x', y depend on which of t, x, p; shape (states + outputs, 1 + states + parameters)."""
+        blocks = [[_pattern(self.both.jac_sparsity(i, j)) for j in range(3)] for i in range(2)]
+        return np.block(blocks)
+
+    def source(self) -> str:
+        """C99 of all functions; raises ValueError where CasADi cannot generate it, as for a model that is a program."""
+        return c_source(f"{self.identifier}_equations", self.functions()).text
+
+
+def _pattern(sparsity: ca.Sparsity) -> Pattern:
+    dense = np.zeros(sparsity.shape, dtype=bool)
+    dense[tuple(np.array(sparsity.get_triplet(), dtype=int))] = True
+    return dense

@@ -1,0 +1,221 @@
+"""Somebody's FMU as an `OdeModel`: the right-hand side and its derivatives are those of its binary.
+
+FMI 2.0 and 3.0, Model Exchange without events (https://fmi-standard.org). The equations are functions of a program, not
+expressions: everything that needs no more than their values and first derivatives takes them.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.arguments import number
+from casadi_skin.models.fmu_archive import unpack
+from casadi_skin.models.fmu_derivatives import Derivatives, Pattern, Value
+from casadi_skin.models.fmu_function import FmuFunction
+from casadi_skin.models.fmu_instance import FmuInstance
+from casadi_skin.models.ode import OdeModel
+
+_REAL = ("Real", "Float64")
+_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FmuModel(OdeModel):
+    """A model whose equations are in an FMU's binary; functions made of it live as long as it does.
+
+    `start_state` is where the FMU starts from, shape (states,). Jacobians come from the FMU where `derivatives` is
+    "directional", else from "differences". The instance and its temporary folder go when the model does.
+    """
+
+    start_state: tuple[float, ...]
+    instance: FmuInstance
+    functions: tuple[FmuFunction, ...] = field(repr=False)
+
+    @property
+    def derivatives(self) -> str:
+        """How the Jacobian by the states is computed: "directional" or "differences"."""
+        return self.functions[0].derivatives.by_states
+
+    @property
+    def parameter_derivatives(self) -> str:
+        """How the Jacobian by the parameters is computed: "directional" or "differences"."""
+        return self.functions[0].derivatives.by_parameters
+
+    @property
+    def noise(self) -> float:
+        """Largest estimated error of a Jacobian so far relative to its largest entry: 0 without differences."""
+        return max(f.derivatives.difference.largest_error for f in self.functions)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """The FMU's last messages, as where it could not compute a value, which then is NaN."""
+        return tuple(self.instance.complaints)
+
+    def save(self, path: str | Path) -> Path:
+        """Raises ValueError: the equations are in the FMU, which is the file to keep."""
+        raise ValueError(f"{self.name}: cannot be saved: its equations are those of a program, the FMU")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Raises ValueError: another process reads the FMU itself."""
+        raise ValueError(f"{self.name}: cannot be pickled: its equations are those of a program, the FMU")
+
+    def close(self) -> None:
+        """Free the FMU and remove its folder; its functions must not be called afterwards."""
+        self.instance.close()
+
+
+def from_fmu(
+    path: str | Path,
+    states: Sequence[str] | None = None,
+    parameters: Sequence[str] = (),
+    *,
+    forcing_period: float | None = None,
+) -> FmuModel:
+    """See `OdeModel.from_fmu`."""
+    if forcing_period is not None:
+        number("forcing_period", forcing_period)
+    unpacked = unpack(path)
+    try:
+        chosen = [_parameter(name, unpacked.description) for name in parameters]
+        if len(set(parameters)) < len(chosen):
+            raise ValueError(f"parameters: given {', '.join(parameters)}; accepted: each one once")
+        _check_description(path, unpacked.description, states)
+        instance = FmuInstance(unpacked, chosen)
+    except BaseException:
+        shutil.rmtree(unpacked.folder, ignore_errors=True)
+        raise
+    try:
+        return _model(instance, states, forcing_period)
+    except BaseException:
+        instance.close()
+        raise
+
+
+def _model(instance: FmuInstance, states: Sequence[str] | None, forcing_period: float | None) -> FmuModel:
+    description, forced = instance.description, forcing_period is not None
+    entries = list(description.derivatives)
+    variables = [entry.variable.derivative for entry in entries]
+    names = [variable.name for variable in variables]
+    order = [names.index(name) for name in states] if states is not None else list(range(len(names)))
+    if not forced:
+        _check_autonomous(instance)
+    known = tuple(int(variable.valueReference) for variable in variables)
+    scale = np.array([_size(v, start) for v, start in zip(variables, instance.start, strict=True)])
+    offered = _offers_derivatives(instance)
+
+    def function(name: str, unknowns: list[Any], value: Value) -> FmuFunction:
+        references = tuple(int(entry.variable.valueReference) for entry in unknowns)
+        pattern = _declared(unknowns, variables)
+        return FmuFunction(name, Derivatives(instance, references, known, scale, value, pattern, offered), forced)
+
+    functions = [function("fmu_derivatives", entries, instance.derivatives)]
+    taken = {*names, *(variable.name for variable in instance.parameters)}
+    shown = [e for e in description.outputs if e.variable.type in _REAL and e.variable.name not in taken]
+    if shown:
+        asked = tuple(int(entry.variable.valueReference) for entry in shown)
+        functions.append(function("fmu_outputs", shown, lambda t, x, p: instance.outputs(asked, t, x, p)))
+    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(names)), ca.MX.sym("p", len(instance.parameters))
+    back = np.argsort(order).tolist()
+    results = [call(t if forced else 0.0, x[back], p) for call in functions]
+    return FmuModel(
+        name=str(description.modelName),
+        state=x,
+        rhs=results[0][order],
+        parameters=p,
+        time=t if forced else None,
+        forcing_period=forcing_period,
+        outputs={entry.variable.name: results[1][i] for i, entry in enumerate(shown)},
+        nominal=tuple(float(v) for v in instance.start_parameters),
+        state_labels=tuple(names[i] for i in order),
+        parameter_labels=tuple(variable.name for variable in instance.parameters),
+        checked=False,
+        start_state=tuple(float(instance.start[i]) for i in order),
+        instance=instance,
+        functions=tuple(functions),
+    )
+
+
+def _offers_derivatives(instance: FmuInstance) -> bool:
+    """Whether the FMU says so; fmpy does not keep that flag of FMI 3.0."""
+    exchange = ET.parse(instance.folder / "modelDescription.xml").getroot().find("ModelExchange")
+    flags = ("providesDirectionalDerivatives", "providesDirectionalDerivative")
+    return exchange is not None and any(exchange.get(flag) in ("true", "1") for flag in flags)
+
+
+def _size(variable: Any, start: float) -> float:
+    """Usual size of a state: its nominal value where it has one."""
+    return abs(float(variable.nominal)) if variable.nominal else max(1.0, abs(start))
+
+
+def _declared(unknowns: list[Any], states: list[Any]) -> Pattern:
+    """Which unknowns depend on which states as ModelStructure tells it; on all where it says nothing."""
+    places = {variable.name: k for k, variable in enumerate(states)}
+    pattern = np.zeros((len(unknowns), len(states)), dtype=bool)
+    for row, entry in enumerate(unknowns):
+        if entry.dependencies is None:
+            pattern[row] = True
+        else:
+            pattern[row, [places[v.name] for v in entry.dependencies if v.name in places]] = True
+    return pattern
+
+
+# Refusals -------------------------------------------------------------------------------------------------------------
+
+
+def _check_description(path: str | Path, description: Any, states: Sequence[str] | None) -> None:
+    """Raises ValueError for a model without states, with events, or other states than those named."""
+    names = [entry.variable.derivative.name for entry in description.derivatives]
+    if not names:
+        raise ValueError(f"{path}: no continuous states; accepted: a model with some")
+    arrays = [e.variable.derivative.name for e in description.derivatives if getattr(e.variable, "dimensions", None)]
+    if arrays:
+        raise ValueError(f"{path}: states that are arrays, {', '.join(arrays)}; accepted: scalar states")
+    indicators = max(int(description.numberOfEventIndicators or 0), len(description.eventIndicators or ()))
+    if indicators:
+        raise ValueError(f"{path}: event indicators, {indicators} of them; accepted: a model without events")
+    if states is None:
+        return
+    for name in states:
+        if name not in names:
+            raise ValueError(f"states: given {name!r}; accepted: {_nearest(name, names)}")
+    missing = [name for name in names if name not in states]
+    if missing or len(set(states)) < len(states):
+        words = ", ".join(missing or sorted({name for name in states if list(states).count(name) > 1}))
+        raise ValueError(f"states: {'left out' if missing else 'twice'}: {words}; accepted: each of the FMU's once")
+
+
+def _parameter(name: str, description: Any) -> Any:
+    """fmpy's variable of a parameter or an input; raises ValueError for another one, with the nearest name."""
+    usable = {
+        v.name: v for v in description.modelVariables if v.causality in ("parameter", "input") and v.type in _REAL
+    }
+    if name not in usable:
+        raise ValueError(f"parameters: given {name!r}; accepted: {_nearest(name, list(usable))}")
+    if getattr(usable[name], "dimensions", None):
+        raise ValueError(f"parameters: {name!r} is an array; accepted: scalars")
+    return usable[name]
+
+
+def _nearest(name: str, names: list[str]) -> str:
+    """The names that there are, the nearest first, few of many."""
+    if not names:
+        return "none, the FMU has no such variables"
+    near = get_close_matches(name, names, n=1, cutoff=0.5)
+    listed = near + [other for other in names if other not in near]
+    return ", ".join(listed[:8]) + (f" and {len(listed) - 8} more" if len(listed) > 8 else "")
+
+
+def _check_autonomous(instance: FmuInstance) -> None:
+    """Raises ValueError where the derivatives at the start change with time alone."""
+    first, *later = (instance.derivatives(t, instance.start, instance.start_parameters) for t in _TIMES)
+    if any(not np.array_equal(first, other, equal_nan=True) for other in later):
+        raise ValueError(f"{instance.path}: the equations depend on time; accepted: with forcing_period=")

@@ -1,0 +1,70 @@
+"""FMUs that this project's exporter did not make: by CasADi's own exporter, and ours spoilt on purpose."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import subprocess
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import casadi as ca
+
+from casadi_skin.export.fmu.build import compile_library, compiler, headers
+from casadi_skin.models.fmu_archive import library_ending, platform_folder
+
+Change = Callable[[bytes], bytes]
+
+
+def casadi_van_der_pol(folder: Path) -> Path:
+    """x' = v, v' = mu (1 - x^2) v - x as an FMU of FMI 3.0 by CasADi's exporter, compiled and packed by hand."""
+    dae = ca.DaeBuilder("vdp")
+    dae.add("time", "independent")
+    x, v, mu = dae.add("x"), dae.add("v"), dae.add("mu", "parameter", "tunable")
+    dae.eq(dae.der(x), v)
+    dae.eq(dae.der(v), mu * (1 - x**2) * v - x)
+    for name, start in (("x", 2.0), ("v", 0.0), ("mu", 1.0)):
+        dae.set_start(name, start)
+    for name in "xv":
+        dae.set_initial(name, "exact")
+    before = Path.cwd()
+    os.chdir(folder)  # the exporter writes into the current directory
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # it says that it is experimental
+            files = dae.export_fmu()
+    finally:
+        os.chdir(before)
+    library = folder / f"vdp.{library_ending()}"
+    sources = [str(folder / name) for name in files if name.endswith(".c")]
+    subprocess.run([compiler(), "-shared", "-fPIC", f"-I{headers()}", *sources, "-o", str(library), "-lm"], check=True)
+    with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
+        archive.write(folder / "modelDescription.xml", "modelDescription.xml")
+        archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
+    return folder / "vdp.fmu"
+
+
+def changed(path: Path, target: Path, changes: Mapping[str, Change | None]) -> Path:
+    """A copy of an FMU with some of its files changed or, where the change is None, left out."""
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as copy:
+        for name in source.namelist():
+            change = changes.get(name, lambda content: content)
+            if change is not None:
+                copy.writestr(name, change(source.read(name)))
+    return target
+
+
+def recompiled(path: Path, target: Path, fmi: str, old: str, new: str) -> Path:
+    """A copy of an FMU of ours whose binary is made of changed sources."""
+    folder = target.parent / f"{target.stem}_sources"
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+        library = next(name for name in archive.namelist() if name.startswith("binaries/"))
+    header = folder / "sources" / "instance.h"
+    text = header.read_text()
+    assert old in text
+    header.write_text(text.replace(old, new))
+    sources = [p.name for p in (folder / "sources").glob("*.c")]
+    built = compile_library(folder / "sources", sources, folder / "library")
+    return changed(path, target, {library: lambda _: built.read_bytes()})

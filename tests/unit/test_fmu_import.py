@@ -1,0 +1,421 @@
+"""FMUs as models: values and Jacobians of a binary, orbits through it, and what is refused before it is loaded."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import pickle
+import stat
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from foreign_fmus import casadi_van_der_pol, changed, recompiled
+from numpy.typing import NDArray
+
+from casadi_skin import Chain, OdeModel, find_orbit, follow_family, simulate
+from casadi_skin.dynamics import evolve
+from casadi_skin.export.fmu import export_fmu
+from casadi_skin.integrators import cvodes, dop853
+from casadi_skin.models import fmu_archive
+from casadi_skin.models.fmu import FmuModel
+
+Array = NDArray[np.float64]
+CHAIN = Chain(sites=4, alpha=0.8, gamma=0.3, g=1.0)
+PARAMETERS = ("alpha", "gamma", "g")
+VAN_DER_POL_PERIOD = 6.66328685932313  # at mu = 1, by Dormand-Prince with a tolerance of 1e-13
+
+
+def jacobians(model: OdeModel) -> ca.Function:
+    """(t, x, p) -> right-hand side and its Jacobians by state and parameters."""
+    field = ca.densify(model.full_rhs)
+    return model.function("J", field, ca.jacobian(field, model.full_state), ca.jacobian(field, model.parameters))
+
+
+@pytest.fixture(scope="module", params=["3.0", "2.0"])
+def chain_fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(CHAIN, tmp_path_factory.mktemp("chain") / "chain.fmu", request.param, mode=2, S=0.5)
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return casadi_van_der_pol(tmp_path_factory.mktemp("casadi"))
+
+
+def points(count: int, seed: int = 0) -> list[tuple[Array, Array]]:
+    generator = np.random.default_rng(seed)
+    return [(generator.normal(size=8), np.array([1.0, 0.5, 1.0]) * generator.uniform(-1, 1, 3)) for _ in range(count)]
+
+
+# Values and derivatives -----------------------------------------------------------------------------------------------
+
+
+def test_chain_comes_back_from_its_binary(chain_fmu: Path) -> None:
+    model, truth = OdeModel.from_fmu(chain_fmu, parameters=PARAMETERS), CHAIN.tunable_model()
+    assert (model.derivatives, model.parameter_derivatives, model.noise) == ("directional", "directional", 0.0)
+    assert model.state_names == truth.state_names
+    assert (model.parameter_names, model.nominal) == (PARAMETERS, (0.8, 0.3, 1.0))
+    assert np.sum(np.square(model.start_state[:4])) == pytest.approx(0.5, rel=1e-14)
+    found, expected = jacobians(model), jacobians(truth)
+    for x, p in points(20):
+        for ours, theirs in zip(found(0, x, p), expected(0, x, p), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
+    assert found.nnz_out(1) == expected.nnz_out(1)  # the structure comes from the FMU's dependencies
+    energy = model.function("outputs", model.outputs["energy"], ca.jacobian(model.outputs["S"], model.state))
+    x, p = points(1)[0]
+    np.testing.assert_allclose(energy(0, x, p)[1], [[*(2 * x[:4]), 0, 0, 0, 0]], atol=1e-14)
+
+
+def test_functions_of_the_model_are_mapped_and_differentiated(chain_fmu: Path) -> None:
+    model, truth = OdeModel.from_fmu(chain_fmu, parameters=PARAMETERS), CHAIN.tunable_model()
+    x = np.random.default_rng(1).normal(size=(8, 5))
+    p = ca.DM([0.7, -0.2, 1.4])
+    for way in ("serial", "unroll"):
+        results = []
+        for one in (model, truth):
+            states, parameters = ca.MX.sym("X", 8, 5), ca.MX.sym("p", 3)
+            rates = ca.vec(one.vector_field.map(5, way)(0.0, states, ca.repmat(parameters, 1, 5)))
+            function = ca.Function(
+                "f", [states, parameters], [rates, ca.jacobian(rates, ca.vec(states)), ca.jacobian(rates, parameters)]
+            )
+            results.append(function(x, p))
+        for ours, theirs in zip(*results, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)
+    for direction in ("forward", "reverse"):
+        ours, theirs = (getattr(one.vector_field, direction)(1) for one in (model, truth))
+        seeds = [np.ones(8)] if direction == "reverse" else [0.0, np.arange(8.0), np.ones(3)]
+        arguments = [0.0, x[:, 0], p, np.zeros(8), *seeds]
+        for a, b in zip(ours.call(arguments), theirs.call(arguments), strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
+
+
+def test_states_and_parameters_in_another_order(chain_fmu: Path) -> None:
+    order = ["v_2", "y_4", "y_1", "v_1", "v_3", "v_4", "y_3", "y_2"]
+    model, truth = OdeModel.from_fmu(chain_fmu, order, ["g", "alpha"]), OdeModel.from_fmu(chain_fmu, None, PARAMETERS)
+    places = [truth.state_names.index(name) for name in order]
+    x, p = points(1)[0]
+    found = jacobians(model)(0, x[places], [p[2], p[0]])
+    expected = jacobians(truth)(0, x, [p[0], 0.3, p[2]])
+    np.testing.assert_array_equal(found[0], np.array(expected[0])[places])
+    np.testing.assert_array_equal(found[1], np.array(expected[1])[np.ix_(places, places)])
+    np.testing.assert_array_equal(found[2], np.array(expected[2])[np.ix_(places, [2, 0])])
+    assert model.start_state == tuple(truth.start_state[i] for i in places)
+
+
+def test_differences_where_no_derivatives_are_offered_know_their_error(chain_fmu: Path, tmp_path: Path) -> None:
+    def silent(text: bytes) -> bytes:
+        return text.replace(b'Derivatives="true"', b'Derivatives="false"').replace(
+            b'Derivative="true"', b'Derivative="false"'
+        )
+
+    path = changed(chain_fmu, tmp_path / "silent.fmu", {"modelDescription.xml": silent})
+    model, truth = OdeModel.from_fmu(path, parameters=PARAMETERS), CHAIN.tunable_model()
+    assert (model.derivatives, model.parameter_derivatives) == ("differences", "differences")
+    found, expected = jacobians(model), jacobians(truth)
+    assert model.noise == 0.0
+    largest = 0.0
+    for x, p in points(10):
+        for ours, theirs in zip(found(0, x, p)[1:], expected(0, x, p)[1:], strict=True):
+            largest = max(largest, float(np.abs(np.array(ours - theirs)).max() / np.abs(np.array(theirs)).max()))
+    assert 0.0 < largest < 1e-11
+    assert largest / 2 < model.noise < 1e-10
+    assert found.nnz_out(1) == expected.nnz_out(1)
+
+
+def test_derivatives_and_dependencies_that_are_wrong_are_not_used(chain_fmu: Path, tmp_path: Path) -> None:
+    fmi = "2.0" if "fmi2.c" in zipfile.ZipFile(chain_fmu).read("sources/config.h").decode() else "3.0"
+    old = "sensitivity[i] = *place(c, UNKNOWN, unknowns[i]);"
+    wrong = recompiled(chain_fmu, tmp_path / "wrong.fmu", fmi, old, old.replace("*place", "2.0 * *place"))
+    assert OdeModel.from_fmu(wrong, parameters=PARAMETERS).derivatives == "differences"
+
+    def shortened(text: bytes) -> bytes:
+        return text.replace(b'dependencies="5', b'dependencies="6').replace(b'dependencies="6"', b'dependencies="7"')
+
+    path = changed(chain_fmu, tmp_path / "structure.fmu", {"modelDescription.xml": shortened})
+    model = OdeModel.from_fmu(path, parameters=PARAMETERS)
+    x, p = points(1)[0]
+    np.testing.assert_allclose(jacobians(model)(0, x, p)[1], jacobians(CHAIN.tunable_model())(0, x, p)[1], atol=1e-12)
+    assert jacobians(model).nnz_out(1) == 64  # all entries, as the structure is not to be trusted
+
+
+def test_values_that_the_fmu_cannot_compute_are_not_numbers(chain_fmu: Path) -> None:
+    model = OdeModel.from_fmu(chain_fmu, parameters=PARAMETERS)
+    x = np.ones(8)
+    assert np.all(np.isnan(np.array(model.vector_field(0, x, [1.0, 2.0, 1.0]))))
+    assert "failed with status 2 (discard)" in model.complaints[-1]
+    assert np.all(np.isfinite(np.array(model.vector_field(0, x, [1.0, 0.2, 1.0]))))
+
+
+def test_forced_model_needs_its_period(tmp_path: Path) -> None:
+    x, t, w = ca.SX.sym("x", 2), ca.SX.sym("t"), ca.SX.sym("w")
+    rhs = ca.vertcat(x[1], -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.4 * ca.cos(w * t))
+    truth = OdeModel("forced", x, rhs, w, time=t, forcing_period=2 * ca.pi / w, nominal=(1.3,))
+    path = export_fmu(truth, tmp_path / "forced.fmu")
+    with pytest.raises(ValueError, match="the equations depend on time; accepted: with forcing_period="):
+        OdeModel.from_fmu(path)
+    model = OdeModel.from_fmu(path, parameters=["w"], forcing_period=2 * np.pi / 1.3)
+    for at in ((0.7, [0.3, -0.4], 1.3), (2.1, [1.3, 0.4], 0.9)):
+        for ours, theirs in zip(jacobians(model)(*at), jacobians(truth)(*at), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-12)
+    field, expected = (ca.jacobian(m.rhs, m.time) for m in (model, truth))
+    np.testing.assert_allclose(model.function("f", field)(*at), truth.function("f", expected)(*at), atol=1e-10)
+
+
+# Simulations and orbits -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("integrator", [cvodes, dop853])
+def test_trajectories_are_those_of_the_chain(chain_fmu: Path, integrator: object) -> None:
+    model = OdeModel.from_fmu(chain_fmu, parameters=PARAMETERS)
+    t = np.array([1.0, 7.0])
+    assert callable(integrator)
+    trajectory = integrator(model, np.array([0.8, 0.3, 1.0]), np.array(model.start_state), t, 1e-10)
+    truth = evolve(CHAIN, model.start_state[:4], None, t, method="dop853", tolerance=1e-13)
+    np.testing.assert_allclose(trajectory.states[:, :4], truth.displacements, rtol=0, atol=1e-9)
+
+
+def test_simulate_takes_it(chain_fmu: Path) -> None:
+    model = OdeModel.from_fmu(chain_fmu)
+    result = simulate(model, model.start_state, [0.0, 2.0], tolerance=1e-9)
+    truth = evolve(CHAIN, model.start_state[:4], None, [2.0], method="dop853", tolerance=1e-13)
+    np.testing.assert_allclose(result.states[-1, :4], truth.displacements[0], atol=1e-8)
+
+
+def circle(t: float) -> Array:
+    return np.array([2.0 * np.cos(t), -2.0 * np.sin(t)])
+
+
+@pytest.mark.slow
+def test_limit_cycle_of_a_foreign_fmu(foreign: Path) -> None:
+    model = OdeModel.from_fmu(foreign, parameters=["mu"])
+    assert model.state_names == ("x", "v")
+    how = {"parameters": {"mu": 1.0}, "tolerance": 1e-9, "corrector": "newton"}
+    orbit = find_orbit(model, circle, 6.6, **how)
+    assert orbit.period == pytest.approx(VAN_DER_POL_PERIOD, abs=1e-9)
+    x, mu = ca.SX.sym("x", 2), ca.SX.sym("mu")
+    truth = OdeModel("van der Pol", x, ca.vertcat(x[1], mu * (1 - x[0] ** 2) * x[1] - x[0]), mu)
+    written = find_orbit(truth, circle, 6.6, **how)
+    assert orbit.period == pytest.approx(written.period, abs=1e-11)
+    np.testing.assert_allclose(orbit.multipliers().values, written.multipliers().values, atol=1e-10)
+    np.testing.assert_allclose(orbit.multipliers("cvodes").values, orbit.multipliers().values, atol=1e-7)
+    further = orbit.follow("mu", 2.0, at=[2.0]).at(2.0)
+    assert float(further.period) == pytest.approx(7.62987447, abs=1e-7)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_family_through_the_binary_is_that_of_the_expressions(tmp_path: Path) -> None:
+    chain, values = Chain(8, 1.0, 0.25, -1.0), [0.2, 0.5, 1.0, 1.5, 2.0]
+    model = OdeModel.from_fmu(export_fmu(chain, tmp_path / "chain.fmu"), parameters=PARAMETERS)
+    model = dataclasses.replace(model, reversal=(1,) * 8 + (-1,) * 8, half_period=(-1,) * 16)
+    omega, shape = chain.linear_frequency(1), chain.right_eigenvector(1)
+    shape = shape / np.linalg.norm(shape)
+
+    def mode(t: float) -> Array:
+        return np.sqrt(values[0]) * np.concatenate([np.cos(omega * t) * shape, -omega * np.sin(omega * t) * shape])
+
+    family = follow_family(chain, mode=1, amplitude_max=2.0, at=values, tolerance=1e-11)
+    guess: object = mode
+    for S in values:
+        select = ca.sumsqr(model.state[:8]) - S
+        orbit = find_orbit(model, guess, 2 * np.pi / omega, select=select, symmetric=True, tolerance=1e-10)
+        known = family.at(S=S)
+        assert 2 * np.pi / orbit.period == pytest.approx(known.Omega, abs=1e-9)
+        np.testing.assert_allclose(np.array(orbit.evaluate(0.0)).ravel()[:8], known.profile, atol=1e-9)
+        guess = orbit
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("gemseo_fmu") is None, reason="pip install --no-deps gemseo-fmu, whose FMUs it takes")
+def test_fmus_of_openmodelica() -> None:
+    spec = find_spec("gemseo_fmu")
+    assert spec is not None
+    assert spec.origin is not None
+    folder = Path(spec.origin).parent / "problems" / "fmu_files"
+    springs = OdeModel.from_fmu(folder / "linux/MassSpringSystem.fmu", parameters=["k2", "m1"])
+    assert springs.derivatives == "differences"
+    jacobian = np.array(jacobians(springs)(0, springs.start_state, springs.nominal)[1])
+    frequencies = np.sort(np.abs(np.linalg.eigvals(jacobian).imag))
+    np.testing.assert_allclose(frequencies, [1.0, 1.0, np.sqrt(3.0), np.sqrt(3.0)], atol=1e-10)
+    stiffer = np.array(jacobians(springs)(0, springs.start_state, [2.0, 1.0])[1])  # k2 is fixed: it is initialised anew
+    np.testing.assert_allclose(np.sort(np.abs(np.linalg.eigvals(stiffer).imag))[2:], np.sqrt(5.0), atol=1e-10)
+    damper = OdeModel.from_fmu(folder / "linux/Mass_Damper.fmu", parameters=["damper.d"])
+    np.testing.assert_allclose(
+        jacobians(damper)(0, damper.start_state, damper.nominal)[1], [[0, 1], [-1e4, -10]], rtol=1e-9
+    )
+    refused = {
+        "linux/add.fmu": "no continuous states",
+        "linux/FMU3Model.fmu": "no Model Exchange",
+        "win32/Mass_Damper.fmu": "no binary for linux64; it has binaries for win64",
+    }
+    for name, words in refused.items():
+        with pytest.raises(ValueError, match=words):
+            OdeModel.from_fmu(folder / name)
+
+
+# Refusals and folders -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def same_folder() -> Iterator[None]:
+    before = Path.cwd()
+    yield
+    assert Path.cwd() == before
+
+
+def left_behind() -> set[Path]:
+    return set(Path(tempfile.gettempdir()).glob("casadi_skin_fmu_*"))
+
+
+@pytest.fixture
+def own_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+def refusal(path: Path, **arguments: object) -> str:
+    with pytest.raises(ValueError, match=r"^[^\n]*$") as refused:
+        OdeModel.from_fmu(path, **arguments)  # type: ignore[arg-type]
+    assert left_behind() == set()
+    return str(refused.value)
+
+
+def archive_of(path: Path, **files: str | bytes) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+def test_names_that_are_not_there_get_the_nearest(chain_fmu: Path, own_temporary_folder: Path) -> None:
+    assert refusal(chain_fmu, parameters=["gama"]).startswith("parameters: given 'gama'; accepted: gamma, ")
+    assert refusal(chain_fmu, parameters=["y_1"]) == "parameters: given 'y_1'; accepted: alpha, gamma, g"
+    assert refusal(chain_fmu, parameters=["g", "g"]).startswith("parameters: given g, g; accepted: each one once")
+    assert refusal(chain_fmu, states=["y_1", "v3"]).startswith("states: given 'v3'; accepted: v_3, ")
+    assert refusal(chain_fmu, states=["y_1", "y_2", "y_3", "y_4"]).startswith("states: left out: v_1, v_2, v_3, v_4")
+
+
+def test_hostile_archives_are_refused(chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path) -> None:
+    xml = zipfile.ZipFile(chain_fmu).read("modelDescription.xml")
+    for name in ("../evil.txt", "/tmp/evil.txt", "resources/../../evil.txt", "resources\\evil.txt", "c:evil.txt"):
+        path = archive_of(tmp_path / "evil.fmu", **{"modelDescription.xml": xml, name: b"x"})
+        assert "would leave the folder" in refusal(path), name
+    link = zipfile.ZipInfo("resources/link")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(tmp_path / "link.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", xml)
+        archive.writestr(link, "/etc/passwd")
+    assert "'resources/link' is a link" in refusal(tmp_path / "link.fmu")
+    entities = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]>' + xml.partition(b"?>")[2]
+    path = archive_of(tmp_path / "entities.fmu", **{"modelDescription.xml": entities})
+    assert "declares entities" in refusal(path)
+    assert not (tmp_path / "evil.txt").exists()
+
+
+def test_bombs_are_refused(
+    chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fmu_archive, "LARGEST", 1_000_000)
+    monkeypatch.setattr(fmu_archive, "MOST_FILES", 50)
+    path = archive_of(tmp_path / "bomb.fmu", **{"modelDescription.xml": b"", "resources/zeros": bytes(2_000_000)})
+    assert refusal(path).endswith("2000000 bytes when unpacked; accepted: up to 1000000")
+    path = archive_of(tmp_path / "many.fmu", **{f"resources/{i}": b"" for i in range(60)})
+    assert refusal(path).endswith("60 files inside; accepted: up to 50")
+
+
+def test_damaged_files_are_refused(chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path) -> None:
+    assert "cannot be read as an FMU" in refusal(tmp_path / "missing.fmu")
+    (tmp_path / "text.fmu").write_text("no archive")
+    assert "cannot be read as an FMU" in refusal(tmp_path / "text.fmu")
+    whole = bytearray(chain_fmu.read_bytes())
+    whole[60:400] = bytes(340)
+    (tmp_path / "damaged.fmu").write_bytes(whole)
+    assert "damaged: 'modelDescription.xml'" in refusal(tmp_path / "damaged.fmu")
+    assert refusal(archive_of(tmp_path / "empty.fmu", x=b"")).endswith(
+        "no modelDescription.xml inside; accepted: an FMU"
+    )
+    path = changed(chain_fmu, tmp_path / "xml.fmu", {"modelDescription.xml": lambda text: text[:500]})
+    assert "modelDescription.xml cannot be read" in refusal(path)
+    library = next(name for name in zipfile.ZipFile(chain_fmu).namelist() if name.startswith("binaries/"))
+    path = changed(chain_fmu, tmp_path / "binary.fmu", {library: lambda content: content[:200]})
+    assert "its binary cannot be loaded" in refusal(path)
+    wrong = {"modelDescription.xml": lambda text: text.replace(b"{", b"{0")}
+    assert "it cannot be instantiated" in refusal(changed(chain_fmu, tmp_path / "token.fmu", wrong))
+
+
+def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path) -> None:
+    here = next(name for name in zipfile.ZipFile(chain_fmu).namelist() if name.startswith("binaries/"))
+    path = changed(chain_fmu, tmp_path / "sources.fmu", {here: None})
+    assert refusal(path).endswith("it has sources alone")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("binaries/win64/chain.dll", b"")
+    assert refusal(path).endswith("it has binaries for win64")
+
+    def without_exchange(text: bytes) -> bytes:
+        begin = text.index(b"<ModelExchange")
+        return text[:begin] + text[text.index(b"<CoSimulation") :]
+
+    def with_events(text: bytes) -> bytes:
+        two = text.replace(b'numberOfEventIndicators="0"', b'numberOfEventIndicators="2"')
+        return two.replace(b"<InitialUnknown v", b'<EventIndicator valueReference="9" /><InitialUnknown v', 1)
+
+    path = changed(chain_fmu, tmp_path / "events.fmu", {"modelDescription.xml": with_events})
+    fmi2 = "fmi2.c" in "".join(zipfile.ZipFile(chain_fmu).namelist())
+    assert refusal(path).endswith(f"event indicators, {2 if fmi2 else 1} of them; accepted: a model without events")
+    path = changed(chain_fmu, tmp_path / "cs.fmu", {"modelDescription.xml": without_exchange})
+    assert refusal(path).endswith("no Model Exchange, Co-Simulation alone; accepted: an FMU with Model Exchange")
+
+
+def test_fmpy_is_asked_for_where_it_is_missing(chain_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fmpy", None)
+    with pytest.raises(ValueError, match=r"^fmpy is not installed; accepted: pip install 'casadi-skin\[fmu\]'$"):
+        OdeModel.from_fmu(chain_fmu)
+
+
+def test_folder_goes_with_the_model(chain_fmu: Path, own_temporary_folder: Path) -> None:
+    model: FmuModel | None = OdeModel.from_fmu(chain_fmu)
+    assert len(left_behind()) == 1
+    other = OdeModel.from_fmu(chain_fmu)
+    assert len(left_behind()) == 2
+    assert model is not None
+    np.testing.assert_array_equal(
+        model.vector_field(0, model.start_state, []), other.vector_field(0, model.start_state, [])
+    )
+    other.close()
+    assert len(left_behind()) == 1
+    del model
+    gc.collect()
+    assert left_behind() == set()
+
+
+def test_folder_goes_at_the_end_of_the_program(chain_fmu: Path, tmp_path: Path) -> None:
+    program = f"""
+import tempfile, pathlib
+tempfile.tempdir = {str(tmp_path)!r}
+from casadi_skin import OdeModel
+model = OdeModel.from_fmu({str(chain_fmu)!r})
+assert len(list(pathlib.Path({str(tmp_path)!r}).iterdir())) == 1
+print(model.vector_field(0, model.start_state, []).shape)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_is_neither_saved_nor_written_as_c(chain_fmu: Path, tmp_path: Path) -> None:
+    model = OdeModel.from_fmu(chain_fmu, parameters=PARAMETERS)
+    with pytest.raises(ValueError, match="cannot be saved: its equations are those of a program"):
+        model.save(tmp_path / "model.json")
+    with pytest.raises(ValueError, match="cannot be pickled: its equations are those of a program"):
+        pickle.dumps(model)
+    with pytest.raises(ValueError, match="cannot be written as C"):
+        export_fmu(model, tmp_path / "again.fmu")
+    assert list(tmp_path.iterdir()) == []
