@@ -14,7 +14,7 @@ from typing import NoReturn, TypeAlias
 from casadi_skin._version import __version__
 from casadi_skin.commands import scene_commands, study_commands
 from casadi_skin.commands.status import DONE, INTERRUPTED, WRONG_INPUT, InputError
-from casadi_skin.rundir import DirectoryError
+from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.scene import SceneError
 
 

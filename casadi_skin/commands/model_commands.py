@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.rundir import SCENE_MODEL, DirectoryError, Existing, prepare
+from casadi_skin.runs.directory import SCENE_MODEL, DirectoryError, Existing, prepare
 from casadi_skin.scene import ModelScene, SceneError
 
 if TYPE_CHECKING:
-    from casadi_skin.modelrequest import ModelRequest
-    from casadi_skin.runmodel import ModelRun
+    from casadi_skin.runs.model_request import ModelRequest
+    from casadi_skin.runs.model_run import ModelRun
 
 
 def run(arguments: argparse.Namespace, scene: ModelScene, text: str, directory: Path, existing: Existing) -> int:
@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace, scene: ModelScene, text: str, directory: 
         return DONE
 
     from casadi_skin.progress import Progress
-    from casadi_skin.runmodel import ModelRun
+    from casadi_skin.runs.model_run import ModelRun
 
     with Progress(arguments.quiet) as progress:
         run = ModelRun(request, text, directory, progress)
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace, scene: ModelScene, text: str, directory: 
 def check(arguments: argparse.Namespace, scene: ModelScene) -> int:
     """Print the plan; the model's file is run, nothing is solved."""
     request = _bound(scene, arguments.scene)
-    from casadi_skin.modelplan import plan_lines
+    from casadi_skin.runs.model_plan import plan_lines
 
     for subject, words in plan_lines(request):
         print(f"{subject:<14}{words}")
@@ -58,7 +58,7 @@ def check(arguments: argparse.Namespace, scene: ModelScene) -> int:
 
 
 def _bound(scene: ModelScene, path: Path) -> ModelRequest:
-    from casadi_skin.modelrequest import bind
+    from casadi_skin.runs.model_request import bind
 
     try:
         return bind(scene, path)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from casadi_skin.commands import model_commands
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.rundir import Existing, prepare
+from casadi_skin.runs.directory import Existing, prepare
 from casadi_skin.scene import AnyScene, ModelScene, Scene, parse_any_scene, parse_scene, read_text
 
 if TYPE_CHECKING:
-    from casadi_skin.run import Run
+    from casadi_skin.runs.run import Run
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
         return DONE
 
     from casadi_skin.progress import Progress
-    from casadi_skin.run import Run
+    from casadi_skin.runs.run import Run
 
     with Progress(arguments.quiet) as progress:
         run = Run(scene, text, directory, progress)
@@ -65,7 +65,7 @@ def check(arguments: argparse.Namespace) -> int:
         return model_commands.check(arguments, scene)
     _check_tail(arguments.scene, scene)
     _check_search(arguments.scene, scene)
-    from casadi_skin.plan import plan_lines
+    from casadi_skin.runs.plan import plan_lines
 
     for subject, words in plan_lines(scene):
         print(f"{subject:<14}{words}")
@@ -77,15 +77,15 @@ def spectrum(arguments: argparse.Namespace) -> int:
     _check_spectrum(arguments.scene, scene)
     if arguments.out is not None:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
-    from casadi_skin.plan import scene_chain
     from casadi_skin.results.tables import spectrum_rows
+    from casadi_skin.runs.plan import scene_chain
 
     chain = scene_chain(scene)
     print("j omega_j")
     for row in spectrum_rows(chain):
         print(f"{row['mode']} {row['omega']:.15g}")
     if arguments.out is not None:
-        from casadi_skin.run import write_spectrum
+        from casadi_skin.runs.run import write_spectrum
 
         write_spectrum(chain, arguments.out)
     return DONE
@@ -107,7 +107,7 @@ def _read_any_scene(path: Path) -> tuple[AnyScene, str]:
 
 def _check_spectrum(path: Path, scene: Scene) -> None:
     """Raises InputError where the lowest mode does not oscillate."""
-    from casadi_skin.plan import scene_chain
+    from casadi_skin.runs.plan import scene_chain
 
     try:
         scene_chain(scene).linear_frequency(1)
@@ -119,7 +119,7 @@ def _check_tail(path: Path, scene: Scene) -> None:
     """Raises InputError where the tail of the chain cannot be eliminated, but is asked to be or is infinite."""
     if scene.family is None or (scene.method.tail != "eliminated" and scene.chain.sites != math.inf):
         return
-    from casadi_skin.plan import scene_requests
+    from casadi_skin.runs.plan import scene_requests
 
     try:
         scene_requests(scene)
@@ -132,7 +132,7 @@ def _check_search(path: Path, scene: Scene) -> None:
     """Raises InputError where the scene's search cannot be meant."""
     if scene.search is None:
         return
-    from casadi_skin.runsearch import scene_search
+    from casadi_skin.runs.search import scene_search
 
     try:
         scene_search(scene)
@@ -143,7 +143,7 @@ def _check_search(path: Path, scene: Scene) -> None:
 def _summary(run: Run) -> None:
     """A table of the families on standard output."""
     if run.search is not None and run.scene.search is not None:
-        from casadi_skin.runsearch import summary_lines
+        from casadi_skin.runs.search import summary_lines
 
         print("\n".join([*summary_lines(run.search, run.scene.search.objective), f"results in {run.directory}"]))
     for path in run.exported:

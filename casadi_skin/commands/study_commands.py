@@ -11,7 +11,7 @@ from typing import Protocol
 
 from casadi_skin.commands.scene_commands import read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.rundir import prepare_study
+from casadi_skin.runs.directory import prepare_study
 
 
 def reproduce_paper(arguments: argparse.Namespace) -> int:
@@ -54,8 +54,8 @@ def measure_tradeoff(arguments: argparse.Namespace) -> int:
     directory = arguments.out or Path("results") / "tradeoff"
     prepare_study(directory, arguments.overwrite)
 
-    from casadi_skin.plan import scene_requests
     from casadi_skin.progress import Progress
+    from casadi_skin.runs.plan import scene_requests
     from casadi_skin.studies.tradeoff import REPEATS, Tradeoff, default_request, with_points
 
     request = default_request() if scene is None else with_points(scene_requests(scene)[0])

@@ -10,12 +10,13 @@ import numpy as np
 from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.style import blank, colours, finished, number, style
-from casadi_skin.modelrequest import ModelRequest
 from casadi_skin.results.branch import BranchPoint, fold_marks, requested_marks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from casadi_skin.runs.model_request import ModelRequest
 
 SAMPLES = 2001  # of an orbit
 SHOWN = 6  # states drawn against time

@@ -15,12 +15,13 @@ from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.bvp.problem import Array
 from casadi_skin.files import replacing
-from casadi_skin.modelrequest import ModelRequest
 from casadi_skin.results.netcdf import EMPTY, put, write_versions
 from casadi_skin.results.tables import Cell
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file
+
+    from casadi_skin.runs.model_request import ModelRequest
 
 PHASES = 401  # of the common grid of profiles
 FINE = 16  # places an interval in which extremes are looked for

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.rundynamics import sample_times
+from casadi_skin.runs.dynamics import sample_times
 from casadi_skin.scene import DynamicsTable
 
 CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
@@ -142,7 +142,7 @@ def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     modules = (
         "casadi_skin.dynamics",
         "casadi_skin.integrators",
-        "casadi_skin.rundynamics",
+        "casadi_skin.runs.dynamics",
         "casadi_skin.figures.spacetime",
     )
     code = (

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from test_scene_fuzz import QUICK, names, text_of, values
 
-from casadi_skin.modelrequest import ModelRequest, bind
+from casadi_skin.runs.model_request import ModelRequest, bind
 from casadi_skin.scene import ModelScene, SceneError, parse_any_scene
 
 MODEL = """

@@ -10,8 +10,8 @@ from casadi_skin.export.fmu import export_fmu
 from casadi_skin.families.branch import Branch
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.models.chain import Chain
-from casadi_skin.plan import scene_chain
-from casadi_skin.rundir import EXPORT
+from casadi_skin.runs.directory import EXPORT
+from casadi_skin.runs.plan import scene_chain
 from casadi_skin.scene import ExportTable, Scene
 
 

@@ -69,13 +69,13 @@ def plan_lines(scene: Scene) -> list[tuple[str, str]]:
         if scene.dynamics is not None:
             lines.append(("dynamics", _dynamics(scene.dynamics, requests[0].mode)))
     elif scene.search is not None:
-        from casadi_skin.runsearch import plan_search
+        from casadi_skin.runs.search import plan_search
 
         lines += plan_search(scene)
     else:
         lines.append(("not built", "any boundary-value problem: the scene asks for no family"))
     if scene.export is not None:
-        from casadi_skin.runexport import plan_export
+        from casadi_skin.runs.export import plan_export
 
         lines += plan_export(scene)
     return lines

@@ -14,7 +14,6 @@ from casadi_skin.families.follow import FamilyWalk
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.families.tools import FamilyTools
 from casadi_skin.models.chain import Chain
-from casadi_skin.plan import scene_chain, scene_requests
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import (
     ChangeRecord,
@@ -28,7 +27,8 @@ from casadi_skin.results.journal import (
 )
 from casadi_skin.results.netcdf import write_netcdf
 from casadi_skin.results.tables import EVENT_COLUMNS, Cell, event_row, orbit_row, spectrum_rows, write_csv
-from casadi_skin.rundir import JOURNAL
+from casadi_skin.runs.directory import JOURNAL
+from casadi_skin.runs.plan import scene_chain, scene_requests
 from casadi_skin.scene import Scene
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goe
 
 @dataclass
 class Run:
-    """One run of a scene into a directory that is ready for it (see rundir).
+    """One run of a scene into a directory that is ready for it (see runs.directory).
 
     `branches` and `seconds` fill as families end; an exception or an interruption leaves what was computed in the
     files and in the journal. `evolution` is the time evolution where the scene asks for one, as far as it could be
@@ -127,7 +127,7 @@ class Run:
         if self.scene.dynamics is None:
             return
         from casadi_skin.dynamics import EvolutionError
-        from casadi_skin.rundynamics import evolve_scene, scene_orbit, write_dynamics
+        from casadi_skin.runs.dynamics import evolve_scene, scene_orbit, write_dynamics
 
         self.progress.say("time evolution")
         try:
@@ -145,7 +145,7 @@ class Run:
         """What the scene wants out of Python; nothing of it is imported elsewhere."""
         if self.scene.export is None:
             return
-        from casadi_skin.runexport import export_scene
+        from casadi_skin.runs.export import export_scene
 
         self.progress.say("exporting")
         try:
@@ -157,7 +157,7 @@ class Run:
         """The search with its files, where the scene asks for one, and whether it found an optimum."""
         if self.scene.search is None:
             return True
-        from casadi_skin.runsearch import COMPLETE, run_search, write_results
+        from casadi_skin.runs.search import COMPLETE, run_search, write_results
         from casadi_skin.search.result import SearchStatus
 
         self.search = run_search(self.scene, self.directory / JOURNAL, self.progress)

@@ -12,9 +12,9 @@ import numpy as np
 from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.boundary.periodic import find_orbit
 from casadi_skin.boundary.solution import BoundarySolution
-from casadi_skin.modelrequest import ModelRequest
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.runs.model_request import ModelRequest
 from casadi_skin.scene.model_tables import SELECTED
 from casadi_skin.simulation import Cycle, Simulation, simulate
 

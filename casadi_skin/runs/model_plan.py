@@ -9,7 +9,7 @@ import numpy as np
 from casadi_skin.boundary.periodic import PERIOD, UNFOLDING
 from casadi_skin.boundary.solving import TABLES
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
-from casadi_skin.modelrequest import ModelRequest
+from casadi_skin.runs.model_request import ModelRequest
 
 
 def plan_lines(request: ModelRequest) -> list[tuple[str, str]]:

@@ -13,12 +13,12 @@ from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.figures.branch import branch_figure, orbit_figure
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.modelrequest import ModelRequest
-from casadi_skin.modelsolution import first_solution
 from casadi_skin.progress import Progress
 from casadi_skin.results.branch import BranchPoint, branch_row, fold_marks, write_netcdf
 from casadi_skin.results.tables import Cell, write_csv
-from casadi_skin.rundir import JOURNAL, SCENE_MODEL
+from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
+from casadi_skin.runs.model_request import ModelRequest
+from casadi_skin.runs.model_solution import first_solution
 from casadi_skin.threads import one_thread
 
 TABLE_PERIOD = 0.5  # seconds between two writings of branch.csv while a run goes on
@@ -26,7 +26,7 @@ TABLE_PERIOD = 0.5  # seconds between two writings of branch.csv while a run goe
 
 @dataclass
 class ModelRun:
-    """One run of a scene of a model into a directory that is ready for it (see rundir).
+    """One run of a scene of a model into a directory that is ready for it (see runs.directory).
 
     `points` fill in arclength order, with multipliers where the scene asks for stability; `reasons` are told, one a
     line, where a run is not what was asked for. An empty journal in the directory marks a run that is not complete: it
