@@ -78,7 +78,7 @@ def spectrum(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
     from casadi_skin.results.tables import spectrum_rows
-    from casadi_skin.runs.plan import scene_chain
+    from casadi_skin.runs.request import scene_chain
 
     chain = scene_chain(scene)
     print("j omega_j")
@@ -107,7 +107,7 @@ def _read_any_scene(path: Path) -> tuple[AnyScene, str]:
 
 def _check_spectrum(path: Path, scene: Scene) -> None:
     """Raises InputError where the lowest mode does not oscillate."""
-    from casadi_skin.runs.plan import scene_chain
+    from casadi_skin.runs.request import scene_chain
 
     try:
         scene_chain(scene).linear_frequency(1)
@@ -119,7 +119,7 @@ def _check_tail(path: Path, scene: Scene) -> None:
     """Raises InputError where the tail of the chain cannot be eliminated, but is asked to be or is infinite."""
     if scene.family is None or (scene.method.tail != "eliminated" and scene.chain.sites != math.inf):
         return
-    from casadi_skin.runs.plan import scene_requests
+    from casadi_skin.runs.request import scene_requests
 
     try:
         scene_requests(scene)

@@ -55,7 +55,7 @@ def measure_tradeoff(arguments: argparse.Namespace) -> int:
     prepare_study(directory, arguments.overwrite)
 
     from casadi_skin.progress import Progress
-    from casadi_skin.runs.plan import scene_requests
+    from casadi_skin.runs.request import scene_requests
     from casadi_skin.studies.tradeoff import REPEATS, Tradeoff, default_request, with_points
 
     request = default_request() if scene is None else with_points(scene_requests(scene)[0])

@@ -11,7 +11,7 @@ from casadi_skin.families.branch import Branch
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.models.chain import Chain
 from casadi_skin.runs.directory import EXPORT
-from casadi_skin.runs.plan import scene_chain
+from casadi_skin.runs.request import scene_chain
 from casadi_skin.scene import ExportTable, Scene
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -12,49 +11,10 @@ from casadi_skin.families.layout import Alone
 from casadi_skin.families.request import FamilyRequest
 from casadi_skin.families.tailed import Tailed
 from casadi_skin.families.tools import FamilyTools
-from casadi_skin.models.chain import Chain
+from casadi_skin.runs.request import scene_requests
 from casadi_skin.scene import DynamicsTable, Scene
 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
-
-
-def scene_chain(scene: Scene) -> Chain:
-    """The chain of a scene."""
-    table = scene.chain
-    sites: Any = table.sites  # a whole number, or inf
-    return Chain(sites, table.alpha, table.gamma, table.g)
-
-
-def scene_requests(scene: Scene) -> list[FamilyRequest]:
-    """The families that a scene asks for, in its order; empty where it asks for none.
-
-    Raises ValueError for a tail that cannot be eliminated.
-    """
-    if scene.family is None:
-        return []
-    family, method, chain = scene.family, scene.method, scene_chain(scene)
-    whole = scene.stability is not None or (scene.export is not None and scene.export.S is not None)
-    tail = method.tail or ("full" if whole else None)  # all sites take part in stability, and in what is exported
-    return [
-        FamilyRequest(
-            chain=chain,
-            mode=mode,
-            amplitude_max=family.amplitude_max,
-            at=family.at,
-            tolerance=scene.accuracy.relative_tolerance,
-            transcription=method.transcription,
-            corrector=method.corrector,
-            flow=method.flow,
-            walker=method.walker,
-            degree=method.degree,
-            at_Omega=family.at_Omega,
-            at_period=family.at_period,
-            period_max=family.period_max,
-            max_points=family.max_points,
-            tail=tail,
-        )
-        for mode in family.modes(chain.sites)
-    ]
 
 
 def plan_lines(scene: Scene) -> list[tuple[str, str]]:

@@ -28,7 +28,7 @@ from casadi_skin.results.journal import (
 from casadi_skin.results.netcdf import write_netcdf
 from casadi_skin.results.tables import EVENT_COLUMNS, Cell, event_row, orbit_row, spectrum_rows, write_csv
 from casadi_skin.runs.directory import JOURNAL
-from casadi_skin.runs.plan import scene_chain, scene_requests
+from casadi_skin.runs.request import scene_chain, scene_requests
 from casadi_skin.scene import Scene
 
 if TYPE_CHECKING:

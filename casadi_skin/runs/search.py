@@ -12,7 +12,7 @@ from casadi_skin.figures.search import search_figure
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import Journal, read_records, trim_journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
-from casadi_skin.runs.plan import scene_chain
+from casadi_skin.runs.request import scene_chain
 from casadi_skin.scene import Scene, SearchTable
 from casadi_skin.search.finding import Search
 from casadi_skin.search.programme import programme
