@@ -48,8 +48,12 @@ class _Found:
     iterations: int
 
 
-def optimise(statement: BoundaryValueProblem, guess: Guess, method: Method) -> OptimalSolution:
-    """The local optimum near a guess, on a mesh refined to the tolerance; raises BoundaryError."""
+def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> OptimalSolution:
+    """The local optimum near a guess, on a mesh refined to the tolerance; options as in `solve`.
+
+    Raises ValueError for options out of range and BoundaryError where no optimum is found.
+    """
+    method = Method.of(options)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
     ladder = build_ladder(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
     found = _first(ladder, statement, guess, method)

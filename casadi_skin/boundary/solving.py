@@ -120,10 +120,6 @@ def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Boun
     arguments out of range and BoundaryError where no solution is found to the tolerance.
     """
     method = Method.of(options)
-    if statement.optimises or statement.bounds:
-        from casadi_skin.boundary.programme import optimise
-
-        return optimise(statement, guess, method)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
     ladder = build_ladder(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
     locator = Locator(ladder, WalkSettings(1.0, method.tolerance))

@@ -189,7 +189,14 @@ class BoundaryValueProblem:
     # What can be asked of it ----------------------------------------------------------------------------------------
 
     def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
-        """A solution near `guess`; see `casadi_skin.boundary.solving.solve` for what it takes and raises."""
+        """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
+
+        See `casadi_skin.boundary.solving.solve` for the guess, the options, and what is raised.
+        """
+        if self.optimises or self.bounds:
+            from casadi_skin.boundary.programme import optimise
+
+            return optimise(self, guess, **options)
         from casadi_skin.boundary.solving import solve
 
         return solve(self, guess, **options)
