@@ -128,35 +128,48 @@ class _Following:
     ) -> BoundaryBranch:
         start = self._start()
         walk = ArclengthWalk(self.locator, (start,))
-        stopped = False
+        stopped, broken = False, ""
         solutions: list[BoundarySolution] = []
         for point in self._with_folds(start, walk):
+            if isinstance(point, str):
+                broken = point
+                break
             solutions.append(self._solution(point, asked))
             if progress is not None:
                 progress(solutions[-1])
             if until is not None and until(solutions[-1]):
                 stopped = True
                 break
-        complete = stopped or walk.end is End.REACHED
+        if walk.end is End.REACHED and any(target in self.locator.settings.ends for target in walk.missed):
+            broken = f"the branch passes the end, and no solution was found there: {walk.detail}"
+        complete = stopped or (walk.end is End.REACHED and not broken)
         reason = "" if complete or walk.end is None else WORDS.get(walk.end, f"{walk.end.value}: {walk.detail}")
+        reason = broken or reason
         missed = tuple(asked[t.value] for t in walk.missed if t.value in asked)
         folds = tuple(self._solution(point, {}) for point in self.folds)
         return BoundaryBranch(self.parameter, tuple(solutions), folds, complete, reason, missed)
 
-    def _with_folds(self, start: Point, walk: ArclengthWalk) -> Iterator[Point]:
+    def _with_folds(self, start: Point, walk: ArclengthWalk) -> Iterator[Point | str]:
+        """Points of the walk with the folds between them; last, why the branch cannot go on, in words."""
         yield start
         last = start
         for point in walk:
+            assert isinstance(point.problem, BoundaryProblem)
+            if backwards := point.problem.backwards(point.z):
+                yield backwards
+                return
             if _slope(last) * _slope(point) < 0.0:
-                fold = self._fold(last, point)
-                if fold is not None:
-                    self.folds.append(fold)
-                    yield fold
+                try:
+                    self.folds.append(self._fold(last, point))
+                except BoundaryError as error:
+                    yield f"{error}, {last.problem.whereabouts(last.z)}"
+                    return
+                yield self.folds[-1]
             yield point
             last = point
 
-    def _fold(self, before: Point, after: Point) -> Point | None:
-        """The point between two at which the parameter is stationary; None where none is found."""
+    def _fold(self, before: Point, after: Point) -> Point:
+        """The point between two at which the parameter is stationary; raises BoundaryError where none is found."""
         from scipy.optimize import brentq
 
         found: dict[float, Point] = {0.0: before, 1.0: after}
@@ -164,7 +177,8 @@ class _Following:
         def slope(fraction: float) -> float:
             point = found.get(fraction) or self.locator.along(before, after, fraction)
             if point is None:
-                raise BoundaryError(f"the fold cannot be located: {self.locator.failure}")
+                why = self.locator.failure or "the equations are singular beside it"
+                raise BoundaryError(f"the parameter turns back at a point that cannot be located: {why}")
             found[fraction] = point
             return _slope(point)
 

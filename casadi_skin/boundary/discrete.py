@@ -11,7 +11,7 @@ from casadi_skin.boundary.statement import HELD, BoundaryValueProblem
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.bvp.problem import Array, Scalar
+from casadi_skin.bvp.problem import EPSILON, Array, Scalar
 from casadi_skin.models.declared import Expression
 
 SHOWN = 40  # characters of a condition in a message
@@ -96,6 +96,9 @@ class BoundaryProblem(CollocationEquations):
         weights[: self.states] /= self.columns
         return np.asarray(weights)
 
+    def rounding(self, z: Array) -> float:
+        return super().rounding(z) * (self.statement.model.rounding / EPSILON)
+
     # Words ----------------------------------------------------------------------------------------------------------
 
     def whereabouts(self, z: Array) -> str:
@@ -114,6 +117,11 @@ class BoundaryProblem(CollocationEquations):
             return self.whereabouts(z)
         size = f"largest residual {residual[equation]:.1e}" if np.isfinite(residual[equation]) else "not finite"
         return f"{size} at {self._place(equation, z)}, {self.whereabouts(z)}"
+
+    def backwards(self, z: Array) -> str:
+        """That the interval ends before it starts, in words, where its ends are free and do; empty where not."""
+        start, end = self.statement.span(self.parameters(z))
+        return "" if end > start else f"the interval found, {start:.6g} to {end:.6g}, does not end after its start"
 
     def time(self, z: Array, column: int) -> float:
         """Where a column of state values is in the interval."""

@@ -23,10 +23,11 @@ from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 
 ComplexArray = NDArray[np.complex128]
-DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the monodromy matrix
+DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
 LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
 TIGHTEST = 1e-13
-SMALL = 0.5  # modulus below which multipliers have lost digits in a product with entries near 1
+SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
+ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
 
 
 class TrivialMultiplierWarning(UserWarning):
@@ -149,10 +150,14 @@ def multipliers_by_cvodes(
 
 
 def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> Multipliers:
+    from scipy.linalg import matrix_balance
+
     matrix = _product(maps)
-    values = _eigenvalues(maps, matrix, contraction)
+    _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
+    balanced = maps * units / units[:, None]
+    values = _eigenvalues(balanced, contraction)
     trivial = 0 if model.forced else 1 if model.hamiltonian is None else 2
-    allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(matrix, 2)))
+    allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
     near = values[~_others(values, trivial)]
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
     return Multipliers(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
@@ -166,29 +171,45 @@ def _product(maps: Sequence[Array] | Array) -> Array:
     return total
 
 
-def _eigenvalues(maps: Array, matrix: Array, contraction: float | None) -> ComplexArray:
+def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
     """Eigenvalues of the product in descending modulus; those far below 1 from the inverse product.
 
-    A single one that is tiny follows from Liouville's formula, their product being exp(contraction): maps of intervals
-    that are long for the fastest contraction have lost its digits, however small they make it.
+    Rounding is relative to the norm of either product, so that each serves the eigenvalues on its own side of the
+    modulus at which both are equally good. A single one that is tiny follows from Liouville's formula, their product
+    being exp(contraction): maps of intervals that are long for the fastest contraction have lost its digits.
     """
+    matrix = _product(maps)
     forward = np.linalg.eigvals(matrix).astype(complex)
     forward = forward[np.argsort(-np.abs(forward))]
-    small = np.abs(forward) < SMALL
-    if len(maps) == 1 or not np.any(small):
+    if len(maps) == 1:
         return forward
+    inverse = _inverse_product(maps)
+    if inverse is None:
+        backward, modulus = forward, np.abs(forward)
+        even = ROUNDED * float(np.finfo(float).eps * np.linalg.norm(matrix, 2))
+    else:
+        with np.errstate(divide="ignore"):
+            backward = 1.0 / np.linalg.eigvals(inverse).astype(complex)
+        backward = backward[np.argsort(-np.abs(backward))]
+        modulus = np.sqrt(np.abs(forward)) * np.sqrt(np.abs(backward))
+        even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))
+    small = (np.abs(forward) < SMALL) & (modulus < even)
     if contraction is not None and np.count_nonzero(small) == 1:
-        modulus = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))
+        tiny = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))
         sign = np.sign(np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(forward[:-1]).real)
-        forward[-1] = sign * modulus
+        forward[-1] = sign * tiny
         return forward
-    with np.errstate(over="ignore", invalid="ignore"):
-        inverse = _product([np.linalg.inv(m) for m in maps[::-1]])
-    if not np.all(np.isfinite(inverse)):
-        return forward
-    backward = np.linalg.eigvals(inverse).astype(complex)
-    backward = 1.0 / backward[np.argsort(np.abs(backward))]
     return np.asarray(np.where(small, backward, forward))
+
+
+def _inverse_product(maps: Array) -> Array | None:
+    """The inverse of the product, from those of the maps; None where it has no finite entries."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            inverse = _product([np.linalg.inv(m) for m in maps[::-1]])
+    except np.linalg.LinAlgError:
+        return None
+    return inverse if np.all(np.isfinite(inverse)) else None
 
 
 def _others(values: ComplexArray, trivial: int) -> NDArray[np.bool_]:

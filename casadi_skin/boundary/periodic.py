@@ -119,6 +119,17 @@ def _check(
             raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Extended(OdeModel):
+    """A model with more parameters; its values are as good as those of the one that it is made of."""
+
+    inner: OdeModel
+
+    @property
+    def rounding(self) -> float:
+        return self.inner.rounding
+
+
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """A first-order model, a guessed period, parameters, and what is asked of the orbit."""
@@ -144,10 +155,10 @@ class _Asked:
             slope = model.function("slope", ca.gradient(model.hamiltonian, model.state))
             rhs = rhs + p[count + 1] * slope(0.0, model.state, p[:count])
         nominal = [*(model.nominal or ()), self.length, *([0.0] if unfolded else [])]
-        return OdeModel(
+        return _Extended(
             model.name, model.state, rhs, p, time=kind.sym("t"), forcing_period=p[count], checked=False,
             nominal=tuple(nominal) if len(nominal) == len(names) else None,
-            state_labels=model.state_names, parameter_labels=names,
+            state_labels=model.state_names, parameter_labels=names, inner=model,
         )  # fmt: skip
 
     def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.boundary.curvature import downwards
 from casadi_skin.boundary.discrete import BoundaryProblem
 from casadi_skin.boundary.guesses import Guess, sampled
 from casadi_skin.boundary.optimum import Optimality, OptimalSolution, Optimum
@@ -28,12 +29,14 @@ WORDS = {
     "Restoration_Failed": "no point near the guess satisfies conditions and bounds",
     "Diverging_Iterates": "the objective is unbounded below, or the iteration diverges",
     "Maximum_Iterations_Exceeded": "the iteration did not converge in the steps allowed",
+    "Search_Direction_Becomes_Too_Small": "no way on: conditions and bounds leave hardly a point, or degenerate there",
     "Invalid_Number_Detected": "an expression has no finite value or derivative on the way",
 }
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
 FACTOR = 3  # iterations allowed, times those of a problem without objective
 BARRIER = 1e-3  # at first: from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
 FUNNEL = 1.0  # violation that no iterate exceeds, or that of the guess where it is larger: Ipopt's own is 10^4
+PATIENCE = 4  # meshes that may fail, all together, to halve the error
 MESHES = 2  # on which a first optimum is sought
 
 
@@ -56,7 +59,7 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> O
     method = Method.of(options)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
     ladder = build_ladder(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
-    found = _first(ladder, statement, guess, method)
+    found, errors = _first(ladder, statement, guess, method), list[float]()
     while True:
         above = ladder.finer(found.problem, found.z)
         if above is None or ladder.finer(above) is None:
@@ -72,6 +75,10 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> O
             point = Point(above, finer.z, unit, error, 0.0, finer.iterations)
             moved = SAFETY * abs(finer.objective - found.objective)
             return OptimalSolution(statement, method, point, Optimum(finer.objective, moved, finer.optimality))
+        errors.append(error.relative(1.0))
+        if len(errors) > PATIENCE and errors[-1] > 0.5 * errors[-1 - PATIENCE]:
+            words = f"finer meshes, up to {above.resolution} intervals, leave a change of {errors[-1]:.1e}"
+            raise BoundaryError(f"{statement.model.name}: {words}; try another guess or a larger tolerance")
         found = finer
 
 
@@ -146,8 +153,16 @@ class _Programme:
         status, z = str(stats["return_status"]), np.array(result["x"]).ravel()
         if status != "Solve_Succeeded":
             raise BoundaryError(f"{self.statement.model.name}: {WORDS.get(status, status)}; {self._worst(z)}")
+        backwards = self.problem.backwards(z)
+        if backwards:
+            raise BoundaryError(f"{self.statement.model.name}: {backwards}; bound it from below")
         multipliers = [np.array(result[key]).ravel() for key in ("lam_g", "lam_x")]
         optimality = self._optimality(z, *multipliers)
+        curvature = self._downwards(z, *multipliers)
+        if curvature < 0.0:
+            words = f"is stationary, but no minimum: curvature {curvature:.1e} of the largest"
+            where = self.problem.whereabouts(z)
+            raise BoundaryError(f"{self.statement.model.name}: the point found {words}, {where}; try another guess")
         return _Found(self.problem, z, float(result["f"]), optimality, int(stats["iter_count"]))
 
     def _optimality(self, z: Array, of_equations: Array, of_bounds: Array) -> Optimality:
@@ -164,6 +179,14 @@ class _Programme:
         violation = max(float(np.max(np.abs(residual))), float(np.max(-np.minimum(below, above)[bounded], initial=0.0)))
         parts = float(np.max(np.abs(stationarity[bounded]))) / size, float(np.max(complementarity[bounded])) / size
         return Optimality(max(parts), violation, self._active(z, of_bounds, size))
+
+    def _downwards(self, z: Array, of_equations: Array, of_bounds: Array) -> float:
+        """The most negative curvature at a stationary point, of what bounds do not hold; 0 at a minimum."""
+        upper = self._solver.get_function("nlp_hess_l")(z, [], 1.0, of_equations)
+        held = np.sqrt(self._tolerance) * max(1.0, float(np.max(np.abs(of_equations), initial=0.0)))
+        left = (self.lower < self.upper) & (np.abs(of_bounds) <= held)
+        jacobian = self._derivatives(z)[1].sparse().tocsc()
+        return downwards(ca.triu2symm(upper).sparse().tocsc(), jacobian, self.problem.sizes(z), left)
 
     def _active(self, z: Array, of_bounds: Array, size: float) -> tuple[str, ...]:
         """Bounds that hold the solution, in words."""

@@ -34,6 +34,8 @@ TOLERANCES = (1e-13, 1e-1)
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 TRIES = 6  # rungs on which a first solution is sought
 FIRST = 12  # intervals
+UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
+MEANINGLESS = 1e-2  # estimated error of what is called solved but for rounding, and is not
 
 
 class BoundaryError(ArithmeticError):
@@ -133,13 +135,35 @@ def first_point(locator: Locator, statement: BoundaryValueProblem, guess: Guess,
     for problem in _first_problems(locator.ladder, rungs, guess):
         z = packed(problem, guess)
         correction = _corrected(locator.ladder.corrector(problem), z, problem)
+        backwards = problem.backwards(correction.z) if correction.converged else ""
+        if backwards:
+            failures.append(backwards)
+            continue
         if correction.converged:
-            if not np.any(z[: problem.states]):
-                problem.measure_by(correction.z)
+            correction = _sized(locator.ladder, problem, correction, not np.any(z[: problem.states]))
             return refined(locator, *(settled(locator.ladder, problem, correction.z) or (problem, correction)))
         words = f"{correction.status.value}; {problem.worst(correction.z)}", weakness(problem, correction.z)
         failures.append("; there ".join(filter(None, words)))
     raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
+
+
+def _sized(ladder: Ladder, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:
+    """The correction, solved to its own size: Ipopt's tolerance is absolute where states are below 1.
+
+    Where the guess of zeros left states `unmeasured`, they are measured by where a Newton step leads.
+    """
+    z, row = correction.z, problem.parameter_row()
+    residual, nonzeros = problem.evaluate(z)
+    try:
+        step = ladder.solver(problem).factor(z, nonzeros, row)(np.append(residual, 0.0))
+    except SingularError:  # which condition is at fault is told where the solution is refined
+        return correction
+    if unmeasured:
+        problem.measure_by(z - step)
+    if problem.profile_change(z - step, step) <= UNSOLVED:
+        return correction
+    finished = NewtonCorrector(problem).correct(z, row, 0.0)
+    return finished if finished.converged else correction
 
 
 def _first_problems(ladder: Ladder, rungs: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
@@ -169,6 +193,14 @@ def refined(locator: Locator, problem: Problem, correction: Correction) -> Point
     if point is None:
         top = locator.ladder.rungs[-2]
         raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
+    assert isinstance(point.problem, BoundaryProblem)
+    backwards = point.problem.backwards(point.z)
+    if backwards:
+        raise BoundaryError(f"{name}: {backwards}")
+    if point.error.relative(1.0) > MEANINGLESS:
+        reason = weakness(point.problem, point.z) or "the equations are nearly singular there"
+        words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
+        raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
     return point
 
 

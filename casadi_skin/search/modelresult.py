@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from casadi_skin.boundary.optimum import Optimum
 from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.models.ode import OdeModel
@@ -53,8 +55,16 @@ class ModelOptimum:
 
     @property
     def difference(self) -> float:
-        """Relative difference of the period from that of the plain orbit."""
-        return abs(self.orbit.period - self.plain.period) / self.plain.period
+        """Difference from the plain orbit, the larger of those of the period and of the states, both relative.
+
+        States are compared at the phases of 200 times, each component relative to its largest value and no less than a
+        millionth of the largest of all.
+        """
+        fractions = np.arange(200) / 200
+        one, other = (found.evaluate(fractions * found.period) for found in (self.orbit, self.plain))
+        largest = np.max(np.abs(other), axis=0)
+        by_states = np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest)))
+        return max(abs(self.orbit.period - self.plain.period) / self.plain.period, float(by_states))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ from casadi_skin.search.result import SearchStatus
 from casadi_skin.search.running import Interruption
 from casadi_skin.threads import one_thread
 
-SAME = 1e-5  # relative difference of free parameters and period below which two optima are one
+SAME = 1e-5  # relative difference of free parameters, period and objective below which two optima are one
 SAMPLES = 401  # of the guess over a period
 EXPRESSIONS = ("objective", "running", "select", "section")
 
@@ -168,6 +169,11 @@ class _ModelSearch:
         named = {name: found.parameters[name] for name in self.model.parameter_names}
         return _Ended(number, at, "", named, *_over_period(found), found.period, found.optimum.objective)
 
+    def _follow_elsewhere(self, number: int, at: Mapping[str, float]) -> _Ended:
+        """The same in a process of its own, which leaves Ctrl-C to the one that waits."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return self.follow(number, at)
+
     # All starts -----------------------------------------------------------------------------------------------------
 
     def run(
@@ -210,7 +216,7 @@ class _ModelSearch:
             return
         pool = executor or ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn"))
         try:
-            futures = [pool.submit(self.follow, *job) for job in jobs]
+            futures = [pool.submit(self._follow_elsewhere, *job) for job in jobs]
             for future in as_completed(futures):
                 if not future.cancelled():
                     yield future.result()
@@ -242,7 +248,11 @@ class _ModelSearch:
     def _same(self, one: _Ended, other: _Ended) -> bool:
         assert one.parameters is not None
         assert other.parameters is not None
-        pairs = [(one.period, other.period), *((one.parameters[n], other.parameters[n]) for n in self.free)]
+        pairs = [
+            (one.period, other.period),
+            (one.objective, other.objective),
+            *((one.parameters[n], other.parameters[n]) for n in self.free),
+        ]
         return all(abs(a - b) <= SAME * max(abs(a), abs(b), 1e-3) for a, b in pairs)
 
 

@@ -23,6 +23,7 @@ from casadi_skin.search.starts import Outcome, Start, run_start
 from casadi_skin.theory.linear import Array
 
 POLL = 0.1  # seconds between two looks at what processes tell
+ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def run_jobs(
     elif workers == 1 or len(jobs) < 2:
         yield from _here(jobs, interruption, report)
     else:
-        with _shared() as shared:
+        with sharing() as shared:
             context = multiprocessing.get_context("spawn")
             with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
                 yield from _in_executor(jobs, interruption, report, pool, shared)
@@ -130,30 +131,35 @@ def _here(jobs: Sequence[Job], interruption: Interruption, report: Report | None
 
 
 @dataclass(frozen=True)
-class _Shared:
+class Shared:
     """What processes share with the one that waits for them: what they tell, and whether they are to stop."""
 
     told: Any  # proxies of a manager, which have no types
     stop: Any
 
 
-def _ignore_interrupts() -> None:
+def ignore_interrupts() -> None:
+    """Leave Ctrl-C, which every process of a terminal hears, to the one that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
-def _shared() -> Iterator[_Shared]:
+def sharing() -> Iterator[Shared]:
+    """What processes share, for as long as the block lasts; raises RuntimeError where no process can be started."""
     manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
-    manager.start(_ignore_interrupts)
     try:
-        yield _Shared(manager.Queue(), manager.Event())
+        manager.start(ignore_interrupts)
+    except EOFError as error:
+        raise RuntimeError(ENDED_EARLY) from error
+    try:
+        yield Shared(manager.Queue(), manager.Event())
     finally:
         manager.shutdown()
 
 
-def _work(job: Job, starts: int, shared: _Shared | None) -> Outcome:
+def _work(job: Job, starts: int, shared: Shared | None) -> Outcome:
     """Run one start in a process of its own, which leaves Ctrl-C to the one that waits."""
-    _ignore_interrupts()
+    ignore_interrupts()
     if shared is None:
         return run_start(job.request, job.start, job.harmonics, job.known)
     told = time.monotonic()
@@ -170,7 +176,7 @@ def _work(job: Job, starts: int, shared: _Shared | None) -> Outcome:
 
 
 def _in_executor(
-    jobs: Sequence[Job], interruption: Interruption, report: Report | None, executor: Executor, shared: _Shared | None
+    jobs: Sequence[Job], interruption: Interruption, report: Report | None, executor: Executor, shared: Shared | None
 ) -> Iterator[Outcome]:
     waiting: set[Future[Outcome]] = {executor.submit(_work, job, len(jobs), shared) for job in jobs}
     done = 0
@@ -190,8 +196,7 @@ def _in_executor(
                     return  # an executor of the user's ends what it has begun without us
                 shared.stop.set()
     except BrokenProcessPool as error:
-        raise RuntimeError("search: a process ended early; in a script, parallel searches go below "
-                           'if __name__ == "__main__":') from error  # fmt: skip
+        raise RuntimeError(ENDED_EARLY) from error
     finally:
         for future in waiting:
             future.cancel()
@@ -199,7 +204,7 @@ def _in_executor(
             shared.stop.set()
 
 
-def _told(shared: _Shared | None) -> Iterator[SearchProgress]:
+def _told(shared: Shared | None) -> Iterator[SearchProgress]:
     while shared is not None:
         try:
             yield shared.told.get_nowait()
