@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -194,7 +195,19 @@ def simulate_orbit(
     return evolve(orbit.chain, *start, t, method, tolerance, coordinates)
 
 
-def distance_from_orbit(orbit: Orbit, evolution: Evolution) -> Array:
+class CosineSeries(Protocol):
+    """What a distance from an orbit asks of it, as an `Orbit` has it, or what was kept of one."""
+
+    @property
+    def S(self) -> float: ...
+    @property
+    def Omega(self) -> float: ...
+    @property
+    def harmonics(self) -> int: ...
+    def coefficients(self, harmonics: int) -> Array: ...
+
+
+def distance_from_orbit(orbit: CosineSeries, evolution: Evolution) -> Array:
     """Distance of (y, y'/Omega) to the nearest point of the orbit, relative to ||y(0)|| of the orbit, shape (time,).
 
     The nearest phase is sought among 128 and refined by Gauss-Newton steps; a shift of phase alone has no distance.

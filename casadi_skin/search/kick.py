@@ -9,24 +9,23 @@ transient growth (Trefethen and Embree 2005, chapter 14) makes of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.arguments import number, shown
 from casadi_skin.bvp.problem import Indices
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.search.kick_arguments import check, check_processes, kicked_sites
 from casadi_skin.search.kick_check import Escape, escape, sampled, size_to_escape
 from casadi_skin.search.kick_flow import KickedFlow
+from casadi_skin.search.kick_parallel import in_processes
 from casadi_skin.search.kick_programme import Optimum
 from casadi_skin.search.kick_search import KickProgress, KickSearch, directions
 from casadi_skin.theory.linear import Array
 
-NORMS = ("physical", "energy")
 REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
-LEAST_DISTANCE = 1e-4
-LONGEST = 100.0  # periods
 GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and its peak is missed by up to 0.01 %
 
 
@@ -51,6 +50,7 @@ class SmallestKick:
     `distance` is the fraction asked for and `reached` what CVODES gives at `escape_time`. `linear_norm` is the norm
     that linear transient growth predicts, `far_end_norm` that of the displacement of the far end alone which
     escapes within the same time, at `far_end_time`. `optima` are all local optima, ascending; the first is this one.
+    What an interruption left undone of these comparisons is nan.
     """
 
     orbit: Orbit
@@ -121,7 +121,8 @@ class SmallestKick:
         end = "the kick itself is that far" if self.escape_time < 1e-6 * self.time else "inside the time allowed"
         if self.escape_time > (1 - 1e-6) * self.time:
             end = "at the end of the time allowed"
-        words += f"; distance {self.reached:.6g} at t = {self.escape_time:.6g}, {end}"
+        words += f"; distance {self.reached:.6g}" if np.isfinite(self.reached) else "; not yet compared with CVODES"
+        words += f" at t = {self.escape_time:.6g}, {end}"
         return f"interrupted: {words}" if self.interrupted else words
 
     def evolution(self, kick: Array | None = None) -> Escape:
@@ -139,17 +140,21 @@ def smallest_kick(
     starts: int = 8,
     seed: int = 0,
     progress: Callable[[KickProgress], None] | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
 ) -> SmallestKick:
     """The kick of least norm at phase zero whose distance from the orbit comes to `distance` at a time <= `time`.
 
     `distance` is relative to ||y(0)||, below the orbit's reach (about 1), where the nearest phase is unique. `norm` is
     that of (positions, velocities), or "energy": the root of twice the quadratic part of the Hamiltonian of the gauge.
     `at` are the sites that may be kicked, counted from 1, all by default. Of the `starts`, the first are linear
-    optima and the far end, the others random of a `seed`. An interruption ends the search with the best so far. Raises
-    ValueError for arguments out of range or an orbit that is not linearly stable, KickError where nothing is found.
+    optima and the far end, the others random of a `seed`; `workers` processes or an `executor` of processes share them.
+    An interruption ends the search with the best so far. Raises ValueError and TypeError for arguments out of range or
+    an orbit that is not linearly stable, KickError where nothing is found.
     """
-    _check(orbit, time, distance, norm, starts)
-    sites = _sites(orbit, at)
+    check(orbit, time, distance, norm, starts)
+    check_processes(workers, executor)
+    sites = kicked_sites(orbit, at)
     flow = KickedFlow.up_to(orbit, float(time))
     if not distance < REACH_SHARE * flow.loop.reach:
         raise ValueError(
@@ -164,9 +169,13 @@ def smallest_kick(
     along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.chain.rho, 2), rcond=None)[0], dtype=float)
     named = directions(along_far, gains, vectors, starts, seed)
     search = KickSearch(flow, distance, basis, scale, len(named), progress)
-    optima, interrupted = search.from_all(named)
+    elsewhere = executor is not None or min(workers, len(named)) > 1
+    optima, interrupted = search.from_all(named, in_processes(search, named, workers, executor) if elsewhere else None)
     best, reached, optima = search.verified(optima)
-    far_size, far_time = size_to_escape(orbit, far, float(time), distance)
+    try:
+        far_size, far_time = size_to_escape(orbit, far, float(time), distance)
+    except KeyboardInterrupt:
+        far_size, far_time, interrupted = np.nan, np.nan, True
 
     def physical(kick: Array) -> Array:
         return np.asarray(S * np.tile(orbit.chain.rho, 2) * (basis @ kick))
@@ -185,7 +194,7 @@ def smallest_kick(
         far_end_size=far_size,
         far_end_norm=far_size * kick_norm(orbit, far, norm),
         far_end_time=far_time,
-        interrupted=interrupted,
+        interrupted=interrupted or search.interrupted,
         tried=search.tried,
     )
 
@@ -227,46 +236,3 @@ def _basis(orbit: Orbit, norm: str, sites: Indices) -> Array:
         positions, velocities = moved @ np.linalg.inv(factor).T, moved
     zero = np.zeros_like(moved)
     return np.block([[positions, zero], [zero, velocities]])
-
-
-# Arguments -----------------------------------------------------------------------------------------------------------
-
-
-def _check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) -> None:
-    if not isinstance(orbit, Orbit):
-        raise TypeError(f"orbit: given {shown(orbit)}; accepted: an Orbit, such as branch.at(S=0.2)")
-    chain = orbit.chain
-    if chain.infinite or abs(chain.gamma) == 1.0:
-        raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
-    if orbit.S <= 0:
-        raise ValueError("orbit: given S = 0; accepted: a breather of S > 0")
-    if not 0 < number("time", time, "a finite time > 0") <= LONGEST * orbit.period:
-        raise ValueError(
-            f"time: given {time!r}; accepted: above 0, up to {LONGEST:g} periods = {LONGEST * orbit.period:.6g}"
-        )
-    least = max(LEAST_DISTANCE, 1e3 * orbit.profile_error)
-    if number("distance", distance, "a finite fraction of the breather") < least:
-        raise ValueError(f"distance: given {distance!r}; accepted: from {least:.1e} on, what the orbit's error allows")
-    if norm not in NORMS:
-        raise ValueError(f"norm: given {shown(norm)}; accepted: {', '.join(NORMS)}")
-    if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
-        raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
-    if isinstance(starts, bool) or not isinstance(starts, int | np.integer) or starts < 1:
-        raise ValueError(f"starts: given {shown(starts)}; accepted: a whole number >= 1")
-    if not orbit.floquet().stable:
-        largest = orbit.floquet().max_abs_multiplier
-        raise ValueError(
-            f"orbit: the breather is linearly unstable (largest multiplier {largest:.6g}); accepted: a stable one"
-        )
-
-
-def _sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
-    """Indices of the sites that may be kicked."""
-    count = orbit.chain.sites
-    if at is None:
-        return np.arange(count)
-    given = [at] if isinstance(at, int | np.integer) else list(at)
-    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and 1 <= n <= count for n in given)
-    if not given or not whole or len(set(given)) < len(given):
-        raise ValueError(f"at: given {shown(at)}; accepted: one or more different sites 1..{count}")
-    return np.array(sorted(given)) - 1

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
 from casadi_skin.families.orbit import Orbit
-from casadi_skin.search.kick_flow import KickedFlow
+from casadi_skin.search.kick_flow import KickedFlow, PlainOrbit
 from casadi_skin.theory.linear import Array
 
 SAMPLES = 64  # a period; the largest distance is that of the parabola through the three largest
@@ -36,7 +36,7 @@ class Escape:
         return float(self.distance[k]), float(self.t[k])
 
 
-def escape(orbit: Orbit, kick: ArrayLike, t: ArrayLike, tolerance: float = 1e-11) -> Escape:
+def escape(orbit: Orbit | PlainOrbit, kick: ArrayLike, t: ArrayLike, tolerance: float = 1e-11) -> Escape:
     """Distance from the orbit after a kick (2N,) of positions and velocities at t = 0, by CVODES.
 
     Where the state runs to infinity, as with g < 0, up to the last time before.

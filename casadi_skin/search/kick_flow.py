@@ -14,6 +14,7 @@ import numpy as np
 
 from casadi_skin.dynamics import Evolution, distance_from_orbit
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.models.chain import Chain
 from casadi_skin.stability.splitting import srkn_coefficients
 from casadi_skin.theory.linear import Array
 
@@ -21,6 +22,36 @@ STEP = (
     0.75  # radians of the fastest linear vibration in a step: measured against CVODES, 2e-8 of the state in 5 periods
 )
 PHASES = 720  # of the orbit, between which its reach is sought
+
+
+@dataclass(frozen=True, eq=False)
+class PlainOrbit:
+    """An orbit in arrays and numbers, without the programme that found it, which no other process can be sent.
+
+    `cosines` are the coefficients of cos((2k+1) Omega t), shape (harmonics, sites), `profile` displacements at t = 0.
+    """
+
+    chain: Chain
+    S: float
+    Omega: float
+    profile: Array
+    cosines: Array
+
+    @classmethod
+    def of(cls, orbit: Orbit) -> PlainOrbit:
+        """What is left of an orbit."""
+        return cls(orbit.chain, orbit.S, orbit.Omega, orbit.profile, orbit.coefficients(orbit.harmonics))
+
+    @property
+    def harmonics(self) -> int:
+        """Number of odd harmonics."""
+        return len(self.cosines)
+
+    def coefficients(self, harmonics: int) -> Array:
+        """The coefficients, as `dynamics.distance_from_orbit` asks for them; raises ValueError for another number."""
+        if harmonics != self.harmonics:
+            raise ValueError(f"harmonics: given {harmonics}; accepted: {self.harmonics}, those that are kept")
+        return self.cosines
 
 
 @dataclass(frozen=True)
@@ -68,7 +99,7 @@ class Loop:
 class KickedFlow:
     """The flow of a chain from the phase zero of an orbit, kicked or not, over `steps` equal steps up to `time`."""
 
-    orbit: Orbit
+    orbit: PlainOrbit
     time: float
     steps: int
 
@@ -76,7 +107,10 @@ class KickedFlow:
     def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
         """With as many steps as the fastest linear vibration asks for."""
         fastest = float(np.sqrt(orbit.chain.alpha + 2.0 * (1.0 + orbit.chain.coupling)))
-        return cls(orbit, time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
+        return cls(PlainOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
+
+    def __reduce__(self) -> tuple[type[KickedFlow], tuple[PlainOrbit, float, int]]:
+        return KickedFlow, (self.orbit, self.time, self.steps)  # another process builds its own functions
 
     @property
     def size(self) -> int:
@@ -92,7 +126,7 @@ class KickedFlow:
     @cached_property
     def loop(self) -> Loop:
         """The orbit as the curve that distances are measured from."""
-        return Loop(self.orbit.coefficients(self.orbit.harmonics) / np.sqrt(self.orbit.S))
+        return Loop(self.orbit.cosines / np.sqrt(self.orbit.S))
 
     @cached_property
     def start(self) -> Array:

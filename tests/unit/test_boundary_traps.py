@@ -53,11 +53,11 @@ def test_a_multiplier_beside_a_tiny_one_keeps_its_digits() -> None:
     assert orbit.multipliers().others[0].real == pytest.approx(reference, abs=1e-7)
 
 
-@pytest.mark.parametrize(("x", "y"), [(1.0, 1.0), (1e-4, 1e4), (1e3, 1e-3)])
-@pytest.mark.parametrize("by", ["collocation", "cvodes"])
+@pytest.mark.parametrize(
+    ("x", "y", "by"),  # the tolerance of CVODES is relative to the largest component
+    [(1.0, 1.0, "collocation"), (1e-4, 1e4, "collocation"), (1e3, 1e-3, "collocation"), (1.0, 1.0, "cvodes")],
+)
 def test_stability_does_not_depend_on_units(x: float, y: float, by: str) -> None:
-    if by == "cvodes" and x != 1.0:
-        pytest.skip("its tolerance is relative to the largest component")
     orbit = find_orbit(van_der_pol(x, y, -1.0), turning(2 * x, -2 * y), 6.3, parameters={"mu": 0.1})
     found = orbit.multipliers(by)
     assert found.others[0].real == pytest.approx(1.87592885, abs=1e-6)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
 import signal
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +18,10 @@ from scipy.optimize import brentq
 
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
-from casadi_skin.search.kick import KickProgress, SmallestKick, kick_norm
-from casadi_skin.search.kick_flow import KickedFlow, Loop
+from casadi_skin.search.kick import KickProgress, SmallestKick, kick_norm, size_to_escape
+from casadi_skin.search.kick_check import Escape, escape
+from casadi_skin.search.kick_flow import KickedFlow, Loop, PlainOrbit
+from casadi_skin.search.kick_parallel import received, sent
 from casadi_skin.search.kick_search import KickSearch
 from casadi_skin.theory.linear import Array
 
@@ -175,6 +181,108 @@ def test_interruption_keeps_the_best_and_progress_is_told() -> None:
     assert kick.norm == pytest.approx(found(2.0).norm, rel=0.05)
     assert told[0].starts == 6
     assert all(math.isfinite(p.norm) and math.isfinite(p.violation) for p in told)
+
+
+def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted_escape(*arguments: Any) -> Escape:
+        os.kill(os.getpid(), signal.SIGINT)
+        return escape(*arguments)
+
+    monkeypatch.setattr("casadi_skin.search.kick_search.escape", interrupted_escape)
+    kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
+    assert kick.interrupted
+    assert math.isnan(kick.reached)
+    assert "not yet compared with CVODES" in kick.status
+    assert kick.norm == pytest.approx(found(2.0).norm, rel=0.05)
+    assert kick.far_end_norm == found(2.0).far_end_norm
+
+
+def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted_size(*arguments: Any) -> tuple[float, float]:
+        os.kill(os.getpid(), signal.SIGINT)
+        return size_to_escape(*arguments)
+
+    monkeypatch.setattr("casadi_skin.search.kick.size_to_escape", interrupted_size)
+    kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
+    assert kick.interrupted
+    assert abs(kick.reached - 0.5) < 1e-6
+    assert math.isnan(kick.far_end_norm)
+
+
+def test_what_is_kept_of_an_orbit_has_its_distances() -> None:
+    orbit, plain = breather(), PlainOrbit.of(breather())
+    run = evolve(orbit.chain, 1.1 * orbit.profile, None, np.linspace(0.0, 9.0, 20))
+    assert np.array_equal(distance_from_orbit(plain, run), distance_from_orbit(orbit, run))
+    with pytest.raises(ValueError, match=f"harmonics: given 3; accepted: {orbit.harmonics}"):
+        plain.coefficients(3)
+
+
+def test_a_start_that_was_sent_is_followed_to_the_same_optimum() -> None:
+    flow = KickedFlow.up_to(breather(), 2.0 * breather().period)
+    search = KickSearch(flow, 0.5, np.diag(1 / np.tile(breather().chain.rho, 2)), 0.1, 1, None)
+    direction = np.eye(12)[0]
+    here = search.follow(1, "far end", direction)  # fills what flow and search build when they need it
+    whole = sent(search)
+    there = received(whole)
+    assert received(whole) is there  # one programme serves all starts
+    assert not {"step", "loop", "start"} & set(vars(there.flow))  # arrays and numbers alone were sent
+    again = there.follow(1, "far end", direction)
+    assert here.found is not None
+    assert again.found is not None
+    assert here.found.solved
+    assert np.array_equal(again.found.kick, here.found.kick)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "words"),
+    [
+        ({"workers": 0}, ValueError, "workers: given 0; accepted: a whole number >= 1"),
+        ({"workers": True}, ValueError, "workers: given True"),
+        ({"workers": 2.0}, ValueError, "workers: given 2.0"),
+        ({"executor": 3}, TypeError, "executor: given 3; accepted: a concurrent.futures.Executor of processes"),
+        ({"executor": ThreadPoolExecutor(1)}, TypeError, "accepted: a concurrent.futures.Executor of processes"),
+    ],
+)
+def test_processes_that_cannot_be_are_refused_in_one_line(
+    options: dict[str, Any], kind: type[Exception], words: str
+) -> None:
+    with pytest.raises(kind, match="accepted") as error:
+        smallest_kick(breather(), 10.0, **options)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [False, True])
+def test_processes_find_the_same_optima(given: bool) -> None:
+    alone, told = found(), list[KickProgress]()
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) if given else nullcontext() as pool:
+        where: dict[str, Any] = {"executor": pool} if given else {"workers": 2}
+        kick = smallest_kick(breather(), alone.time, starts=4, progress=told.append, **where)
+    assert (kick.tried, kick.interrupted) == (4, False)
+    assert [o.name for o in kick.optima] == [o.name for o in alone.optima]
+    for one, other in zip(kick.optima, alone.optima, strict=True):
+        np.testing.assert_allclose(one.kick, other.kick, rtol=1e-9, atol=1e-9 * alone.norm)
+    assert {p.start for p in told} == {1, 2, 3, 4}
+    assert str(told[-1]).startswith("4 of 4 starts done")
+
+
+@pytest.mark.slow
+def test_interruption_ends_processes_with_the_best_of_them() -> None:
+    told: list[KickProgress] = []
+
+    def interrupt(progress: KickProgress) -> None:
+        if progress.done == 1 and not told:  # a second one would end the wait for starts that have begun
+            told.append(progress)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    kick = smallest_kick(breather(), 3.0 * breather().period, starts=40, workers=2, progress=interrupt)
+    assert kick.interrupted
+    assert kick.status.startswith("interrupted")
+    assert 1 <= kick.tried < 40
+    assert kick.norm == pytest.approx(found().norm, rel=0.1)
+    assert not multiprocessing.active_children()
 
 
 def test_what_the_progress_callback_raises_arrives() -> None:
