@@ -19,6 +19,7 @@ from casadi_skin.models.ode import OdeModel
 Array = NDArray[np.float64]
 LOCAL = 1e-2  # local tolerance per tolerance: errors of steps add up
 STEPS = 100_000  # from output to output
+FEWEST = 40  # output times that a cycle is looked for in
 CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
 
 
@@ -49,6 +50,8 @@ class Simulation:
 
     def last_cycle(self) -> Cycle:
         """The last stretch of time over which the state comes back to itself; raises ValueError where it does not."""
+        if self.t.size < FEWEST:
+            raise ValueError(f"last_cycle: given {self.t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
         half = self.states[self.t.size // 2 :]
         spread = np.ptp(half, axis=0)
         component = int(np.argmax(np.std(half, axis=0)))
@@ -102,7 +105,7 @@ def simulate(
         raise ValueError(f"start: given {x.size} states; accepted: {first.full_size}, {', '.join(first.state_names)}")
     times = np.array(numbers("t", np.ravel(t)))
     if times.size < 2 or np.any(np.diff(times) <= 0):
-        raise ValueError(f"t: given {shown(list(times))}; accepted: two or more times, ascending")
+        raise ValueError(f"t: given {shown(times.tolist())}; accepted: two or more times, ascending")
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
     return Simulation(first, p, times, _integrated(first, p, x, times, tolerance))

@@ -13,12 +13,14 @@ class Optimality:
     """The Karush-Kuhn-Tucker conditions of a solution, evaluated apart from the solver.
 
     `kkt` is the largest of stationarity and complementarity relative to the largest gradient or multiplier, `violation`
-    that of equations and bounds, and `active` are the bounds with a multiplier, in words.
+    that of equations and bounds, and `active` are the bounds with a multiplier, in words. `curved` tells whether the
+    curvature is that of a minimum; it is not known where the model holds a program, such as an FMU.
     """
 
     kkt: float
     violation: float
     active: tuple[str, ...]
+    curved: bool
 
     def holds_states(self, names: Sequence[str]) -> bool:
         """Whether bounds on any of the states named are active."""
@@ -49,7 +51,8 @@ class OptimalSolution(BoundarySolution):
     def status(self) -> str:
         """What was found, in a sentence."""
         active, error = ", ".join(self.optimum.optimality.active), max(self.error, self.parameter_error)
-        words = f"a local optimum{f' on the bounds {active}' if active else ''}"
+        kind = "a local optimum" if self.optimum.optimality.curved else "a stationary point"
+        words = f"{kind}{f' on the bounds {active}' if active else ''}"
         if error > self.method.tolerance:
             words += f", to {error:.1e}: bounds hold states at the mesh's points only"
         return words

@@ -23,6 +23,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.correctors.ladder import SAFETY, ErrorEstimate, Ladder
 from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.models.saved import programs_in
 
 WORDS = {
     "Infeasible_Problem_Detected": "no point near the guess satisfies conditions and bounds",
@@ -126,6 +127,11 @@ class _Programme:
             "ipopt.mu_init": BARRIER,
             "ipopt.theta_max_fact": FUNNEL,
         }
+        self._exact = not programs_in(self.statement.model.vector_field)
+        if not self._exact:  # their second derivatives would be differences, and slow
+            options["ipopt.hessian_approximation"] = "limited-memory"
+            constraints = [self._residual, jacobian]
+            options["jac_g"] = ca.Function("jac_g", [z, ca.MX(0, 1)], constraints, ["x", "p"], ["g", "jac_g_x"])
         self._solver = ca.nlpsol("programme", "ipopt", {"x": z, "f": value, "g": self._residual}, options)
         self._derivatives = ca.Function("derivatives", [z], [self._residual, jacobian, ca.gradient(value, z)])
         self.lower, self.upper = self._bounds()
@@ -178,10 +184,12 @@ class _Programme:
         complementarity = np.where(of_bounds == 0, 0.0, np.abs(of_bounds) * np.where(np.isfinite(slack), slack, 1.0))
         violation = max(float(np.max(np.abs(residual))), float(np.max(-np.minimum(below, above)[bounded], initial=0.0)))
         parts = float(np.max(np.abs(stationarity[bounded]))) / size, float(np.max(complementarity[bounded])) / size
-        return Optimality(max(parts), violation, self._active(z, of_bounds, size))
+        return Optimality(max(parts), violation, self._active(z, of_bounds, size), self._exact)
 
     def _downwards(self, z: Array, of_equations: Array, of_bounds: Array) -> float:
-        """The most negative curvature at a stationary point, of what bounds do not hold; 0 at a minimum."""
+        """The most negative curvature at a stationary point, of what bounds do not hold; 0 at a minimum, or unknown."""
+        if not self._exact:
+            return 0.0
         upper = self._solver.get_function("nlp_hess_l")(z, [], 1.0, of_equations)
         held = np.sqrt(self._tolerance) * max(1.0, float(np.max(np.abs(of_equations), initial=0.0)))
         left = (self.lower < self.upper) & (np.abs(of_bounds) <= held)

@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.arguments import number, shown
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.declared import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
@@ -242,6 +242,8 @@ def check_expression(label: str, expression: Any, symbols: list[Expression]) -> 
     kind = type(symbols[0])
     if not isinstance(expression, kind):
         raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
+    if is_comparison(expression):
+        raise ValueError(f"{label}: given a comparison, {shown(expression)}; accepted: an expression, x - 1 for x == 1")
     stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
     if stranger:
         known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]

@@ -36,7 +36,7 @@ def dumps(model: OdeModel) -> str:
     if model.forcing_period is not None:
         expressions["forcing_period"] = type(model.state)(model.forcing_period)
     function = model.function("model", *expressions.values())
-    programs = [f.name() for f in function.find_functions() if f.class_name() in PROGRAMS]
+    programs = programs_in(function)
     if programs:  # CasADi writes their names alone
         raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program, {', '.join(programs)}")
     equations = function.serialize()
@@ -45,6 +45,11 @@ def dumps(model: OdeModel) -> str:
     declared |= {"state_labels": model.state_names, "parameter_labels": model.parameter_names}
     declared |= {"format": FORMAT, "kind": kind, "forced": model.forced, "results": list(expressions)}
     return json.dumps(declared | {"equations": equations}, indent=1)
+
+
+def programs_in(function: ca.Function) -> list[str]:
+    """Names of the functions inside that are programs, as those of an FMU, and no expressions."""
+    return [inner.name() for inner in function.find_functions() if inner.class_name() in PROGRAMS]
 
 
 def read(path: str | Path) -> OdeModel:

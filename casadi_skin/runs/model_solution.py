@@ -75,6 +75,8 @@ def cycle(request: ModelRequest) -> Cycle:
     orbit, model, values = request.orbit, request.model, request.parameters
     if model.forced:
         length = orbit.cycles * _forcing_period(model, np.array(list(values.values())))
+        if not (math.isfinite(length) and length > 0.0):
+            raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
         t = np.linspace(before, before + length, SAMPLES)
         simulation = simulate(model, request.start, t if before == 0.0 else np.append(0.0, t), parameters=values)
@@ -83,7 +85,12 @@ def cycle(request: ModelRequest) -> Cycle:
         simulation = simulate(model, request.start, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
         return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
-    found = simulate(model, request.start, t, parameters=values).last_cycle()
+    simulated = simulate(model, request.start, t, parameters=values)
+    try:
+        found = simulated.last_cycle()
+    except ValueError as error:
+        reason = "perhaps it rests, or has not settled: another start, or a longer transient"
+        raise ValueError(f"[orbit] start: {error} ({reason})") from error
     section = request.condition(orbit.section)
     return found if section is None else _from_section(found, section[0] - section[1])
 

@@ -202,6 +202,8 @@ def check_export(scene: Scene) -> None:
         return
     if scene.chain.sites == math.inf:
         raise refusal("[export]", "with sites = inf", "with a whole number of sites")
+    if export.c is None and export.fmu is None:
+        raise refusal("[export]", "neither c nor fmu", "one of them, or both")
     if export.c not in (None, "all") and abs(scene.chain.gamma) == 1:
         for part in export.c:
             if part in ("flow", "residual", "newton", "ipopt"):

@@ -35,7 +35,7 @@ def search_model(
     *,
     guess: Guess,
     free: Sequence[str],
-    bounds: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     period: float | None = None,
     parameters: Mapping[str, float] | None = None,
     starts: int = 4,
@@ -62,7 +62,7 @@ def search_model(
             raise ValueError(f"{name}: given {shown(value)}; accepted: a whole number >= {least}")
     if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
         raise TypeError(f"executor: given {shown(executor)}; accepted: a concurrent.futures.Executor of processes")
-    search = _stated(model, guess, period, tuple(free), dict(bounds), dict(parameters or {}), options)
+    search = _stated(model, guess, period, tuple(free), dict(bounds or {}), dict(parameters or {}), options)
     if workers > 1 or executor is not None:
         search.model.__reduce__()  # raises ValueError for what cannot be sent to a process
     return search.run(search.starts(starts, seed), workers, executor, progress)
@@ -137,7 +137,12 @@ class _ModelSearch:
         for name in self.free:
             if name not in values:
                 raise ValueError(f"free: given {shown(name)}; accepted: {', '.join(values)}")
-            if count > 1 and not np.all(np.isfinite(self.bounds.get(name, (-np.inf, np.inf)))):
+            low, high = self.bounds.get(name, (-np.inf, np.inf))
+            if not low < high:
+                raise ValueError(
+                    f"bounds: given {shown((low, high))} for {name}; accepted: (lower, upper), lower < upper"
+                )
+            if count > 1 and not np.all(np.isfinite((low, high))):
                 raise ValueError(f"bounds: given no finite bounds of {name}; accepted: finite ones, or starts = 1")
         generator = np.random.default_rng(seed)
         drawn = [{name: generator.uniform(*self.bounds[name]) for name in self.free} for _ in range(count - 1)]

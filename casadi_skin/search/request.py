@@ -11,6 +11,7 @@ import casadi as ca
 
 from casadi_skin.arguments import number, numbers, shown
 from casadi_skin.models.chain import Chain
+from casadi_skin.models.declared import is_comparison
 from casadi_skin.search.names import FREE, NAMED, SHARED, nearest_name
 from casadi_skin.search.observables import ChainSymbols, Observables
 
@@ -242,6 +243,8 @@ def _check_expressions(request: SearchRequest) -> None:
     """Make every expression once, on two harmonics: names, kinds and shapes are refused here, before any solve."""
     _, orbits = request.symbols(harmonics=2)
     objective = _expression("objective", request, request.objective, orbits)
+    if objective.is_constant():
+        raise ValueError(f"objective: given the constant {objective}; accepted: a quantity of the orbit")
     if objective.shape != (1, 1):
         raise ValueError(f"objective: given an expression of shape {objective.shape}; accepted: a scalar")
     equalities = 0
@@ -272,6 +275,8 @@ def _expression(place: str, request: SearchRequest, quantity: Quantity, orbits: 
     if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
         raise TypeError(f"{place}: given a function that returns {shown(made)}; accepted: a CasADi expression")
     expression = ca.SX(made)
+    if is_comparison(expression):
+        raise ValueError(f"{place}: given a comparison, {shown(made)}; accepted: a difference, x - 1 for x == 1")
     if not (expression.is_column() and expression.numel() > 0):
         raise ValueError(f"{place}: given an expression of shape {expression.shape}; accepted: a scalar or a column")
     return expression

@@ -73,6 +73,7 @@ def test_cmake_builds_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tables", "told"),
     [
+        (("[export]\n",), "[export]: given neither c nor fmu; accepted: one of them, or both"),
         (('[export]\nc = ["rsh"]\n',), '[export] c: given "rsh" as item 1; did you mean "rhs"?'),
         (('[export]\nc = ["orbit"]\n',), '[export] c: given "orbit" without S; accepted: with S, that of the orbit'),
         (("[export]\nC = 'all'\n",), "[export] C: unknown key; did you mean 'c'?"),

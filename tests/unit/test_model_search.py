@@ -96,6 +96,9 @@ def test_a_model_that_was_pickled_is_the_same_model() -> None:
         ({"running": ca.SX.sym("stranger")}, "running: depends on stranger"),
         ({"parameters": {"om": 1.0}}, "parameters: given 'om'"),
         ({"guess": [0.0]}, "guess: "),
+        ({"running": Q == 1}, "running: given a comparison"),
+        ({"bounds": {"omega": (2.0, 1.0)}}, r"bounds: given \(2.0, 1.0\) for omega; accepted: \(lower, upper\)"),
+        ({"bounds": None}, "bounds: given no finite bounds of omega"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_any_solve(

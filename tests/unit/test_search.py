@@ -294,6 +294,8 @@ REFUSED: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"constraints": [("Omaga", 2, 3)]}, ValueError, "did you mean Omega"),
     ({"constraints": [("Omega", 2, 2), ("energy", 1, 1)]}, ValueError, "2 equalities with 1 free"),
     ({"constraints": [vector]}, ValueError, "6 equalities with 1 free"),
+    ({"constraints": [lambda o: o.Omega == 2.0]}, ValueError, "given a comparison"),
+    ({"objective": lambda o: 1.0}, ValueError, "objective: given the constant 1"),
     ({"S": [0.3, 0.5]}, ValueError, "with a list of S"),
     ({"S": -1.0}, ValueError, "S: given -1.0"),
     ({"mode": 9}, ValueError, "mode: given 9"),

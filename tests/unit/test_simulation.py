@@ -46,6 +46,11 @@ def test_a_state_at_rest_and_one_that_grows_have_no_cycle() -> None:
             simulate(model, [1.0], np.linspace(0.0, 5.0, 51)).last_cycle()
 
 
+def test_a_cycle_is_not_looked_for_in_a_few_output_times() -> None:
+    with pytest.raises(ValueError, match="last_cycle: given 2 output times; accepted: 40 or more"):
+        simulate(VAN_DER_POL, [0.1, 0.0], [0.0, 60.0]).last_cycle()
+
+
 def test_a_state_that_runs_away_is_told() -> None:
     with pytest.raises(IntegrationError, match=r"cvodes: .* it returned"):
         simulate(OdeModel("blow-up", X, X**2), [1.0], [0.0, 2.0])
