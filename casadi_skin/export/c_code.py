@@ -27,6 +27,7 @@ from casadi_skin.export.part import Part
 from casadi_skin.export.readme import cmake_text, readme_text
 from casadi_skin.export.subject import Subject, subject_of, wanted
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.chain import Chain
 from casadi_skin.models.ode import OdeModel
 
@@ -138,12 +139,12 @@ def _free(directory: str | Path) -> Path:
         raise TypeError(f"directory: given {shown(directory)}; accepted: a path")
     target = Path(directory)
     accepted = "accepted: an empty or new directory"
-    if target.exists() and not target.is_dir():
+    if not target.is_dir() and (target.exists() or target.is_symlink()):
         raise ValueError(f"{target}: is not a directory; {accepted}")
     held = sorted(path.name for path in target.iterdir()) if target.exists() else []
     if held:
         raise ValueError(f"{target}: holds {held[0]}{' and more' if len(held) > 1 else ''}; {accepted}")
-    parent = target.absolute().parent
+    parent = target.absolute()
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
@@ -152,18 +153,24 @@ def _free(directory: str | Path) -> Path:
 
 
 def _write(texts: Mapping[str, str], target: Path) -> None:
-    """All files, in a directory beside the target that takes its place when it is complete."""
-    parent = target.absolute().parent
-    parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=parent, prefix=f".{target.name}."))
+    """All files, moved to where they belong when they are complete.
+
+    An empty directory is filled, not replaced: it may be a link, or that in which the program runs.
+    """
+    target, there = target.absolute(), target.exists()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=target if there else target.parent, prefix=f".{target.name}."))
     try:
         for file, text in texts.items():
             (temporary / file).write_text(text, encoding="utf-8", newline="\n")
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)  # mkdtemp makes directories that only their owner can read
-        if target.exists():
-            target.rmdir()
-        temporary.rename(target)
+        with interrupts_deferred():
+            if there:
+                for file in texts:
+                    (temporary / file).rename(target / file)
+            else:
+                umask = os.umask(0)
+                os.umask(umask)
+                temporary.chmod(0o777 & ~umask)  # mkdtemp makes directories that only their owner can read
+                temporary.rename(target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

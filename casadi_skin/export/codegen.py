@@ -26,6 +26,11 @@ KEYWORDS = frozenset(
      "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile",
      "while", "null", "jac", "hess")
 )  # fmt: skip
+HEADERS = frozenset(  # of the system: a NAME.h beside the sources would take their place
+    ("assert", "complex", "ctype", "errno", "features", "fenv", "float", "inttypes", "iso646", "limits", "locale",
+     "math", "setjmp", "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio", "stdlib", "string", "tgmath",
+     "time", "wchar", "wctype")
+)  # fmt: skip
 
 
 class CodegenError(ValueError):
@@ -67,16 +72,10 @@ class CSource:
         return next(function for function in self.functions if function.name == name)
 
 
-def c_name(words: str, taken: Collection[str] = ()) -> str:
-    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and not `taken`."""
+def c_name(words: str) -> str:
+    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header."""
     stem = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_") or "model"
-    if not stem[0].isalpha() or stem in KEYWORDS:
-        stem = f"m_{stem}"
-    name, count = stem, 1
-    while name in taken:
-        count += 1
-        name = f"{stem}_{count}"
-    return name
+    return stem if stem[0].isalpha() and stem not in KEYWORDS | HEADERS else f"m_{stem}"
 
 
 def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> CSource:

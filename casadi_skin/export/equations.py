@@ -62,6 +62,7 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 def rhs_part(subject: Subject) -> Part:
+    """The right-hand side."""
     function = subject.model.function(f"{subject.name}_generated_rhs", ca.densify(subject.model.full_rhs))
     prototype = f"int @p_rhs({GIVEN}, double *dxdt, double *work)"
     call = Call(prototype, function, ("&t", "x", "p"), ("dxdt",))
@@ -69,6 +70,7 @@ def rhs_part(subject: Subject) -> Part:
 
 
 def jacobian_part(subject: Subject) -> Part:
+    """The right-hand side with its sparse Jacobian and the derivatives by the parameters."""
     model = subject.model
     dfdx = ca.jacobian(model.full_rhs, model.full_state)
     results = (ca.densify(model.full_rhs), dfdx, ca.densify(ca.jacobian(model.full_rhs, model.parameters)))
@@ -91,12 +93,14 @@ def jacobian_part(subject: Subject) -> Part:
 
 
 def pattern_declaration(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMNS) -> str:
+    """Declarations of what `pattern` defines."""
     starts, places = names
     sizes = sparsity.size2() + 1, max(1, sparsity.nnz())
     return f"extern const int {name}_{starts}[{sizes[0]}];\nextern const int {name}_{places}[{sizes[1]}];"
 
 
 def variational_part(subject: Subject) -> Part:
+    """The variational equations, through the Jacobian."""
     jacobian = jacobian_part(subject)
     nonzeros, work = (size.value for size in jacobian.sizes)
     prototype = (
@@ -116,6 +120,7 @@ def variational_part(subject: Subject) -> Part:
 
 
 def outputs_part(subject: Subject) -> Part:
+    """The outputs that the model names."""
     outputs = subject.model.outputs
     results = ca.densify(ca.vertcat(*outputs.values()))
     function = subject.model.function(f"{subject.name}_generated_outputs", results)

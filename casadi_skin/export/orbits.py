@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.export.ctext import Call, comment, doubles, pattern
+from casadi_skin.export.ctext import Call, comment, doubles, pattern, plain
 from casadi_skin.export.equations import pattern_declaration
 from casadi_skin.export.part import Part, Size, called, declared
 from casadi_skin.export.subject import Subject
 from casadi_skin.families.orbit import Orbit
+from casadi_skin.stability.result import Floquet
 
 SMALL = 3  # half-bandwidths below which a band saves nothing
 REPORT = """typedef struct {
@@ -150,12 +151,19 @@ def orbit_part(subject: Subject) -> Part:
     )
 
 
+def floquet_of(orbit: Orbit) -> Floquet | str:
+    """The orbit's multipliers, or why there are none, as of a chain that is too long."""
+    try:
+        return orbit.floquet()
+    except (ValueError, ArithmeticError) as error:
+        return " ".join(str(error).split())
+
+
 def _multipliers(orbit: Orbit) -> tuple[list[str], list[str]]:
     """Definitions and declarations of the orbit's multipliers, or a comment that tells why they are not there."""
-    try:
-        floquet = orbit.floquet()
-    except (ValueError, ArithmeticError) as error:
-        return [], [comment(f"Its multipliers are not here: {' '.join(str(error).split())}")]
+    floquet = floquet_of(orbit)
+    if isinstance(floquet, str):
+        return [], [comment(f"Its multipliers are not here: {plain(floquet)}")]
     values = np.asarray(floquet.multipliers)
     largest = float(floquet.max_abs_multiplier)
     definitions = [

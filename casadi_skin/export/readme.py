@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 from casadi_skin.export.ctext import plain
 from casadi_skin.export.mainprogram import CHAIN_S
+from casadi_skin.export.orbits import floquet_of
 from casadi_skin.export.part import Part
 from casadi_skin.export.subject import WHAT, Subject
 
@@ -90,8 +91,8 @@ def _expected(subject: Subject, parts: Mapping[str, Part]) -> str:
         return ""
     period = "period" if "newton" in parts else "orbit_period"
     lines = [f"{period} {orbit.period:.17g} (estimated error {orbit.period * orbit.Omega_error / orbit.Omega:.1g})"]
-    if "flow" in parts:
-        floquet = orbit.floquet()
+    floquet = floquet_of(orbit) if "flow" in parts else ""
+    if not isinstance(floquet, str):
         words = f"(estimated error {floquet.error:.1g})"
         lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
     told = "\n".join(lines)

@@ -32,6 +32,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 }
 IN_THE_GAUGE = ("flow", "residual", "newton", "ipopt")  # of a chain or an orbit
 OPTIONAL = ("ipopt",)  # not exported unless asked for: it needs more than libm
+LONGEST_NAME = 60  # characters: names of files are made of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +120,11 @@ def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
 
 
 def _name(words: str, given: str | None) -> str:
-    name = c_name(words)
+    if not isinstance(words, str):
+        raise TypeError(f"name: given {shown(given)}; accepted: a string")
+    name = c_name(words[:LONGEST_NAME])
     if given is not None and given != name:
-        accepted = f"lower-case letters, digits and single underscores, such as {name}"
+        accepted = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {name}"
         raise ValueError(f"name: given {shown(given)}; accepted: {accepted}")
     return name
 

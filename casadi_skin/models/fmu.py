@@ -17,9 +17,9 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number
+from casadi_skin.arguments import number, shown
 from casadi_skin.models.fmu_archive import unpack
-from casadi_skin.models.fmu_derivatives import Derivatives, Pattern, Value
+from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
 from casadi_skin.models.fmu_instance import FmuInstance
 from casadi_skin.models.ode import OdeModel
@@ -56,6 +56,11 @@ class FmuModel(OdeModel):
         return max(f.derivatives.difference.largest_error for f in self.functions)
 
     @property
+    def rounding(self) -> float:
+        """Relative error of values: what makes differences with their step wrong by `noise`."""
+        return max(super().rounding, STEP * self.noise)
+
+    @property
     def complaints(self) -> tuple[str, ...]:
         """The FMU's last messages, as where it could not compute a value, which then is NaN."""
         return tuple(self.instance.complaints)
@@ -69,7 +74,7 @@ class FmuModel(OdeModel):
         raise ValueError(f"{self.name}: cannot be pickled: its equations are those of a program, the FMU")
 
     def close(self) -> None:
-        """Free the FMU and remove its folder; its functions must not be called afterwards."""
+        """Free the FMU and remove its folder; its functions fail afterwards."""
         self.instance.close()
 
 
@@ -81,8 +86,11 @@ def from_fmu(
     forcing_period: float | None = None,
 ) -> FmuModel:
     """See `OdeModel.from_fmu`."""
-    if forcing_period is not None:
-        number("forcing_period", forcing_period)
+    if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
+        raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
+    for label, names in (("states", states), ("parameters", parameters)):
+        if isinstance(names, str) or not all(isinstance(name, str) for name in names or ()):
+            raise ValueError(f"{label}: given {shown(names)}; accepted: a list of names")
     unpacked = unpack(path)
     try:
         chosen = [_parameter(name, unpacked.description) for name in parameters]
@@ -152,8 +160,9 @@ def _offers_derivatives(instance: FmuInstance) -> bool:
 
 
 def _size(variable: Any, start: float) -> float:
-    """Usual size of a state: its nominal value where it has one."""
-    return abs(float(variable.nominal)) if variable.nominal else max(1.0, abs(start))
+    """Usual size of a state: its nominal value where it has one that can be."""
+    nominal = abs(float(variable.nominal or 0.0))
+    return nominal if 0.0 < nominal < np.inf else max(1.0, abs(start))
 
 
 def _declared(unknowns: list[Any], states: list[Any]) -> Pattern:
@@ -173,9 +182,14 @@ def _declared(unknowns: list[Any], states: list[Any]) -> Pattern:
 
 def _check_description(path: str | Path, description: Any, states: Sequence[str] | None) -> None:
     """Raises ValueError for a model without states, with events, or other states than those named."""
+    strange = [entry.variable.name for entry in description.derivatives if entry.variable.derivative is None]
+    if strange:
+        raise ValueError(f"{path}: {strange[0]} is listed as a derivative, but of no state; accepted: derivatives")
     names = [entry.variable.derivative.name for entry in description.derivatives]
     if not names:
         raise ValueError(f"{path}: no continuous states; accepted: a model with some")
+    for variable in description.modelVariables:
+        _check_numbers(path, variable)
     arrays = [e.variable.derivative.name for e in description.derivatives if getattr(e.variable, "dimensions", None)]
     if arrays:
         raise ValueError(f"{path}: states that are arrays, {', '.join(arrays)}; accepted: scalar states")
@@ -191,6 +205,18 @@ def _check_description(path: str | Path, description: Any, states: Sequence[str]
     if missing or len(set(states)) < len(states):
         words = ", ".join(missing or sorted({name for name in states if list(states).count(name) > 1}))
         raise ValueError(f"states: {'left out' if missing else 'twice'}: {words}; accepted: each of the FMU's once")
+
+
+def _check_numbers(path: str | Path, variable: Any) -> None:
+    """Raises ValueError where the start or the nominal value of a real scalar is no number."""
+    if variable.type not in _REAL or getattr(variable, "dimensions", None):
+        return
+    for label, text in (("start", variable.start), ("nominal", variable.nominal)):
+        try:
+            float(text or 0.0)
+        except ValueError:
+            given = f"{label} value {shown(text)} of {variable.name}"
+            raise ValueError(f"{path}: {given}; accepted: a number") from None
 
 
 def _parameter(name: str, description: Any) -> Any:

@@ -54,9 +54,9 @@ class FmuInstance:
         self.start_parameters = np.array([_start(v) for v in self.parameters])
         try:
             self._restart(self.start_parameters)
+            self.start = self._states()
         except Exception as error:
             raise self._refused("it cannot be initialised", error) from error
-        self.start = self._states()
 
     def close(self) -> None:
         """Free the instance and remove its folder; done when nothing refers to it any more, or at the end."""
@@ -186,7 +186,12 @@ class FmuInstance:
         raise self._refused("its events do not end", None)
 
     def _move(self, t: float, x: Array, p: Array) -> bool:
-        """Bring the instance to a time, state and parameters; False where it refuses them."""
+        """Bring the instance to a time, state and parameters; False where it refuses them.
+
+        Raises ValueError after `close`: what would be called is no longer there.
+        """
+        if not self._finalizer.alive:
+            raise ValueError(f"{self.path}: closed; accepted: calls before that")
         if not self._ask(self._parameterise, p):
             self._restart(self.start_parameters)  # it may be left in Event Mode
             return False

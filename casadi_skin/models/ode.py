@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from casadi_skin.models.fmu import FmuModel
 
 Signs = tuple[int, ...]
+EPSILON = sys.float_info.epsilon
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,11 @@ class OdeModel:
     def forced(self) -> bool:
         """Whether time enters the right-hand side by itself."""
         return self.time is not None
+
+    @property
+    def rounding(self) -> float:
+        """Relative error of the right-hand side's values: that of doubles; models whose values are worse tell so."""
+        return EPSILON
 
     @cached_property
     def vector_field(self) -> ca.Function:

@@ -7,6 +7,7 @@ import re
 import resource
 import shutil
 import subprocess
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -230,6 +231,18 @@ def test_the_orbit_as_data(library: Library, orbit: Orbit) -> None:
     np.testing.assert_array_equal(multipliers, orbit.floquet().multipliers)
 
 
+def test_an_orbit_without_multipliers(orbit: Orbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of chains that are too long for them: the rest is written all the same."""
+
+    def too_long(self: Orbit) -> None:
+        raise ValueError("sites: given 6000; accepted: up to 5000")
+
+    monkeypatch.setattr(Orbit, "floquet", too_long)
+    directory = export_c(orbit, tmp_path / "c")
+    assert "multipliers are not here: sites: given 6000; accepted: up to 5000" in (directory / "chain.h").read_text()
+    assert "largest_multiplier 1" not in (directory / "README.md").read_text()
+
+
 def test_residual_and_newton(library: Library, orbit: Orbit) -> None:
     problem, z = orbit.point.problem, orbit.point.z * 1.01
     R, nonzeros = np.zeros(library["EQUATIONS"]), np.zeros(library["RESIDUAL_NONZEROS"])
@@ -390,11 +403,12 @@ def test_long_blocks_in_parts_compute_the_same(tmp_path: Path) -> None:
         ("", "model"),
         ("Müller*/", "m_ller"),
         ("a__b", "a_b"),
+        ("Math", "m_math"),
+        ("stddef", "m_stddef"),
     ],
 )
 def test_names(words: str, wanted: str) -> None:
     assert c_name(words) == wanted
-    assert c_name(words, {wanted}) == f"{wanted}_2"
 
 
 def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
@@ -426,6 +440,8 @@ def test_arguments_that_are_refused(orbit: Orbit, tmp_path: Path) -> None:
         ({"source": Chain(np.inf, 1.0, 0.25, 1.0)}, ValueError, "sites: given inf"),  # type: ignore[arg-type]
         ({"what": "rhs"}, TypeError, "what: given 'rhs'; accepted: a list"),
         ({"name": "My Chain"}, ValueError, "name: given 'My Chain'; accepted: .* my_chain"),
+        ({"name": "a" * 61}, ValueError, "name: given 'aaa.*; accepted: up to 60 lower-case letters"),
+        ({"name": 5}, TypeError, "name: given 5; accepted: a string"),
         ({"harmonics": 1}, ValueError, "harmonics: given 1"),
         ({"source": forced_oscillator(), "what": ["newton"]}, ValueError, "a model alone has no orbit"),
         ({"source": Chain(4, 1.0, 1.0, 1.0), "what": ["flow"]}, ValueError, "the gauge holds the edge site alone"),
@@ -446,8 +462,39 @@ def test_directories_that_are_refused(tmp_path: Path) -> None:
         export_c(SOFT, tmp_path / "held")
     with pytest.raises(ValueError, match="is not a directory"):
         export_c(SOFT, tmp_path / "held" / "mine.txt")
+    (tmp_path / "nowhere").symlink_to(tmp_path / "not there")
+    with pytest.raises(ValueError, match="is not a directory"):
+        export_c(SOFT, tmp_path / "nowhere")
     assert export_c(SOFT, tmp_path / "empty", ["rhs"]) == tmp_path / "empty"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "held"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "held", "nowhere"]
+
+
+def test_an_empty_directory_is_filled_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one in which the program runs, and one behind a link; an interruption leaves nothing in it."""
+    for name in ("here", "behind"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "behind")
+    monkeypatch.chdir(tmp_path / "here")
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", raising(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            export_c(SOFT, ".", ["rhs"])
+    assert list(Path.cwd().iterdir()) == []
+    export_c(SOFT, ".", ["rhs"])
+    export_c(SOFT, tmp_path / "link", ["rhs"])
+    names = {"CMakeLists.txt", "README.md", "chain.c", "chain.h", "chain_generated.c", "main.c"}
+    assert {path.name for path in Path.cwd().iterdir()} == names
+    assert {path.name for path in (tmp_path / "behind").iterdir()} == names
+    assert (tmp_path / "link").is_symlink()
+
+
+def raising(kind: type[BaseException]) -> Callable[..., None]:
+    """A function that raises."""
+
+    def fail(*arguments: object, **named: object) -> None:
+        raise kind
+
+    return fail
 
 
 def test_what_is_no_c_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -82,6 +82,26 @@ def test_fmpy_finds_no_fault_in_the_whole_chain_and_its_other_files(chain_fmu: P
             etree.XMLSchema(etree.parse(str(schema))).assertValid(terminals)
 
 
+@pytest.mark.parametrize("name", ["van der Pol (forced)", "need", "Größe", "", "a__b", "int", "x" * 300])
+def test_any_name_gives_an_fmu(name: str, tmp_path: Path) -> None:
+    """The interface has functions need_derivatives and need_outputs of its own; CasADi takes no two underscores."""
+    x, k = ca.SX.sym("x", 2), ca.SX.sym("double")
+    path = export_fmu(OdeModel(name, x, ca.vertcat(x[1], -k * x[0]), k, nominal=(1.0,)), tmp_path / "named.fmu")
+    assert validate_fmu(str(path)) == []
+    assert fmpy.read_model_description(str(path)).modelName == name
+
+
+@pytest.mark.parametrize("gamma", [-1.0, 1.0])
+def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
+    path = export_fmu(Chain(4, 1.0, gamma, 1.0), tmp_path / "chain.fmu", S=0.5)
+    assert validate_fmu(str(path)) == []
+    result = fmpy.simulate_fmu(str(path))
+    assert result.dtype.names == ("time", *(f"y_{n}" for n in range(1, 5)), "S")
+    assert np.all(np.isfinite(result["S"]))
+    with zipfile.ZipFile(path) as archive:
+        assert b"energy" not in archive.read("documentation/index.html")
+
+
 def test_license_inside_is_that_of_the_project() -> None:
     inside = resources.files("casadi_skin.export.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
     assert inside == (Path(__file__).parents[2] / "LICENSE").read_text(encoding="utf-8")
@@ -472,6 +492,8 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
         ((CHAIN, path), {"stop_time": 0.0}, "stop_time: given 0.0"),
         ((CHAIN, path), {"tolerance": 1.0}, "tolerance: given 1.0"),
         ((OdeModel("line", x, p * x, p), path), {}, "line: no nominal values of p"),
+        ((OdeModel("a\x01b", x, -x), path), {}, r"name: given 'a\\x01b'; accepted: printable characters"),
+        ((OdeModel("line", x, -x, outputs={"der(x)": x}), path), {}, r"line: several variables named der(x\)"),
     ]
     for arguments, keywords, words in cases:
         with pytest.raises(ValueError, match=words.replace("(", r"\(")) as refused:

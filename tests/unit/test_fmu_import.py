@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import pickle
+import re
 import stat
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import zipfile
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,7 +22,7 @@ import pytest
 from foreign_fmus import casadi_van_der_pol, changed, recompiled
 from numpy.typing import NDArray
 
-from casadi_skin import Chain, OdeModel, find_orbit, follow_family, simulate
+from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_orbit, follow_family, simulate
 from casadi_skin.dynamics import evolve
 from casadi_skin.export.fmu import export_fmu
 from casadi_skin.integrators import cvodes, dop853
@@ -127,6 +129,22 @@ def test_differences_where_no_derivatives_are_offered_know_their_error(chain_fmu
     assert 0.0 < largest < 1e-11
     assert largest / 2 < model.noise < 1e-10
     assert found.nnz_out(1) == expected.nnz_out(1)
+
+
+@pytest.mark.slow
+def test_error_estimates_know_the_noise_of_the_fmu(tmp_path: Path) -> None:
+    """x'' = -lambda x with noise of 1e-7: a tolerance below that is not met, which is told, with an honest error."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("lambda")
+    noise = 1e-7 * ca.sin(1e13 * (x[0] + 0.3 * x[1]))
+    noisy = OdeModel("noisy", x, ca.vertcat(x[1] + noise, -p * x[0] - noise), p, nominal=(1.0,))
+    model = OdeModel.from_fmu(export_fmu(noisy, tmp_path / "noisy.fmu"), parameters=["lambda"])
+    start, end = model.start(model.state), model.end(model.state)
+    problem = BoundaryValueProblem(model, [start[0], end[0] - 1.0], interval=(0.0, 1.0))
+    solution = problem.solve([1.0, 1.0], tolerance=1e-12, corrector="newton")
+    assert 1e-6 < model.noise < 1e-2
+    error = np.abs(solution.states[:, 0] - np.sin(solution.t) / np.sin(1.0)).max()
+    assert solution.at_round_off
+    assert 1e-9 < error < solution.error < 1e-5
 
 
 def test_derivatives_and_dependencies_that_are_wrong_are_not_used(chain_fmu: Path, tmp_path: Path) -> None:
@@ -317,6 +335,9 @@ def test_hostile_archives_are_refused(chain_fmu: Path, own_temporary_folder: Pat
     entities = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]>' + xml.partition(b"?>")[2]
     path = archive_of(tmp_path / "entities.fmu", **{"modelDescription.xml": entities})
     assert "declares entities" in refusal(path)
+    wide = entities.decode().replace('version="1.0"', 'version="1.0" encoding="UTF-16"', 1).encode("utf-16")
+    path = archive_of(tmp_path / "wide.fmu", **{"modelDescription.xml": wide})
+    assert "declares entities" in refusal(path)
     assert not (tmp_path / "evil.txt").exists()
 
 
@@ -372,6 +393,47 @@ def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_fol
     assert refusal(path).endswith(f"event indicators, {2 if fmi2 else 1} of them; accepted: a model without events")
     path = changed(chain_fmu, tmp_path / "cs.fmu", {"modelDescription.xml": without_exchange})
     assert refusal(path).endswith("no Model Exchange, Co-Simulation alone; accepted: an FMU with Model Exchange")
+
+
+def test_descriptions_that_say_nonsense_are_refused(
+    chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path
+) -> None:
+    def with_(pattern: bytes, replacement: bytes) -> Path:
+        edit = {"modelDescription.xml": lambda text: re.sub(pattern, replacement, text)}
+        return changed(chain_fmu, tmp_path / "strange.fmu", edit)
+
+    assert refusal(with_(rb'start="[^"]*"', b'start="abc"')).endswith(
+        "strange.fmu: start value 'abc' of y_1; accepted: a number"
+    )
+    assert "nominal value 'abc' of y_1; accepted" in refusal(with_(rb'nominal="[^"]*"', b'nominal="abc"'))
+    assert "listed as a derivative, but of no state" in refusal(with_(rb' derivative="[^"]*"', b""))
+    lost = rb'<ContinuousStateDerivative valueReference="9"[^>]*>|(?<=<Derivatives>)\s*<Unknown[^>]*>'
+    assert "it cannot be initialised" in refusal(with_(lost, b""))
+    for nominal in (b"0.0", b"NaN", b"INF"):  # which no state can have
+        model = OdeModel.from_fmu(with_(rb'nominal="[^"]*"', b'nominal="%s"' % nominal))
+        assert model.derivatives == "directional"
+        np.testing.assert_array_equal(model.functions[0].derivatives.scale, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"parameters": "g"}, "parameters: given 'g'; accepted: a list of names"),
+        ({"states": [3]}, r"states: given \[3\]; accepted: a list of names"),
+        ({"forcing_period": 0.0}, "forcing_period: given 0.0; accepted: a number > 0"),
+    ],
+)
+def test_arguments_that_are_refused(chain_fmu: Path, arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=f"^{words}$"):
+        OdeModel.from_fmu(chain_fmu, **arguments)
+
+
+def test_a_closed_model_fails(chain_fmu: Path) -> None:
+    model = OdeModel.from_fmu(chain_fmu)
+    model.close()
+    model.close()
+    with pytest.raises(RuntimeError, match="closed; accepted: calls before that"):
+        model.vector_field(0.0, model.start_state, [])
 
 
 def test_fmpy_is_asked_for_where_it_is_missing(chain_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,12 @@ from casadi_skin.export.fmu.description import Description, Variable
 
 _STYLE = "body{font-family:sans-serif;max-width:50em;margin:2em auto}td,th{text-align:left;padding:0 1em 0 0}"
 
+_ENERGY = """<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub>
+eta<sub>n</sub> with rho = 1 at the edge that the modes lean to (the last site for gamma &ge; 0, the first one below).
+The equations keep it; a solver in y does so up to its errors at the far end, which enter weighted by
+1/rho<sub>n</sub><sup>2</sup>. It is infinite at |gamma| = 1.</p>
+"""
+
 
 def page(description: Description, fmi: str) -> str:
     """documentation/index.html: what the model is, its variables, how it was made and how it is compiled elsewhere."""
@@ -57,16 +63,11 @@ of mathematical functions. For example, with those headers in <code>fmi</code>:<
 def _chain_words(description: Description) -> str:
     if "energy" not in description.subject.meanings:
         return ""
-    return """<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
+    energy = _ENERGY if "energy" in description.subject.model.outputs else ""
+    return f"""<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
 - alpha y<sub>n</sub> - g y<sub>n</sub><sup>3</sup>, n = 1..N, with y<sub>0</sub> = y<sub>N+1</sub> = 0
 (B. Many Manda, arXiv:2512.17483, Eq. 1).</p>
-<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub> eta<sub>n</sub> with
-rho = 1 at the edge that the modes lean to (the last site for gamma &ge; 0, the first one below). The equations keep
-it; a
-solver in y does so up to its errors at the far end, which enter weighted by 1/rho<sub>n</sub><sup>2</sup>. It is
-infinite
-at |gamma| = 1. <code>S</code> is the sum of the squared displacements at each time; where all velocities vanish it is
-the
+{energy}<p><code>S</code> is the sum of the squared displacements at each time; where all velocities vanish it is the
 amplitude of the orbit.</p>"""
 
 

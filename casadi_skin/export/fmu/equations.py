@@ -52,7 +52,8 @@ class Equations:
         )
 
     def _function(self, name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-        return ca.Function(f"{self.identifier}_{name}", arguments, [ca.densify(result) for result in results])
+        whole = f"{self.identifier}_equations_{name}"  # no name of the interface ends so
+        return ca.Function(whole, arguments, [ca.densify(result) for result in results])
 
     @cached_property
     def depends(self) -> Pattern:

@@ -16,6 +16,7 @@ from casadi_skin.models.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.linear import Array
 
+LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
 PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
 DEFAULT_S = 0.01  # amplitude of a start from a linear mode: small, so that the mode is nearly an orbit
 
@@ -42,9 +43,9 @@ class Subject:
 
     @property
     def identifier(self) -> str:
-        """The model's name as an identifier of C."""
-        name = re.sub(r"\W", "_", self.model.name, flags=re.ASCII)
-        return name if name[:1].isalpha() else f"model_{name}"
+        """The model's name as an identifier of C: letters, digits and single underscores."""
+        name = re.sub(r"[\W_]+", "_", self.model.name, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        return name if name[0].isalpha() else f"model_{name}"
 
     @property
     def nominal(self) -> float:
@@ -85,6 +86,7 @@ def chain_with_outputs(chain: Chain) -> OdeModel:
     """The chain in physical coordinates y, then v, with parameters alpha, gamma, g and outputs energy and S.
 
     Written in whole vectors: the C that CasADi generates of it has loops, and hardly grows with the number of sites.
+    At |gamma| = 1 the energy is infinite, and left out.
     """
     sites = chain.sites
     x, p = ca.MX.sym("x", 2 * sites), ca.MX.sym("p", 3)
@@ -94,12 +96,13 @@ def chain_with_outputs(chain: Chain) -> OdeModel:
     below, above = (edge, edge) if sites == 1 else (ca.vertcat(edge, y[:-1]), ca.vertcat(y[1:], edge))
     force = (1 + gamma) * below + (1 - gamma) * above - (2 + alpha) * y - g * y**3
     names = [f"{letter}_{n}" for letter in "yv" for n in range(1, sites + 1)]
+    conserved = {} if abs(chain.gamma) == 1 else {"energy": _energy(y, v, alpha, gamma, g)}
     return OdeModel(
         name="chain",
         state=x,
         rhs=ca.vertcat(v, force),
         parameters=p,
-        outputs={"energy": _energy(y, v, alpha, gamma, g), "S": ca.sumsqr(y)},
+        outputs=conserved | {"S": ca.sumsqr(y)},
         nominal=(chain.alpha, chain.gamma, chain.g),
         state_labels=tuple(names),
         parameter_labels=("alpha", "gamma", "g"),
@@ -169,7 +172,11 @@ def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None,
         raise ValueError(f"{model.name}: no nominal values of {', '.join(model.parameter_names)}; accepted: one each")
     parameters = tuple(float(value) for value in model.nominal or ())
     given = (0.0,) * count if start is None else _start(start, *{model.size, count})
-    names = [*model.state_names, *model.parameter_names, *model.outputs, "time"]
+    names = [*model.state_names, *(f"der({name})" for name in model.state_names)]
+    names += [*model.parameter_names, *model.outputs, "time"]
+    strange = [name for name in (model.name, *names) if not name.isprintable()]
+    if strange:
+        raise ValueError(f"name: given {shown(strange[0])}; accepted: printable characters, for XML takes no others")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(

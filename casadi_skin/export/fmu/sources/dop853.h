@@ -101,7 +101,7 @@ static int integrate(Instance *c, const char *function, double end) {
             const int last = h >= span * (1.0 - 1e-12);
             if (last) h = span;
             else if (h > 0.5 * span) h = 0.5 * span; /* two steps alike instead of one and a small rest */
-            if (c->now.time + 0.01 * h == c->now.time) goto failed; /* no digits are left */
+            if (c->now.time + 0.01 * h == c->now.time || !isfinite(h)) goto failed; /* no digits are left */
             if (stages(c, h)) {
                 h *= 0.2;
                 continue;
