@@ -71,7 +71,7 @@ def test_a_missing_compiler_is_named(
     monkeypatch.setenv("CC", "no-such-compiler")
     scene = scene_file(tmp_path, '[export]\nfmu = "chain.fmu"\n')
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
-    assert "compiler: no-such-compiler not found" in capsys.readouterr().err
+    assert "compiler: 'no-such-compiler' not found" in capsys.readouterr().err
     assert not (tmp_path / "out" / "chain.fmu").exists()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import zipfile
 from importlib import resources
@@ -404,7 +405,7 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("model", ["chain", "duffing"])
 def test_sources_compile_without_a_warning(chain_fmu: Path, tmp_path: Path, compiler: str, model: str) -> None:
-    if build.shutil.which(compiler) is None:
+    if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     path = chain_fmu
     if model == "duffing":
@@ -502,10 +503,18 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
     with pytest.raises(TypeError, match="what: given 3; accepted: a Chain, an Orbit or an OdeModel"):
         export_fmu(3, path)
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(ValueError, match=r"compiler: no-such-compiler not found; accepted: CC=.* or binary=False"):
+    with pytest.raises(ValueError, match=r"compiler: 'no-such-compiler' not found; accepted: .*CC=.* or binary=False"):
         export_fmu(CHAIN, path)
     monkeypatch.setattr(build, "find_spec", lambda name: None)
     monkeypatch.delenv("CC")
     with pytest.raises(ValueError, match=r"fmpy is not installed; accepted: pip install 'casadi-skin\[fmu\]'"):
         export_fmu(CHAIN, path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("given", [{"mode": 1}, {"S": 1.0}])
+def test_mode_and_S_are_of_chains(given: dict[str, float], tmp_path: Path) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match=f"{next(iter(given))}: given .*; accepted: with a Chain"):
+        export_fmu(OdeModel("decay", x, -x), tmp_path / "m.fmu", **given)
+    assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ from casadi_skin.export.fmu.config import config_header
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
 from casadi_skin.export.fmu.documentation import icon, page
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.subject import DEFAULT_S, Subject, subject_of
+from casadi_skin.export.fmu.subject import Subject, subject_of
 from casadi_skin.families.orbit import Orbit
 from casadi_skin.files import replacing
 from casadi_skin.models.chain import Chain
@@ -35,20 +35,21 @@ def export_fmu(
     fmi: Fmi = "3.0",
     *,
     start: ArrayLike | None = None,
-    mode: int | str = 1,
-    S: float = DEFAULT_S,
+    mode: int | str | None = None,
+    S: float | None = None,
     stop_time: float | None = None,
     tolerance: float = 1e-8,
     binary: bool = True,
 ) -> Path:
     """Write a chain, an orbit or a model as an FMU for Model Exchange and Co-Simulation, of FMI 3.0 or 2.0.
 
-    A chain starts from its linear `mode` with amplitude `S` (sum of y_n^2), an orbit from its phase zero, a model from
-    zero, unless `start` gives displacements, or these and velocities (of a model of first order its states).
-    Parameters, alpha, gamma and g of a chain, are tunable; outputs are the displacements (or states), the model's
-    outputs, and of a chain S and its energy, the Hamiltonian of the gauge with rho = 1 at the edge that the modes lean
-    to. `stop_time` (10 periods unless given) and `tolerance` are those of the default experiment. The sources are
-    inside; `binary` says whether they are compiled for this platform as well. The model is dimensionless.
+    A chain starts from its linear `mode` (1 unless given) with amplitude `S` (sum of y_n^2, 0.01 unless given), an
+    orbit from its phase zero, a model from zero, unless `start` gives displacements, or these and velocities (of a
+    model of first order its states). Parameters, alpha, gamma and g of a chain, are tunable; outputs are the
+    displacements (or states), the model's outputs, and of a chain S and its energy, the Hamiltonian of the gauge with
+    rho = 1 at the edge that the modes lean to. `stop_time` (10 periods unless given) and `tolerance` are those of the
+    default experiment. The sources are inside; `binary` says whether they are compiled for this platform as well. A
+    file that is there is replaced. The model is dimensionless.
 
     Raises TypeError or ValueError, in one line, for arguments that are out of range, a model of which no C can be
     generated, and where fmpy, which has the headers of the standard, or a C compiler is missing.

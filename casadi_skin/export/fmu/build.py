@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from casadi_skin.export.compiler import CompilerError, compile_with, find_compiler
 from casadi_skin.models.fmu_archive import FMPY_MISSING
 
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
-COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
 
 
 def headers() -> Path:
@@ -24,22 +21,16 @@ def headers() -> Path:
 
 
 def compiler() -> str:
-    """The C compiler: $CC, or the first of cc, gcc, clang; raises ValueError where there is none."""
-    named = os.environ.get("CC")
-    for name in [named] if named else COMPILERS:
-        path = shutil.which(name)
-        if path is not None:
-            return path
-    missing = named or ", ".join(COMPILERS)
-    raise ValueError(f"compiler: {missing} not found; accepted: CC=path/to/compiler, or binary=False (sources alone)")
+    """The C compiler; raises CompilerError where there is none."""
+    try:
+        return find_compiler()
+    except CompilerError as error:
+        raise CompilerError(f"{error}, or binary=False (sources alone)") from error
 
 
 def compile_library(folder: Path, files: Iterable[str], target: Path, flags: Sequence[str] = ()) -> Path:
-    """Compile C files of a folder into one shared library; raises ValueError with the compiler's first complaint."""
-    command = [compiler(), *FLAGS, *flags, f"-I{headers()}", f"-I{folder}", *(str(folder / name) for name in files)]
+    """Compile C files of a folder into one shared library; raises CompilerError with the compiler's first complaint."""
+    sources = [str(folder / name) for name in files]
     target.parent.mkdir(parents=True, exist_ok=True)
-    done = subprocess.run([*command, "-o", str(target), "-lm"], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["?"]
-        raise ValueError(f"compiler: {command[0]} failed: {lines[0]}")
+    compile_with(compiler(), [*FLAGS, *flags, f"-I{headers()}", f"-I{folder}", *sources, "-o", str(target), "-lm"])
     return target

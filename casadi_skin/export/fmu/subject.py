@@ -56,8 +56,8 @@ class Subject:
 def subject_of(
     what: Chain | Orbit | OdeModel,
     start: ArrayLike | None,
-    mode: int | str,
-    S: float,
+    mode: int | str | None,
+    S: float | None,
     stop_time: float | None,
     tolerance: float,
 ) -> Subject:
@@ -67,6 +67,10 @@ def subject_of(
         raise ValueError(f"stop_time: given {chosen!r}; accepted: a finite number > 0")
     if not 1e-14 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-14 to 1e-2")
+    if not isinstance(what, Chain):
+        for name, given in (("mode", mode), ("S", S)):
+            if given is not None:
+                raise ValueError(f"{name}: given {given!r}; accepted: with a Chain, which starts from a linear mode")
     if isinstance(what, OdeModel):
         return _of_model(what, start, chosen, tolerance)
     if isinstance(what, Orbit):
@@ -75,6 +79,7 @@ def subject_of(
         raise TypeError(f"what: given {shown(what)}; accepted: a Chain, an Orbit or an OdeModel")
     if what.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
+    mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
     period = 2.0 * np.pi / what.linear_frequency(mode)
     return _of_chain(what, _linear_mode(what, mode, S) if start is None else start, period, chosen, tolerance)
 
