@@ -13,10 +13,11 @@ import numpy as np
 from casadi_skin.arguments import shown
 from casadi_skin.models.chain import Chain
 from casadi_skin.search.finishing import finished
+from casadi_skin.search.processes import Interruption
 from casadi_skin.search.programme import VIOLATION, programme
 from casadi_skin.search.request import Quantity, SearchRequest, search_request
 from casadi_skin.search.result import Optimum, SearchResult, SearchStatus
-from casadi_skin.search.running import Interruption, Job, Report, SearchProgress, check_executor, run_jobs
+from casadi_skin.search.running import Job, Report, SearchProgress, check_executor, run_jobs
 from casadi_skin.search.starts import (
     Ending,
     Outcome,

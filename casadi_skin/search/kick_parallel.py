@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import pickle
-import queue
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from casadi_skin.search.kick_search import Ended, KickProgress, KickSearch, StopRequestError
-from casadi_skin.search.running import ENDED_EARLY, POLL, Interruption, Shared, ignore_interrupts, sharing
+from casadi_skin.search.processes import POLL, Interruption, Shared, gathered, ignore_interrupts, pool, sharing
 from casadi_skin.theory.linear import Array
 from casadi_skin.threads import one_thread
 
@@ -32,10 +29,8 @@ def in_processes(
         if executor is not None:
             yield from _submitted(search, named, executor, interruption, None)
         else:
-            context = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(min(workers, len(named)), mp_context=context)
-            with sharing() as shared, pool:
-                yield from _submitted(search, named, pool, interruption, shared)
+            with sharing() as shared, pool(workers, len(named)) as made:
+                yield from _submitted(search, named, made, interruption, shared)
     if interruption.heard:
         raise KeyboardInterrupt
 
@@ -85,40 +80,13 @@ def _submitted(
     interruption: Interruption,
     shared: Shared | None,
 ) -> Iterator[Ended]:
-    whole, numbered = sent(search), enumerate(named, start=1)
-    waiting: set[Future[Ended | None]] = {
-        executor.submit(_work, whole, number, name, direction, shared) for number, (name, direction) in numbered
-    }
-    try:
-        while waiting:
-            ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            for progress in _told(shared):
-                _report(search, progress)
-            for one in (future.result() for future in ended):
-                if one is not None:
-                    search.tried += 1
-                    yield one
-                    _report(search, _end_of(one, search))
-            if interruption.heard:
-                waiting = {future for future in waiting if not future.cancel()}
-                if shared is None:
-                    return
-                shared.stop.set()
-    except BrokenProcessPool as error:
-        raise RuntimeError(ENDED_EARLY) from error
-    finally:
-        for future in waiting:
-            future.cancel()
-        if shared is not None and waiting:
-            shared.stop.set()
-
-
-def _told(shared: Shared | None) -> Iterator[KickProgress]:
-    while shared is not None:
-        try:
-            yield shared.told.get_nowait()
-        except queue.Empty:
-            return
+    whole = sent(search)
+    futures = {executor.submit(_work, whole, n, name, d, shared) for n, (name, d) in enumerate(named, start=1)}
+    for one in gathered(futures, interruption, shared, lambda progress: _report(search, progress), shared is None):
+        if one is not None:
+            search.tried += 1
+            yield one
+            _report(search, _end_of(one, search))
 
 
 def _report(search: KickSearch, progress: KickProgress) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from typing import Any
 
 import casadi as ca
@@ -21,8 +20,8 @@ from casadi_skin.boundary.statement import BoundaryValueProblem, check_expressio
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.search.modelresult import ModelOptimum, ModelSearchResult, ModelStart
+from casadi_skin.search.processes import Interruption, gathered, pool
 from casadi_skin.search.result import SearchStatus
-from casadi_skin.search.running import Interruption
 from casadi_skin.threads import one_thread
 
 SAME = 1e-5  # relative difference of free parameters, period and objective below which two optima are one
@@ -219,18 +218,13 @@ class _ModelSearch:
                     return
                 yield self.follow(*job)
             return
-        pool = executor or ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn"))
+        own = None if executor is not None else pool(workers, len(jobs))
         try:
-            futures = [pool.submit(self._follow_elsewhere, *job) for job in jobs]
-            for future in as_completed(futures):
-                if not future.cancelled():
-                    yield future.result()
-                if interruption.heard:
-                    for other in futures:
-                        other.cancel()
+            futures = {(executor or own).submit(self._follow_elsewhere, *job) for job in jobs}  # type: ignore[union-attr]
+            yield from gathered(futures, interruption, abandoned=executor is not None)
         finally:
-            if executor is None:
-                pool.shutdown(cancel_futures=True)
+            if own is not None:
+                own.shutdown(cancel_futures=True)
 
     def _distinct(self, ended: Sequence[_Ended]) -> Iterator[ModelOptimum]:
         """One optimum for each group of starts that led to the same, solved and checked here."""
