@@ -188,8 +188,9 @@ def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
         backward, modulus = forward, np.abs(forward)
         even = ROUNDED * float(np.finfo(float).eps * np.linalg.norm(matrix, 2))
     else:
-        with np.errstate(divide="ignore"):
-            backward = 1.0 / np.linalg.eigvals(inverse).astype(complex)
+        reciprocal = np.linalg.eigvals(inverse).astype(complex)
+        backward = np.full(reciprocal.size, np.inf, dtype=complex)  # of what rounding made zero
+        np.divide(1.0, reciprocal, out=backward, where=reciprocal != 0)
         backward = backward[np.argsort(-np.abs(backward))]
         modulus = np.sqrt(np.abs(forward)) * np.sqrt(np.abs(backward))
         even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -15,7 +15,7 @@ from casadi_skin.boundary.periodic import find_orbit
 from casadi_skin.boundary.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 
-few = settings(max_examples=25, deadline=None)
+few = settings(max_examples=25, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -61,6 +61,7 @@ def test_place_length_and_size_of_a_problem_do_not_matter(start: float, length: 
 
 
 @few
+@example(n=2, seed=2269, cycles=3)  # an eigenvalue of the inverse that rounding makes zero
 @given(st.integers(2, 3), seeds, st.integers(1, 3))
 def test_forced_linear_orbits_have_the_multipliers_of_their_matrix(n: int, seed: int, cycles: int) -> None:
     generator = np.random.default_rng(seed)
@@ -105,5 +106,5 @@ def test_integral_conditions_hold(seed: int, k: int) -> None:
     model = OdeModel("slope", u, a, a)
     power = 2 * k - 1
     problem = BoundaryValueProblem(model, [model.start(u)], [u**power - target], parameters={"a": 1.0}, free=["a"])
-    found = problem.solve([1.0], tolerance=1e-9).parameters["a"]
+    found = problem.solve(lambda t: [t], tolerance=1e-9).parameters["a"]
     assert abs(found / (target * (power + 1)) ** (1 / power) - 1) < 1e-8
