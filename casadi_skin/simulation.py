@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.boundary.statement import named_values
 from casadi_skin.integrators import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
@@ -100,7 +101,7 @@ def simulate(
     fails.
     """
     first = model.first_order()
-    p, x = _parameters(first, parameters or {}), np.array(numbers("start", np.ravel(start)))
+    p, x = np.array(list(named_values(first, parameters or {}).values())), np.array(numbers("start", np.ravel(start)))
     if x.size != first.full_size:
         raise ValueError(f"start: given {x.size} states; accepted: {first.full_size}, {', '.join(first.state_names)}")
     times = np.array(numbers("t", np.ravel(t)))
@@ -109,12 +110,6 @@ def simulate(
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
     return Simulation(first, p, times, _integrated(first, p, x, times, tolerance))
-
-
-def _parameters(model: OdeModel, given: Mapping[str, float]) -> Array:
-    from casadi_skin.boundary.statement import named_values
-
-    return np.array(list(named_values(model, given).values()))
 
 
 def _integrated(model: OdeModel, p: Array, start: Array, times: Array, tolerance: float) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casadi_skin.boundary.statement import HELD, BoundaryValueProblem
+from casadi_skin.boundary.statement import BoundaryValueProblem
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
@@ -152,8 +152,3 @@ def _entry(expressions: Sequence[Expression], index: int) -> str:
     text = str(entries[index])
     words = text[1:-1] if text[:1] == "(" and text[-1:] == ")" else text
     return words if len(words) <= SHOWN else f"{words[: SHOWN - 3]}..."
-
-
-def scalar_names(statement: BoundaryValueProblem, walking: str | None) -> tuple[str, ...]:
-    """Names of the scalars among the unknowns."""
-    return (*statement.free, walking or HELD)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from casadi_skin.boundary.guesses import Guess
     from casadi_skin.boundary.solution import BoundarySolution
 
-HELD = "held"  # name of the scalar that no equation has, where nothing is followed
 Bounds = Mapping[str, tuple[float, float]]
 
 

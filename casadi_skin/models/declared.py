@@ -131,7 +131,7 @@ def check_symmetries(model: OdeModel, trials: int, seed: int) -> None:
         time, point, parameter = _finite_point(model, evaluate, generator)
         value, change = (np.array(r).ravel() for r in evaluate(time, point, parameter))
         scale = ROUND_OFF * (1.0 + np.abs(value).max())
-        half = 0.5 * _forcing_period(model, parameter)
+        half = 0.5 * model.forcing_period_at(parameter)
         images = (("reversal", model.reversal, -1, -time), ("half_period", model.half_period, 1, time + half))
         for label, signs, sense, at in images:
             if signs is None:
@@ -151,9 +151,3 @@ def _finite_point(model: OdeModel, evaluate: ca.Function, generator: np.random.G
         if all(np.all(np.isfinite(np.array(r))) for r in evaluate(time, point, parameter)):
             return time, point, parameter
     raise ValueError(f"{model.name}: the right-hand side or the hamiltonian is not finite at a random point")
-
-
-def _forcing_period(model: OdeModel, parameter: Array) -> float:
-    if not isinstance(model.forcing_period, ca.SX | ca.MX):
-        return float(model.forcing_period or 0.0)
-    return float(ca.Function("T", [model.parameters], [model.forcing_period])(parameter))

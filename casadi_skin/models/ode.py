@@ -110,6 +110,12 @@ class OdeModel:
         """Function (t, x, p) -> dense time derivative of the first-order state x."""
         return self.function("field", ca.densify(self.full_rhs))
 
+    def forcing_period_at(self, parameters: Any) -> float:
+        """The period of the forcing at numbers for all parameters; 0 in a model that is not forced."""
+        if not isinstance(self.forcing_period, ca.SX | ca.MX):
+            return float(self.forcing_period or 0.0)
+        return float(ca.Function("T", [self.parameters], [self.forcing_period])(parameters))
+
     def function(self, name: str, *results: Expression) -> ca.Function:
         """Function (t, x, p) of the first-order state x with the given expressions as results."""
         time = type(self.state).sym("t") if self.time is None else self.time

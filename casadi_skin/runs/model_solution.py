@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.boundary.orbit import PeriodicOrbit
@@ -74,7 +73,7 @@ def cycle(request: ModelRequest) -> Cycle:
     """
     orbit, model, values = request.orbit, request.model, request.parameters
     if model.forced:
-        length = orbit.cycles * _forcing_period(model, np.array(list(values.values())))
+        length = orbit.cycles * model.forcing_period_at(list(values.values()))
         if not (math.isfinite(length) and length > 0.0):
             raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
@@ -115,12 +114,6 @@ def _along(simulation: Simulation, expression: Expression, states: np.ndarray[An
     function = simulation.model.function("section", expression)
     values = [float(function(0.0, state, simulation.parameters)) for state in states]
     return np.array(values)
-
-
-def _forcing_period(model: OdeModel, parameters: np.ndarray[Any, Any]) -> float:
-    if isinstance(model.forcing_period, ca.SX | ca.MX):
-        return float(ca.Function("T", [model.parameters], [model.forcing_period])(parameters))
-    return float(model.forcing_period or 0.0)
 
 
 def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:

@@ -8,7 +8,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.arguments import shown
@@ -91,8 +90,7 @@ def _stated(
     values = named_values(first, parameters)
     length = period or getattr(guess, "period", None)
     if model.forced:
-        forcing = ca.Function("T", [first.parameters], [first.forcing_period])
-        length = int(options.get("cycles", 1)) * float(forcing(list(values.values())))
+        length = int(options.get("cycles", 1)) * first.forcing_period_at(list(values.values()))
     if not length or not length > 0:
         raise ValueError(f"period: given {shown(period)}; accepted: a number > 0")
     t = np.linspace(0.0, float(length), SAMPLES)

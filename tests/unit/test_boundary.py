@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from boundary_cases import LAYERS
+from programs import Program
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
@@ -313,44 +314,12 @@ def test_other_values_of_parameters_leave_the_statement_alone() -> None:
 # Other kinds of models ------------------------------------------------------------------------------------------------
 
 
-class BratuField(ca.Callback):  # type: ignore[misc]
-    """Bratu's field as a program that brings its own derivatives, as a model from another tool would."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.construct("field", {})
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(2 if i == 0 else 1, 1)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(2, 1)
-
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
-        x, lam = arguments
-        return [ca.vertcat(x[1], -lam * ca.exp(x[0]))]
-
-    def has_jacobian(self) -> bool:
-        return True
-
-    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
-        x, lam, _ = ca.MX.sym("x", 2), ca.MX.sym("lam"), ca.MX.sym("out", 2)
-        by_x = ca.vertcat(ca.horzcat(0, 1), ca.horzcat(-lam * ca.exp(x[0]), 0))
-        by_lam = ca.vertcat(0, -ca.exp(x[0]))
-        return ca.Function(name, [x, lam, _], [ca.densify(by_x), ca.densify(by_lam)], inames, onames)
-
-
 @pytest.mark.parametrize("opaque", [False, True])
 def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bool) -> None:
     x, lam = ca.MX.sym("x", 2), ca.MX.sym("lam")
-    field = BratuField()
-    rhs = field(x, lam) if opaque else ca.vertcat(x[1], -lam * ca.exp(x[0]))
+    rhs = ca.vertcat(x[1], -lam * ca.exp(x[0]))
+    field = Program(ca.Function("bratu", [x, lam], [rhs]))
+    rhs = field(x, lam) if opaque else rhs
     model = OdeModel("Bratu", x, rhs, lam)
     problem = BoundaryValueProblem(model, [model.start(x)[0], model.end(x)[0]], parameters={"lam": 1.0})
     solution = problem.solve([0.0, 0.0], tolerance=1e-9)

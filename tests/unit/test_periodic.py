@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from programs import Program
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
@@ -402,41 +403,13 @@ def test_another_way_to_multipliers_is_refused() -> None:
 # Programs -------------------------------------------------------------------------------------------------------------
 
 
-class VanDerPolField(ca.Callback):  # type: ignore[misc]
-    """The field as a program with its own derivatives, as an FMU has them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.construct("field", {})
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(2 if i == 0 else 1, 1)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(2, 1)
-
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
-        s, mu = arguments
-        return [ca.vertcat(s[1], mu * (1 - s[0] ** 2) * s[1] - s[0])]
-
-    def has_jacobian(self) -> bool:
-        return True
-
-    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
-        s, mu, out = ca.MX.sym("s", 2), ca.MX.sym("mu"), ca.MX.sym("out", 2)
-        by_s = ca.vertcat(ca.horzcat(0, 1), ca.horzcat(-2 * mu * s[0] * s[1] - 1, mu * (1 - s[0] ** 2)))
-        by_mu = ca.vertcat(0, (1 - s[0] ** 2) * s[1])
-        return ca.Function(name, [s, mu, out], [ca.densify(by_s), ca.densify(by_mu)], inames, onames)
+def van_der_pol_program() -> Program:
+    s, mu = ca.SX.sym("s", 2), ca.SX.sym("mu")
+    return Program(ca.Function("field", [s, mu], [ca.vertcat(s[1], mu * (1 - s[0] ** 2) * s[1] - s[0])]))
 
 
 def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
-    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), VanDerPolField()
+    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), van_der_pol_program()
     model = OdeModel("program", s, field(s, mu), mu)
     orbit = find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
     symbolic = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
@@ -447,7 +420,7 @@ def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
 
 @pytest.mark.slow
 def test_a_program_is_followed() -> None:
-    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), VanDerPolField()
+    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), van_der_pol_program()
     orbit = find_orbit(OdeModel("program", s, field(s, mu), mu), circle, 6.6, parameters={"mu": 1.0})
     last = orbit.follow("mu", 1.2).solutions[-1]
     assert isinstance(last, PeriodicOrbit)

@@ -199,10 +199,7 @@ def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None,
 
 
 def _default_stop(model: OdeModel, parameters: Iterable[float]) -> float:
-    if not model.forced or model.forcing_period is None:
-        return float(PERIODS)
-    period = ca.Function("T", [model.parameters], [model.forcing_period])
-    return PERIODS * abs(float(period(list(parameters))))
+    return PERIODS * abs(model.forcing_period_at(list(parameters))) if model.forced else float(PERIODS)
 
 
 def _start(given: ArrayLike, *counts: int) -> tuple[float, ...]:
