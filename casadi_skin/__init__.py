@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
-    from casadi_skin.boundary.periodic import find_orbit
-    from casadi_skin.boundary.statement import BoundaryValueProblem
+    from casadi_skin.bvp.statement import BoundaryValueProblem
     from casadi_skin.bvp.symmetry import SymmetryClass
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
-    from casadi_skin.families.branch import Branch
-    from casadi_skin.families.follow import follow_family
-    from casadi_skin.families.orbit import Orbit
-    from casadi_skin.models.chain import Chain
+    from casadi_skin.lattice.chain import Chain
     from casadi_skin.models.ode import OdeModel
-    from casadi_skin.search.door import search_orbit
-    from casadi_skin.search.kick import smallest_kick
+    from casadi_skin.optimise.kick import smallest_kick
+    from casadi_skin.optimise.search_orbit import search_orbit
+    from casadi_skin.orbits.branch import Branch
+    from casadi_skin.orbits.find_orbit import find_orbit
+    from casadi_skin.orbits.follow import follow_family
+    from casadi_skin.orbits.orbit import Orbit
     from casadi_skin.simulation import simulate
 
 __all__ = [
@@ -43,19 +43,19 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     places = {
-        "BoundaryValueProblem": "boundary.statement",
-        "Branch": "families.branch",
-        "Chain": "models.chain",
+        "BoundaryValueProblem": "bvp.statement",
+        "Branch": "orbits.branch",
+        "Chain": "lattice.chain",
         "OdeModel": "models.ode",
-        "Orbit": "families.orbit",
+        "Orbit": "orbits.orbit",
         "SymmetryClass": "bvp.symmetry",
         "export_c": "export.c_code",
         "export_fmu": "export.fmu.archive",
-        "find_orbit": "boundary.periodic",
-        "follow_family": "families.follow",
+        "find_orbit": "orbits.find_orbit",
+        "follow_family": "orbits.follow",
         "simulate": "simulation",
-        "search_orbit": "search.door",
-        "smallest_kick": "search.kick",
+        "search_orbit": "optimise.search_orbit",
+        "smallest_kick": "optimise.kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.figures.style import blank, number, number_sites, style, title
 from casadi_skin.files import replacing
+from casadi_skin.orbits.orbit import Orbit
 
 FRAMES = 48  # of one period
 

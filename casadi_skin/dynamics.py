@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import integrators
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.integrators import IntegrationError, Integrator, Trajectory
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
 METHODS = ("cvodes", "dop853", "symplectic")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from casadi_skin.families.orbit import Orbit
+from casadi_skin.orbits.orbit import Orbit
 
 if TYPE_CHECKING:
     from rich.status import Status

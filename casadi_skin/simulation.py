@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.arguments import number, numbers, shown
-from casadi_skin.boundary.statement import named_values
+from casadi_skin.bvp.statement import named_values
 from casadi_skin.integrators import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel

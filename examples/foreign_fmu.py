@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin import OdeModel, find_orbit
-from casadi_skin.boundary.branch import BoundaryBranch
 from casadi_skin.export.fmu.build import compiler, headers
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
+from casadi_skin.orbits.boundary_branch import BoundaryBranch
 
 
 def made_elsewhere(folder: Path) -> Path:

@@ -19,9 +19,9 @@ from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.segment import SegmentFlow
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
-from casadi_skin.correctors.bordered import SingularError
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.solvers.bordered import SingularError
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolution

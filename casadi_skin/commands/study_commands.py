@@ -15,7 +15,7 @@ from casadi_skin.runs.directory import prepare_study
 
 
 def reproduce_paper(arguments: argparse.Namespace) -> int:
-    from casadi_skin.studies.reproduce import TARGETS, reproduce
+    from casadi_skin.studies.paper.reproduce import TARGETS, reproduce
 
     for name in arguments.targets:
         if name not in TARGETS:
@@ -56,7 +56,7 @@ def measure_tradeoff(arguments: argparse.Namespace) -> int:
 
     from casadi_skin.progress import Progress
     from casadi_skin.runs.request import scene_requests
-    from casadi_skin.studies.tradeoff import REPEATS, Tradeoff, default_request, with_points
+    from casadi_skin.studies.work_precision.study import REPEATS, Tradeoff, default_request, with_points
 
     request = default_request() if scene is None else with_points(scene_requests(scene)[0])
     repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
@@ -87,7 +87,7 @@ def measure_honesty(arguments: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from casadi_skin.studies.honesty import Honesty, honesty, honesty_table
+    from casadi_skin.studies.calibration.study import Honesty, honesty, honesty_table
 
     study = Honesty(directory, arguments.cases)
     if _interrupted(lambda say: honesty(study, arguments.seed, say, arguments.first), study, arguments.quiet):
@@ -107,7 +107,7 @@ def measure_extremes(arguments: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from casadi_skin.studies.extremes import Extremes, extremes, extremes_table
+    from casadi_skin.studies.stress.study import Extremes, extremes, extremes_table
 
     study = Extremes(directory)
     if _interrupted(lambda say: extremes(study, arguments.quick, say), study, arguments.quiet):

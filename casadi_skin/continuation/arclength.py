@@ -14,10 +14,10 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import HISTORY, predictor
-from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.point_solver import Locator
 from casadi_skin.continuation.points import End, Point, Target
-from casadi_skin.correctors.base import Correction
-from casadi_skin.correctors.bordered import SingularError
+from casadi_skin.solvers.bordered import SingularError
+from casadi_skin.solvers.corrector import Correction
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 

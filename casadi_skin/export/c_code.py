@@ -26,10 +26,10 @@ from casadi_skin.export.orbits import newton_part, orbit_part, residual_part
 from casadi_skin.export.part import Part
 from casadi_skin.export.readme import cmake_text, readme_text
 from casadi_skin.export.subject import Subject, subject_of, wanted
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.orbit import Orbit
 
 MAKERS: Mapping[str, Callable[[Subject], Part]] = {
     "rhs": rhs_part,

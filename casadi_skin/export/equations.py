@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.export.ctext import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
 from casadi_skin.export.part import Part, Size, called, declared
 from casadi_skin.export.subject import Subject
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 
 CONSTANTS = ("alpha", "gamma", "g")

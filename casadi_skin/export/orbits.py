@@ -12,7 +12,7 @@ from casadi_skin.export.ctext import Call, comment, doubles, pattern, plain
 from casadi_skin.export.equations import pattern_declaration
 from casadi_skin.export.part import Part, Size, called, declared
 from casadi_skin.export.subject import Subject
-from casadi_skin.families.orbit import Orbit
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import Floquet
 
 SMALL = 3  # half-bandwidths below which a band saves nothing

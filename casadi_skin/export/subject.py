@@ -10,10 +10,10 @@ from functools import cached_property
 from casadi_skin.arguments import shown
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.tailed import Tailed
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.core_with_tail import Tailed
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.orbit import Orbit
 
 WHAT: Mapping[str, str] = {
     "rhs": "the right-hand side of the first-order system",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.boundary.orbit import PeriodicOrbit
 from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.style import blank, colours, finished, number, style
+from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
 from casadi_skin.results.branch import BranchPoint, fold_marks, requested_marks
 
 if TYPE_CHECKING:

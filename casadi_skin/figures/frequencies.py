@@ -18,14 +18,14 @@ from casadi_skin.figures.style import (
     style,
     title,
 )
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.theory import linear, multiple_scales
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.families.branch import Branch
+    from casadi_skin.orbits.branch import Branch
 
 LABELS = 24  # as many as fit one above the other beside the frequencies
 

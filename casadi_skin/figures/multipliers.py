@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.families.branch import Branch
-    from casadi_skin.families.orbit import Orbit
+    from casadi_skin.orbits.branch import Branch
+    from casadi_skin.orbits.orbit import Orbit
 
 FRAME = 3.0  # multipliers farther from 0 than this are told in words
 MODULUS = r"$\left|\lambda\right|$"

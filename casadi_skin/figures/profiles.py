@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.families.tailed import Tailed
 from casadi_skin.figures.style import (
     blank,
     colours,
@@ -19,15 +18,16 @@ from casadi_skin.figures.style import (
     style,
     title,
 )
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.core_with_tail import Tailed
 from casadi_skin.theory.linear import standing_wave
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.families.branch import Branch
-    from casadi_skin.families.orbit import Orbit
+    from casadi_skin.orbits.branch import Branch
+    from casadi_skin.orbits.orbit import Orbit
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
 DEEPEST = -290.0  # log10 of sizes that are drawn as they are

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.figures import style
-from casadi_skin.search.result import SearchResult
-from casadi_skin.search.starts import Ending
+from casadi_skin.optimise.result import SearchResult
+from casadi_skin.optimise.starts import Ending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,7 @@ from casadi_skin.figures.style import (
     style,
     title,
 )
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.theory import linear
 
 if TYPE_CHECKING:

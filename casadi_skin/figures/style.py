@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcStyleType
 
-    from casadi_skin.families.branch import Branch
+    from casadi_skin.orbits.branch import Branch
 
 AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
 

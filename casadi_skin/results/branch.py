@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.boundary.multipliers import Multipliers
-from casadi_skin.boundary.orbit import PeriodicOrbit
-from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.bvp.problem import Array
 from casadi_skin.files import replacing
+from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.orbits.solution import BoundarySolution
 from casadi_skin.results.netcdf import EMPTY, put, write_versions
 from casadi_skin.results.tables import Cell
+from casadi_skin.stability.full_period import Multipliers
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file

@@ -14,13 +14,13 @@ import msgspec
 import numpy as np
 
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.correctors.ladder import ErrorEstimate
-from casadi_skin.families.branch import Branch
-from casadi_skin.families.events import StabilityChange
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.tools import FamilyTools
 from casadi_skin.files import replacing
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.stability.result import Floquet
 
 

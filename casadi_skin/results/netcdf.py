@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
-from casadi_skin.bvp.tailed import Regime
-from casadi_skin.families.branch import Branch
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.files import replacing
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.tail_problem import Regime
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.orbit import Orbit
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from casadi_skin.files import replacing
+from casadi_skin.optimise.result import Optimum, SearchResult
+from casadi_skin.optimise.search_nlp import Solution
+from casadi_skin.optimise.starts import Ending, Outcome, Start
 from casadi_skin.results.netcdf import put, write_origin
 from casadi_skin.results.tables import Cell, write_csv
-from casadi_skin.search.programme import Solution
-from casadi_skin.search.result import Optimum, SearchResult
-from casadi_skin.search.starts import Ending, Outcome, Start
 
 
 class OutcomeRecord(msgspec.Struct, frozen=True, tag="outcome"):

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casadi_skin.families.events import StabilityChange
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.files import replacing
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.stability_changes import StabilityChange
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution

@@ -9,10 +9,10 @@ import numpy as np
 
 from casadi_skin import figures
 from casadi_skin.dynamics import Evolution, simulate_orbit
-from casadi_skin.families.branch import Branch
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.figures.style import number
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.netcdf import write_evolution
 from casadi_skin.results.tables import evolution_columns, evolution_rows, write_csv
 from casadi_skin.scene import DynamicsTable, Scene

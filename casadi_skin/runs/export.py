@@ -7,9 +7,9 @@ from pathlib import Path
 
 from casadi_skin.export.c_code import export_c
 from casadi_skin.export.fmu import export_fmu
-from casadi_skin.families.branch import Branch
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.runs.directory import EXPORT
 from casadi_skin.runs.request import scene_chain
 from casadi_skin.scene import ExportTable, Scene

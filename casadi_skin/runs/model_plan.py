@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from casadi_skin.boundary.periodic import PERIOD, UNFOLDING
-from casadi_skin.boundary.solving import TABLES
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.orbits.find_orbit import PERIOD, UNFOLDING
+from casadi_skin.orbits.solve import TABLES
 from casadi_skin.runs.model_request import ModelRequest
 
 

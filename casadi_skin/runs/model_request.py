@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.boundary.guesses import Guess
-from casadi_skin.boundary.periodic import PERIOD, UNFOLDING
-from casadi_skin.boundary.statement import BoundaryValueProblem, named_values
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.statement import BoundaryValueProblem, named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import PERIOD, UNFOLDING
+from casadi_skin.orbits.guesses import Guess
 from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, shown
 from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelScene, OrbitTable
 

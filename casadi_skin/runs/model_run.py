@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi_skin.figures as figures
-from casadi_skin.boundary.multipliers import TrivialMultiplierWarning
-from casadi_skin.boundary.orbit import PeriodicOrbit
-from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.figures.branch import branch_figure, orbit_figure
 from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.orbits.solution import BoundarySolution
 from casadi_skin.progress import Progress
 from casadi_skin.results.branch import BranchPoint, branch_row, fold_marks, write_netcdf
 from casadi_skin.results.tables import Cell, write_csv
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
 from casadi_skin.runs.model_request import ModelRequest
 from casadi_skin.runs.model_solution import first_solution
+from casadi_skin.stability.full_period import TrivialMultiplierWarning
 from casadi_skin.threads import one_thread
 
 TABLE_PERIOD = 0.5  # seconds between two writings of branch.csv while a run goes on

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.boundary.orbit import PeriodicOrbit
-from casadi_skin.boundary.periodic import find_orbit
-from casadi_skin.boundary.solution import BoundarySolution
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.orbits.solution import BoundarySolution
 from casadi_skin.runs.model_request import ModelRequest
 from casadi_skin.scene.model_tables import SELECTED
 from casadi_skin.simulation import Cycle, Simulation, simulate

@@ -6,13 +6,13 @@ import time
 
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.correctors.ladder import ErrorEstimate
-from casadi_skin.families.layout import Alone
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tailed import Tailed
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.lattice.core_with_tail import Tailed
+from casadi_skin.lattice.full_chain import Alone
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.runs.request import scene_requests
 from casadi_skin.scene import DynamicsTable, Scene
+from casadi_skin.solvers.levels import ErrorEstimate
 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 

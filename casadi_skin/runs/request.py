@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.scene import Scene
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import casadi_skin.figures as figures
-from casadi_skin.families.branch import Branch
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.tools import FamilyTools
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import (
     ChangeRecord,
@@ -33,7 +33,7 @@ from casadi_skin.scene import Scene
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
-    from casadi_skin.search.result import SearchResult
+    from casadi_skin.optimise.result import SearchResult
 
 TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
 
@@ -157,8 +157,8 @@ class Run:
         """The search with its files, where the scene asks for one, and whether it found an optimum."""
         if self.scene.search is None:
             return True
+        from casadi_skin.optimise.result import SearchStatus
         from casadi_skin.runs.search import COMPLETE, run_search, write_results
-        from casadi_skin.search.result import SearchStatus
 
         self.search = run_search(self.scene, self.directory / JOURNAL, self.progress)
         self.progress.say("writing the search")

@@ -9,16 +9,16 @@ import msgspec
 
 from casadi_skin import figures
 from casadi_skin.figures.search import search_figure
+from casadi_skin.optimise.request import SearchRequest, search_request
+from casadi_skin.optimise.result import SearchResult, SearchStatus
+from casadi_skin.optimise.search import Search
+from casadi_skin.optimise.search_nlp import programme
+from casadi_skin.optimise.starts import Ending, first_harmonics, sample_starts
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import Journal, read_records, trim_journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
 from casadi_skin.runs.request import scene_chain
 from casadi_skin.scene import Scene, SearchTable
-from casadi_skin.search.finding import Search
-from casadi_skin.search.programme import programme
-from casadi_skin.search.request import SearchRequest, search_request
-from casadi_skin.search.result import SearchResult, SearchStatus
-from casadi_skin.search.starts import Ending, first_harmonics, sample_starts
 
 COMPLETE = (SearchStatus.FOUND, SearchStatus.ON_BOUND)
 

@@ -2,12 +2,12 @@
 
 import math
 
+from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, shown
 from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
-from casadi_skin.search.names import FREE, NAMED
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
-NARROWEST_BAND = 1e-10  # the same as in families.request
+NARROWEST_BAND = 1e-10  # the same as in orbits.request
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 
 

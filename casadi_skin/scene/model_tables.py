@@ -23,7 +23,7 @@ SELECTED = "select"  # the parameter by which a continuation moves the value in 
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
 
 _MAX_POINTS = 1_000_000
-_MAX_INTERVALS = 1500  # the same as in boundary.solving, which loads numerics
+_MAX_INTERVALS = 1500  # the same as in orbits.solve, which loads numerics
 _MAX_CYCLES = 1000
 
 _Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 from msgspec import Meta, Struct
 
-from casadi_skin.search.names import FREE, NAMED
+from casadi_skin.optimise.names import FREE, NAMED
 
 Preset = Literal["draft", "standard", "reference"]
 Transcription = Literal["trigonometric", "gauss", "radau", "shooting"]
@@ -41,7 +41,7 @@ _MAX_SAMPLES = 1_000_000
 _MAX_POINTS = 1_000_000
 _MAX_STARTS = 10_000
 _MAX_WORKERS = 256
-_POINTS = 2000  # the same as in families.request, which loads numerics
+_POINTS = 2000  # the same as in orbits.request, which loads numerics
 
 
 def _one_of(names: Iterable[str]) -> str:

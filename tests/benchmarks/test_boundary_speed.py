@@ -21,12 +21,12 @@ import pytest
 from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
-from casadi_skin.boundary.periodic import find_orbit
-from casadi_skin.boundary.solving import BoundaryError, Method, Sizes, build_ladder, first_point, sampled
-from casadi_skin.boundary.statement import BoundaryValueProblem
-from casadi_skin.continuation.locating import Locator
+from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.continuation.point_solver import Locator
 from casadi_skin.continuation.points import WalkSettings
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.solve import BoundaryError, Method, Sizes, build_ladder, first_point, sampled
 
 pytestmark = pytest.mark.benchmark
 

@@ -19,14 +19,14 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
-from casadi_skin.correctors.bordered import BorderedSolver
-from casadi_skin.correctors.ipopt import IpoptCorrector
-from casadi_skin.correctors.ladder import Ladder
-from casadi_skin.families import multipliers
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
-from casadi_skin.studies.paper_data import MODES
+from casadi_skin.orbits import multipliers
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.levels import Ladder
+from casadi_skin.studies.paper.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark
 
@@ -113,9 +113,9 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 tools = FamilyTools(FamilyRequest(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
 started = time.perf_counter()
 walk = FamilyWalk(tools)

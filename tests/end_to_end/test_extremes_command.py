@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.studies import extremes as study_module
-from casadi_skin.studies import extremes_physical, extremes_threshold
-from casadi_skin.studies.extremes import COLUMNS, all_cases
-from casadi_skin.studies.extremes_case import Case, Finding, Outcome, measure
+from casadi_skin.studies.stress import physical as extremes_physical
+from casadi_skin.studies.stress import study as study_module
+from casadi_skin.studies.stress import threshold as extremes_threshold
+from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
+from casadi_skin.studies.stress.study import COLUMNS, all_cases
 
 FILES = {
     *("extremes.csv", "extremes.png", "extremes.svg"),

@@ -10,10 +10,10 @@ import pytest
 
 from casadi_skin import Chain
 from casadi_skin.cli import main
-from casadi_skin.studies import paper_data
-from casadi_skin.studies.figures_sensitivity import sensitivity_figure
-from casadi_skin.studies.paper_data import PaperData
-from casadi_skin.studies.reproduce import FIGURES, reproduce
+from casadi_skin.studies.paper import paper_data
+from casadi_skin.studies.paper.figures_sensitivity import sensitivity_figure
+from casadi_skin.studies.paper.paper_data import PaperData
+from casadi_skin.studies.paper.reproduce import FIGURES, reproduce
 from casadi_skin.theory import multiple_scales
 
 

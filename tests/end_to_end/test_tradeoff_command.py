@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.studies import tradeoff, tradeoff_measured
-from casadi_skin.studies.tradeoff_measured import Measured
+from casadi_skin.studies.work_precision import measured as tradeoff_measured
+from casadi_skin.studies.work_precision import study as tradeoff
+from casadi_skin.studies.work_precision.measured import Measured
 
 TINY = """
 [chain]
@@ -47,7 +48,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tradeoff_measured, "SHOOTING_SITES", 1)
     monkeypatch.setattr(tradeoff, "QUICK_TOLERANCES", (1e-6,))
     monkeypatch.setattr(tradeoff, "memory_of", lambda setting: 40.0)
-    monkeypatch.setattr("casadi_skin.studies.tradeoff_cases.memory_of", lambda setting: 50.0)
+    monkeypatch.setattr("casadi_skin.studies.work_precision.cases.memory_of", lambda setting: 50.0)
 
 
 @pytest.mark.slow

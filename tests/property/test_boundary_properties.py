@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from casadi_skin.boundary.periodic import find_orbit
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
 
 few = settings(max_examples=25, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -13,10 +13,10 @@ import pytest
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.cli import main
 from casadi_skin.stability.flow import FlowError
-from casadi_skin.studies import honesty as study_module
-from casadi_skin.studies.honesty import QUANTITIES, Honesty, Tally, columns, honesty, honesty_table
-from casadi_skin.studies.honesty_cases import Case, Outcome, Quantity, draw, find, measure, reference_of
-from casadi_skin.studies.honesty_reference import paired, reference_mu, reference_orbit
+from casadi_skin.studies.calibration import study as study_module
+from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, find, measure, reference_of
+from casadi_skin.studies.calibration.reference import paired, reference_mu, reference_orbit
+from casadi_skin.studies.calibration.study import QUANTITIES, Honesty, Tally, columns, honesty, honesty_table
 
 CASES, SEED = 12, 2026
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from casadi_skin.boundary.solution import BoundarySolution
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.solution import BoundarySolution
 
 Array = NDArray[np.float64]
 

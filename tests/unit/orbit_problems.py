@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.correctors.base import Corrector
-from casadi_skin.correctors.ipopt import IpoptCorrector
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.newton import NewtonCorrector
 
 Array = NDArray[np.float64]
 CORRECTORS: dict[str, type[NewtonCorrector] | type[IpoptCorrector]] = {

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.boundary.solution import BoundarySolution
-from casadi_skin.boundary.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.solution import BoundarySolution
 
 
 def buckling() -> BoundaryValueProblem:

@@ -15,9 +15,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
-from casadi_skin.boundary.solving import BoundaryError
-from casadi_skin.search.modelresult import ModelOptimum
-from casadi_skin.search.models import _Ended, _ModelSearch
+from casadi_skin.optimise.model_result import ModelOptimum
+from casadi_skin.optimise.model_search import _Ended, _ModelSearch
+from casadi_skin.orbits.solve import BoundaryError
 from casadi_skin.simulation import simulate
 
 X, Y, Z, MU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu"))

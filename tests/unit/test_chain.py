@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 
 EPS = float(np.finfo(float).eps)
 Array = NDArray[np.float64]

@@ -18,12 +18,12 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.correctors.ipopt import IpoptCorrector
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
+from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
 
 Array = NDArray[np.float64]

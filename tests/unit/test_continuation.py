@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.continuation.arclength import ArclengthWalk
 from casadi_skin.continuation.hermite import LocalCurve, predictor
-from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.point_solver import Locator
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.correctors.base import Correction
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.correctors.base import Corrector, Status
-from casadi_skin.correctors.bordered import BorderedSolver, SingularError, Solve
-from casadi_skin.correctors.ipopt import IpoptCorrector
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.solvers.bordered import BorderedSolver, SingularError, Solve
+from casadi_skin.solvers.corrector import Corrector, Status
+from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
 
 Array = NDArray[np.float64]

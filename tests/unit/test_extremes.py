@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.families.harmonics import harmonic_shares, third_harmonic_leads
-from casadi_skin.studies.extremes_case import Case, Finding, Refusal, RefusedError, digits_of, measure
-from casadi_skin.studies.extremes_checks import against_digits, at_S, orbit_at, shift_against_digits
-from casadi_skin.studies.extremes_exact import (
+from casadi_skin.orbits.harmonics import harmonic_shares, third_harmonic_leads
+from casadi_skin.studies.stress.case import Case, Finding, Refusal, RefusedError, digits_of, measure
+from casadi_skin.studies.stress.checks import against_digits, at_S, orbit_at, shift_against_digits
+from casadi_skin.studies.stress.exact import (
     cosine,
     exact_duffing,
     exact_linear_frequency,
@@ -22,8 +22,8 @@ from casadi_skin.studies.extremes_exact import (
     many_digits,
     pi,
 )
-from casadi_skin.studies.extremes_flow import physical_multipliers, return_error
-from casadi_skin.studies.extremes_physical import compare
+from casadi_skin.studies.stress.flow import physical_multipliers, return_error
+from casadi_skin.studies.stress.physical import compare
 
 SOFTENING = Chain(24, 1.0, 0.25, -1.0)
 

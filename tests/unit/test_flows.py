@@ -16,12 +16,12 @@ from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families import follow
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.multipliers import accelerations, floquets_of
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits import follow
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.multipliers import accelerations, floquets_of
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap

@@ -17,9 +17,9 @@ from scipy.integrate import quad, solve_ivp
 from casadi_skin.bvp.gauss import GaussProblem, gauss_table
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
 
 Array = NDArray[np.float64]

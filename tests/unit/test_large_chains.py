@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.families.faint import _continued
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.style import save
+from casadi_skin.lattice.log_profile import _continued
 from casadi_skin.results.netcdf import EMPTY, write_netcdf
 from casadi_skin.results.tables import write_csv
 from casadi_skin.theory.multiple_scales import frequency_slope

@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import OdeModel, find_orbit, search_orbit
-from casadi_skin.search.modelresult import ModelSearchResult
-from casadi_skin.search.result import SearchStatus
+from casadi_skin.optimise.model_result import ModelSearchResult
+from casadi_skin.optimise.result import SearchStatus
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))
@@ -104,7 +104,7 @@ def test_a_model_that_was_pickled_is_the_same_model() -> None:
 def test_what_cannot_be_meant_is_refused_before_any_solve(
     changes: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("casadi_skin.search.models._ModelSearch.follow", lambda *_: pytest.fail("solved"))
+    monkeypatch.setattr("casadi_skin.optimise.model_search._ModelSearch.follow", lambda *_: pytest.fail("solved"))
     with pytest.raises(ValueError, match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1

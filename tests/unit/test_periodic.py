@@ -15,11 +15,11 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from casadi_skin.boundary.multipliers import TrivialMultiplierWarning
-from casadi_skin.boundary.orbit import PeriodicOrbit
-from casadi_skin.boundary.periodic import find_orbit
-from casadi_skin.boundary.solving import BoundaryError
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.stability.full_period import TrivialMultiplierWarning
 
 Array = np.ndarray
 

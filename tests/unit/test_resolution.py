@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.continuation.locating import Locator
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.theory.duffing import duffing_frequency
 
 

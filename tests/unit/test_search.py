@@ -12,15 +12,15 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.search.names import NAMED
-from casadi_skin.search.observables import Observables
-from casadi_skin.search.optimality import kkt
-from casadi_skin.search.pareto import pareto_front
-from casadi_skin.search.programme import programme
-from casadi_skin.search.request import SearchRequest, search_request
-from casadi_skin.search.result import SearchResult, SearchStatus
-from casadi_skin.search.running import SearchProgress
-from casadi_skin.search.starts import Ending, family_orbits, packed, sample_starts
+from casadi_skin.optimise.names import NAMED
+from casadi_skin.optimise.observables import Observables
+from casadi_skin.optimise.optimality import kkt
+from casadi_skin.optimise.pareto import pareto_front
+from casadi_skin.optimise.request import SearchRequest, search_request
+from casadi_skin.optimise.result import SearchResult, SearchStatus
+from casadi_skin.optimise.running import SearchProgress
+from casadi_skin.optimise.search_nlp import programme
+from casadi_skin.optimise.starts import Ending, family_orbits, packed, sample_starts
 from casadi_skin.theory.duffing import duffing_frequency
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
@@ -314,7 +314,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     def refuse(*_: object) -> None:
         raise AssertionError("something was solved")
 
-    monkeypatch.setattr("casadi_skin.search.finding.Search.run", refuse)
+    monkeypatch.setattr("casadi_skin.optimise.search.Search.run", refuse)
     with pytest.raises(kind, match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1

@@ -13,9 +13,9 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.continuation.series import SeriesWalk
 from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.theory.duffing import duffing_frequency
 
 SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # N = 24, j = 1, g = -1

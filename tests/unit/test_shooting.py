@@ -30,16 +30,16 @@ from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.correctors.base import Status
-from casadi_skin.correctors.bordered import SingularError
-from casadi_skin.correctors.ladder import Ladder
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families.follow import FamilyWalk, follow_family
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import DIGITS, FamilyTools
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.follow import FamilyWalk, follow_family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import DIGITS, FamilyTools
+from casadi_skin.solvers.bordered import SingularError
+from casadi_skin.solvers.corrector import Status
+from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_fa
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong

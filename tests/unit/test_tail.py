@@ -11,12 +11,12 @@ import pytest
 from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.bvp.tail import Tail
-from casadi_skin.bvp.tail_parameter import TailParameter
-from casadi_skin.bvp.tailed import Regime, TailedProblem
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.threshold import threshold
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail_parameter import TailParameter
+from casadi_skin.lattice.tail_problem import Regime, TailedProblem
+from casadi_skin.lattice.threshold import threshold
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 
 GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
 AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)

@@ -17,16 +17,16 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.arclength import ArclengthWalk
-from casadi_skin.continuation.locating import Locator
+from casadi_skin.continuation.point_solver import Locator
 from casadi_skin.continuation.points import End, Point, Target, WalkSettings
 from casadi_skin.continuation.series import SeriesWalk
-from casadi_skin.correctors.bordered import Solve
-from casadi_skin.correctors.ladder import ErrorEstimate, Ladder
-from casadi_skin.correctors.newton import NewtonCorrector
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.results.journal import EndRecord, orbit_record, restore
+from casadi_skin.solvers.bordered import Solve
+from casadi_skin.solvers.levels import ErrorEstimate, Ladder
+from casadi_skin.solvers.newton import NewtonCorrector
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.results.tables import write_csv
-from casadi_skin.studies.tradeoff import PARTS_OF_FAMILY, Tradeoff, default_request, with_points
-from casadi_skin.studies.tradeoff_cases import measure, timed
-from casadi_skin.studies.tradeoff_figure import tradeoff_figure
-from casadi_skin.studies.tradeoff_measured import (
+from casadi_skin.studies.work_precision.cases import measure, timed
+from casadi_skin.studies.work_precision.figure import tradeoff_figure
+from casadi_skin.studies.work_precision.measured import (
     COLUMNS,
     QUICK_TOLERANCES,
     TOLERANCES,
@@ -30,9 +29,10 @@ from casadi_skin.studies.tradeoff_measured import (
     pareto_front,
     preset_settings,
 )
-from casadi_skin.studies.tradeoff_memory import memory_of, peak_memory
-from casadi_skin.studies.tradeoff_reference import Errors, Reference, mu_distance, requested_orbits, walked
-from casadi_skin.studies.tradeoff_words import (
+from casadi_skin.studies.work_precision.memory import memory_of, peak_memory
+from casadi_skin.studies.work_precision.reference import Errors, Reference, mu_distance, requested_orbits, walked
+from casadi_skin.studies.work_precision.study import PARTS_OF_FAMILY, Tradeoff, default_request, with_points
+from casadi_skin.studies.work_precision.words import (
     MU,
     OMEGA,
     advice,

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 

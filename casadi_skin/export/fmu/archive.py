@@ -18,11 +18,11 @@ from casadi_skin.export.fmu.description import SOURCES, Description, build_descr
 from casadi_skin.export.fmu.documentation import icon, page
 from casadi_skin.export.fmu.equations import Equations
 from casadi_skin.export.fmu.subject import Subject, subject_of
-from casadi_skin.families.orbit import Orbit
 from casadi_skin.files import replacing
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.orbit import Orbit
 
 Fmi = Literal["3.0", "2.0"]
 HEADERS = ("instance.h", "dop853.h")

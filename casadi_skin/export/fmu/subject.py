@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.arguments import number, numbers, shown
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.models.chain import Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
-from casadi_skin.families.follow import FamilyWalk
-from casadi_skin.families.orbit import Orbit
-from casadi_skin.families.request import FamilyRequest
-from casadi_skin.families.tools import FamilyTools
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
 
 # Name in the table: keywords of FamilyRequest. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {

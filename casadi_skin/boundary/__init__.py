@@ -1,1 +1,0 @@
-"""Boundary-value problems stated in a script: two-point and integral conditions, free parameters, objectives."""

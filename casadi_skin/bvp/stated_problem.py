@@ -1,0 +1,154 @@
+"""A stated boundary-value problem on a mesh, as correctors and walkers take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.butcher import CollocationTable
+from casadi_skin.bvp.collocation import CollocationEquations
+from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.bvp.problem import EPSILON, Array, Scalar
+from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.models.declared import Expression
+
+SHOWN = 40  # characters of a condition in a message
+ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
+SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
+
+
+class BoundaryProblem(CollocationEquations):
+    """Unknowns z = (states, free parameters, u), where u is what is held or followed.
+
+    Each component of the state is measured by its own largest value, and by no less than its entry in `floors`; free
+    parameters by their value and no less than `scalar_floors`.
+    """
+
+    def __init__(
+        self,
+        statement: BoundaryValueProblem,
+        formulation: Formulation,
+        intervals: int,
+        table: CollocationTable,
+        floors: Array,
+        scalar_floors: Array,
+        walking: str | None = None,
+        end: float = 1.0,
+    ) -> None:
+        self.statement, self.walking, self.end = statement, walking, end
+        self.floors, self.scalar_floors = floors, scalar_floors
+        self._discretise(formulation, intervals, table)
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of u among the unknowns; there is no Omega."""
+        if scalar is Scalar.OMEGA:
+            raise ValueError("a boundary-value problem has no Omega")
+        return self.size - 1
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    def parameters(self, z: Array) -> Array:
+        """All parameters of the model, in its order."""
+        found = self.statement.parameters_at(z[self.states :], self.walking, self.end)
+        return np.asarray(found, dtype=float)
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return self._interpolate(z, np.asarray(theta, dtype=float))
+
+    def frequency(self, z: Array) -> float:
+        return 1.0
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        free = slice(self.states, self.size - 1)
+        return float(np.max(np.abs(step[free]) / self._scalar_sizes(z), initial=0.0))
+
+    def profile_change(self, z: Array, step: Array) -> float:
+        move, values = (v[: self.states].reshape(self.columns, -1) for v in (step, z))
+        return float(np.max(np.abs(move) / self._component_sizes(values)))
+
+    def _component_sizes(self, values: Array) -> Array:
+        own = np.maximum(np.max(np.abs(values), axis=0), self.floors)
+        return np.asarray(np.maximum(own, SMALLEST * np.max(own)))
+
+    def measure_by(self, z: Array) -> None:
+        """Let a thousandth of z be what its components are measured by at least, where it is not zero but for rounding.
+
+        On all meshes that share `floors`: a guess of zeros knows nothing of the size of the solution that it led to.
+        """
+        largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
+        if np.max(largest) > ZERO:
+            self.floors[:] = 1e-3 * largest
+
+    def _scalar_sizes(self, z: Array) -> Array:
+        return np.asarray(np.maximum(np.abs(z[self.states : -1]), self.scalar_floors))
+
+    def sizes(self, z: Array, parameter_scale: float = 1.0) -> Array:
+        """What each unknown is measured by, shape (size,)."""
+        values = z[: self.states].reshape(self.columns, -1)
+        states = np.tile(self._component_sizes(values), self.columns)
+        return np.concatenate([states, self._scalar_sizes(z), [parameter_scale]])
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars."""
+        weights = self.sizes(z, parameter_scale) ** -2.0
+        weights[: self.states] /= self.columns
+        return np.asarray(weights)
+
+    def rounding(self, z: Array) -> float:
+        return super().rounding(z) * (self.statement.model.rounding / EPSILON)
+
+    # Words ----------------------------------------------------------------------------------------------------------
+
+    def whereabouts(self, z: Array) -> str:
+        names, values = self.statement.model.parameter_names, self.parameters(z)
+        words = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True))
+        return f"with {words}" if words else f"on {self.resolution} intervals"
+
+    def worst(self, z: Array) -> str:
+        """The largest residual at z, the condition or the variable and the place, in words."""
+        try:
+            residual = np.abs(self.evaluate(z)[0])
+        except ArithmeticError as error:
+            return str(error)
+        equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+        if residual[equation] == 0.0:
+            return self.whereabouts(z)
+        size = f"largest residual {residual[equation]:.1e}" if np.isfinite(residual[equation]) else "not finite"
+        return f"{size} at {self._place(equation, z)}, {self.whereabouts(z)}"
+
+    def backwards(self, z: Array) -> str:
+        """That the interval ends before it starts, in words, where its ends are free and do; empty where not."""
+        start, end = self.statement.span(self.parameters(z))
+        return "" if end > start else f"the interval found, {start:.6g} to {end:.6g}, does not end after its start"
+
+    def time(self, z: Array, column: int) -> float:
+        """Where a column of state values is in the interval."""
+        start, end = self.statement.span(self.parameters(z))
+        return float(start + self._fractions()[column] * (end - start))
+
+    def place(self, equation: int) -> str:
+        """Variable and place of an equation of the field, at the guessed interval; or which condition it is."""
+        guessed = np.zeros(self.size)
+        guessed[self.states : -1] = [self.statement.values[name] for name in self.statement.free]
+        return self._place(equation, guessed)
+
+    def _place(self, equation: int, z: Array) -> str:
+        n, rows = self.formulation.states, self.table.ends.size
+        if equation < self.resolution * rows * n:
+            time = self.time(z, equation // n + 1)
+            return f"the equation of {self.statement.model.state_names[equation % n]} at t = {time:.6g}"
+        condition = equation - self.resolution * rows * n
+        ends = int(self.formulation.conditions.numel())
+        if condition < ends:
+            return f"condition {condition + 1} ({_entry(self.statement.conditions, condition)})"
+        return f"integral {condition - ends + 1} ({_entry(self.statement.integrals, condition - ends)})"
+
+
+def _entry(expressions: Sequence[Expression], index: int) -> str:
+    """One scalar of several expressions as text, cut where it is long."""
+    entries = [entry for expression in expressions for entry in ca.vertsplit(ca.vec(expression))]
+    text = str(entries[index])
+    words = text[1:-1] if text[:1] == "(" and text[-1:] == ")" else text
+    return words if len(words) <= SHOWN else f"{words[: SHOWN - 3]}..."

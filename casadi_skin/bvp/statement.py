@@ -1,0 +1,250 @@
+"""A boundary-value problem as it is stated: a model, what vanishes at the ends and in the mean, what is free."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.arguments import number, shown
+from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.models.declared import Expression, is_comparison
+from casadi_skin.models.ode import OdeModel
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.guesses import Guess
+    from casadi_skin.orbits.solution import BoundarySolution
+
+Bounds = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class BoundaryValueProblem:
+    """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
+
+    `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
+    t, x and the parameters whose integrals over the `interval` vanish; its ends are numbers or expressions in the
+    parameters. `parameters` are values by name, those of the free ones guesses; where one is left out it is the
+    model's nominal value. Without an objective there are as many conditions and integrals as states and free
+    parameters. `objective`, in ends and parameters, plus the integral of `running` is minimised subject to all these;
+    `bounds` hold states (everywhere) and free parameters by name.
+
+    Raises ValueError, naming what was given and what is accepted, where these do not fit.
+    """
+
+    model: OdeModel
+    conditions: Sequence[Expression]
+    integrals: Sequence[Expression] = ()
+    interval: tuple[Expression | float, Expression | float] = (0.0, 1.0)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    free: Sequence[str] = ()
+    bounds: Bounds = field(default_factory=dict)
+    objective: Expression | None = None
+    running: Expression | None = None
+
+    def __post_init__(self) -> None:
+        self._check_kinds()
+        _check_names("free", self.free, self.model.parameter_names)
+        if len(set(self.free)) < len(self.free):
+            raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
+        self._check_values()
+        self._check_expressions()
+        self._check_count()
+        self._check_bounds()
+
+    # Checks ---------------------------------------------------------------------------------------------------------
+
+    def _check_kinds(self) -> None:
+        if not isinstance(self.model, OdeModel):
+            raise TypeError(f"model: given {shown(self.model)}; accepted: an OdeModel")
+        for label, given in (("conditions", self.conditions), ("integrals", self.integrals), ("free", self.free)):
+            if not isinstance(given, Sequence) or isinstance(given, str | bytes):
+                raise TypeError(f"{label}: given {shown(given)}; accepted: a list")
+        for label, mapping in (("parameters", self.parameters), ("bounds", self.bounds)):
+            if not isinstance(mapping, Mapping):
+                raise TypeError(f"{label}: given {shown(mapping)}; accepted: a mapping from names")
+        if not isinstance(self.interval, Sequence) or len(self.interval) != 2:
+            raise TypeError(f"interval: given {shown(self.interval)}; accepted: (start, end)")
+        for end in self.interval:
+            if isinstance(end, ca.SX | ca.MX):
+                check_expression("interval", end, [self.model.parameters])
+                if end.numel() != 1:
+                    raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
+            elif isinstance(end, bool) or not isinstance(end, Real):
+                raise TypeError(f"interval: given {shown(end)}; accepted: numbers or expressions in parameters")
+
+    def _check_values(self) -> None:
+        start, end = self.span(np.array(list(self.values.values())))
+        if not (np.isfinite(start) and np.isfinite(end) and end > start):
+            raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
+
+    def _check_expressions(self) -> None:
+        at_ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        groups: list[tuple[str, Iterable[Any], list[Expression]]] = [
+            ("conditions", self.conditions, at_ends),
+            ("integrals", self.integrals, along),
+            ("objective", () if self.objective is None else (self.objective,), at_ends),
+            ("running", () if self.running is None else (self.running,), along),
+        ]
+        for label, expressions, symbols in groups:
+            for place, expression in enumerate(expressions, start=1):
+                single = label in ("objective", "running")
+                check_expression(label if single else f"{label}, number {place}", expression, symbols)
+                if single and expression.numel() != 1:
+                    raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+
+    def _check_count(self) -> None:
+        given = _count(self.conditions) + _count(self.integrals)
+        unknown = self.model.full_size + len(self.free)
+        what = f"{self.model.full_size} states and {len(self.free)} free parameters"
+        if self.optimises and given > unknown:
+            raise ValueError(f"conditions: given {given} with an objective; accepted: at most {unknown}, for {what}")
+        if not self.optimises and given != unknown:
+            kinds = f"{_count(self.conditions)} at the ends and {_count(self.integrals)} integrals"
+            raise ValueError(f"conditions: given {given} ({kinds}); accepted: {unknown}, for {what}")
+
+    def _check_bounds(self) -> None:
+        _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
+        for name, bound in self.bounds.items():
+            pair = isinstance(bound, Sequence) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
+            if not pair or not bound[0] < bound[1]:
+                raise ValueError(f"bounds: given {shown(bound)} for {name}; accepted: (lower, upper), lower < upper")
+
+    # What it is made of ---------------------------------------------------------------------------------------------
+
+    @property
+    def optimises(self) -> bool:
+        """Whether something is minimised."""
+        return self.objective is not None or self.running is not None
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter by name, in the order of the model; guesses of the free ones."""
+        return named_values(self.model, self.parameters)
+
+    @cached_property
+    def _time(self) -> Expression:
+        return type(self.model.state).sym("t") if self.model.time is None else self.model.time
+
+    def _end_of_interval(self, i: int, parameters: Any) -> Any:
+        """The start (0) or the end (1) of the interval at parameters: numbers, or an expression of the same kind."""
+        end = self.interval[i]
+        if not isinstance(end, ca.SX | ca.MX):
+            return float(end)
+        found = ca.Function("t", [self.model.parameters], [end])(parameters)
+        return float(found) if isinstance(found, ca.DM) else found
+
+    def ends_at(self, parameters: Any) -> tuple[Any, Any]:
+        """Start and end of the interval at parameters, numbers or expressions."""
+        return self._end_of_interval(0, parameters), self._end_of_interval(1, parameters)
+
+    def along(self, name: str, expression: Expression) -> ca.Function:
+        """Function (t, x, p) of an expression in these."""
+        return ca.Function(name, [self._time, self.model.full_state, self.model.parameters], [expression])
+
+    def span(self, parameters: np.ndarray[Any, Any]) -> tuple[float, float]:
+        """Start and end of the interval at values of all parameters, in the model's order."""
+        start, end = self.ends_at(parameters)
+        return float(start), float(end)
+
+    def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
+        """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`."""
+        model, kind = self.model, type(self.model.state)
+        s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
+        scalars = kind.sym("scalars", len(self.free) + 1)
+        p = self.parameters_at(scalars, walking, end)
+        t0, t1 = self.ends_at(p)
+        time = t0 + s * (t1 - t0)
+        border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
+        mean = self.along("mean", _stacked(kind, self.integrals))
+        field = (t1 - t0) * model.vector_field(time, x, p)
+        return Formulation(s, x, last, scalars, field, border(x, last, p), (t1 - t0) * mean(time, x, p))
+
+    def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
+        """All parameters, in the model's order, from the scalars among the unknowns."""
+        entries = []
+        for name, value in self.values.items():
+            if name in self.free:
+                entries.append(scalars[list(self.free).index(name)])
+            elif name == walking:
+                entries.append(value + scalars[len(self.free)] * (end - value))
+            else:
+                entries.append(value)
+        if isinstance(scalars, np.ndarray):
+            return np.array(entries, dtype=float)
+        return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
+
+    def with_parameters(self, **values: float) -> BoundaryValueProblem:
+        """The same problem at other values of parameters."""
+        return replace(self, parameters={**self.parameters, **values})
+
+    # What can be asked of it ----------------------------------------------------------------------------------------
+
+    def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
+        """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
+
+        See `casadi_skin.orbits.solve.solve` for the guess, the options, and what is raised.
+        """
+        if self.optimises or self.bounds:
+            from casadi_skin.optimise.boundary_nlp import optimise
+
+            return optimise(self, guess, **options)
+        from casadi_skin.orbits.solve import solve
+
+        return solve(self, guess, **options)
+
+
+def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+    """Value of each parameter of a model by name, in its order: given, or nominal.
+
+    Raises ValueError for unknown names and where a parameter has no value.
+    """
+    _check_names("parameters", given, model.parameter_names)
+    nominal = dict(zip(model.parameter_names, model.nominal or (), strict=False))
+    values = nominal | {name: number(f"parameters, {name}", value) for name, value in given.items()}
+    for name in model.parameter_names:
+        if name not in values:
+            raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
+    return {name: values[name] for name in model.parameter_names}
+
+
+def _count(expressions: Iterable[Expression]) -> int:
+    return sum(int(expression.numel()) for expression in expressions)
+
+
+def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
+    return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
+
+
+def check_name(label: str, name: object, known: Sequence[str]) -> None:
+    """Raises ValueError, with the nearest known name, for an unknown one."""
+    if name not in known:
+        near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
+        hint = f"did you mean {near}? " if near else ""
+        raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
+
+
+def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
+    for name in given:
+        check_name(label, name, known)
+
+
+def check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
+    """Raises TypeError for what is no expression of the symbols' kind, ValueError where it depends on others."""
+    kind = type(symbols[0])
+    if not isinstance(expression, kind):
+        raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
+    if is_comparison(expression):
+        raise ValueError(f"{label}: given a comparison, {shown(expression)}; accepted: an expression, x - 1 for x == 1")
+    stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
+    if stranger:
+        known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
+        other = " of another model" if set(stranger) <= set(known) else ""
+        raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {', '.join(known) or 'numbers'}")

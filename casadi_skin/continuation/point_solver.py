@@ -1,0 +1,239 @@
+"""Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two points already known.
+
+The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.continuation.points import Point, Target, WalkSettings
+from casadi_skin.solvers.bordered import SingularError, Solve
+from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.levels import ErrorEstimate, Ladder, step_error
+
+ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
+COARSEN = 0.25  # of the tolerance: the error expected of a coarser rung; less than 1, or it is left again at once
+START_ERROR = 1e-4  # of the linear mode where a walk starts
+PATIENCE = 4  # rungs that may fail to halve, all together, an estimate that is small enough to mean something
+MEANINGFUL = 1e-3
+BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
+
+
+class Locator:
+    """Makes points of one branch on a ladder of resolutions, to the tolerance of the settings."""
+
+    def __init__(self, ladder: Ladder, settings: WalkSettings) -> None:
+        self.ladder, self.settings = ladder, settings
+        self.failure = ""  # why the last correction came to nothing, in words
+
+    # Geometry -------------------------------------------------------------------------------------------------------
+
+    def metric(self, problem: Problem, z: Array) -> Array:
+        return problem.metric(z, abs(self.settings.parameter_max))
+
+    def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
+        """Solver of the Jacobian at z closed by `row`; raises SingularError."""
+        return self.ladder.solver(problem).factor(z, problem.evaluate(z)[1], row)
+
+    def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
+        """Unit tangent at z with row . t > 0, by the solver closed by that row."""
+        unit = np.zeros(problem.size)
+        unit[-1] = 1.0
+        t = solve(unit)
+        return np.asarray(t / np.sqrt(np.sum(self.metric(problem, z) * t**2)))
+
+    def start(self, positions: Array, Omega: float) -> Point:
+        """The linear mode at zero amplitude with the tangent of its family; not walked.
+
+        On the coarsest rung whose own linear mode is this one, but for an error that the guard does not see.
+        """
+        direction = float(np.sign(self.settings.parameter_max))
+        for resolution in self.ladder.rungs:
+            problem = self.ladder.problem(resolution)
+            assert isinstance(problem, OrbitProblem)
+            z = problem.pack(positions, Omega, 0.0)
+            solve = self.factor(problem, z, direction * problem.parameter_row())
+            own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
+            enough = min(self.settings.tolerance, START_ERROR)
+            if problem.holds_linear_modes or own.relative(problem.frequency(z)) <= enough:
+                break
+        tangent = self.tangent(problem, z, solve)
+        return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
+
+    # Correcting -----------------------------------------------------------------------------------------------------
+
+    def correct(self, problem: Problem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
+        """Corrected point within the guard's fraction of `reach` of the guess, or None."""
+        correction = self.ladder.corrector(problem).correct(guess, row, value)
+        if not correction.converged or problem.frequency(correction.z) <= 0:
+            self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
+            return None
+        distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
+        allowed = self.settings.guard_distance * reach
+        if distance <= allowed:
+            return correction
+        at = f"Omega = {problem.frequency(guess):.10g}, parameter = {guess[problem.parameter_index]:.10g}"
+        self.failure = f"at {at} the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
+        return None
+
+    def refined(
+        self,
+        problem: Problem,
+        correction: Correction,
+        row: Array,
+        held: Scalar | None = None,
+        known: tuple[Point, float] | None = None,
+    ) -> Point | None:
+        """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
+
+        `held` tells what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
+        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer rung
+        does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
+        relative error, where these have been found. Raises SingularError.
+        """
+        z, iterations, polished, placed = correction.z, correction.iterations, False, False
+        coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
+        climbed: list[tuple[int, float]] = []
+        while True:
+            solve = self.factor(problem, z, row)
+            if known is None:
+                tangent = self.tangent(problem, z, solve)
+                known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
+            point, relative = known
+            if point.at_round_off or relative <= self.settings.tolerance:
+                return point
+            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
+            algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
+            if polished and algebraic > 0.25 * relative:
+                return replace(point, at_round_off=True)
+            if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
+                return replace(coarser[1], at_round_off=True)  # its finer rung has more round-off, not less error
+            if algebraic > 0.25 * relative:
+                polished, target, guess = True, problem, z - left_over
+            elif not placed and problem.expected_error(z, relative, problem) <= self.settings.tolerance:
+                polished, placed, target = False, True, problem.placed(z, problem)
+                guess = problem.prolong(z, target)
+            else:
+                climbed.append((problem.resolution, relative))
+                _check_gain(climbed, point)
+                finer = self.ladder.finer(problem, z)
+                if finer is None or self.ladder.finer(finer) is None:
+                    return None
+                polished, placed, target, coarser = False, False, finer, (relative, point)
+                guess = problem.prolong(z, target)
+            row = self._closing(problem, target, guess, row, point.tangent, held)
+            correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
+            if not correction.converged:
+                raise SingularError(f"{correction.status.value} {correction.message}".strip())
+            problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
+
+    def near(
+        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
+    ) -> Point | None:
+        """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
+        point, relative = self._measured(problem, correction, tangent, held)
+        finished = point.at_round_off or relative <= self.settings.tolerance
+        return point if finished else self.refined(problem, correction, row, held, (point, relative))
+
+    def _measured(
+        self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None
+    ) -> tuple[Point, float]:
+        """The point of a correction with its estimated error; and that relative, the larger of both."""
+        error, better = self.ladder.refined(problem, correction.z, tangent, held)
+        relative = error.relative(problem.frequency(correction.z))
+        at_round_off = self.settings.tolerance < relative <= error.round_off
+        step, iterations = self.settings.first_step, correction.iterations
+        point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
+        return point, relative
+
+    def _closing(
+        self, problem: Problem, target: Problem, guess: Array, row: Array, tangent: Array, held: Scalar | None
+    ) -> Array:
+        """The row that closes the equations of `target` as `row` closed those of `problem`."""
+        if target is problem:
+            return row
+        if held is not None:
+            return np.asarray(target.row_of(held) * row[problem.index_of(held)])
+        return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
+
+    def lighter(self, point: Point) -> Problem:
+        """Where to try the next step from a point: a coarser rung where that is expected to be accurate enough."""
+        allowed = COARSEN * self.settings.tolerance
+        return self.ladder.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
+
+    # At a value of the parameter or of Omega, between two points -----------------------------------------------------
+
+    def between(
+        self, current: Point, following: Point, targets: tuple[Target, ...]
+    ) -> Iterator[tuple[Target, Point | None]]:
+        """Points at any of `targets` between two points of the branch, in arclength order.
+
+        Yields (target, point), and (target, None) where the corrector does not find the point that the branch passes.
+        """
+        curve, length = self.curve(current, following)
+        problem = following.problem
+        places = [(sigma, target) for target in targets for sigma in curve.crossings(*target.unknown(problem), length)]
+        for sigma, target in sorted(places, key=lambda place: place[0]):
+            yield target, self._exactly(problem, curve, sigma, target, length)
+
+    def beside(self, point: Point, target: Target) -> Point | None:
+        """The point at a target that `point` meets but for round-off; None where none is found."""
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE)
+
+    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
+        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+        problem = following.problem
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        row = self.metric(problem, z) * t
+        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
+        return curve, float(row @ (following.z - z))
+
+    def along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """A corrected point at a fraction of the way between two points of the branch, or None."""
+        problem = following.problem
+        curve, length = self.curve(current, following)
+        guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
+        row = self.metric(problem, guess) * slope
+        correction = self.correct(problem, guess, row, float(row @ guess), length)
+        try:
+            point = None if correction is None else self.refined(problem, correction, row)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
+
+    def _exactly(
+        self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float
+    ) -> Point | None:
+        """The point at a target near curve(sigma); None where none is found there."""
+        guess = curve.at(sigma)
+        index, value = target.unknown(problem)
+        direction = float(np.sign(curve.slope(sigma)[index]))
+        row = problem.row_of(target.held) * direction
+        correction = self.correct(problem, guess, row, value * direction, length)
+        if correction is None:
+            return None
+        correction.z[index] = value  # equal but for round-off of the held row
+        try:
+            point = self.refined(problem, correction, row, target.held)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
+
+
+def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
+    """Raises SingularError where finer rungs do not lessen the error: rounding is amplified there."""
+    if len(climbed) <= PATIENCE:
+        return
+    (coarse, before), (fine, now) = climbed[-1 - PATIENCE], climbed[-1]
+    if 0.5 * before < now < MEANINGFUL:
+        raise SingularError(
+            f"resolutions {coarse} to {fine} leave an error of {now:.1e} at parameter {point.parameter:.6g}, Omega = "
+            f"{point.Omega:.10g}: rounding is amplified there; try a tolerance above {now:.0e}"
+        )

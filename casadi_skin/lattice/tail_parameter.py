@@ -1,0 +1,132 @@
+"""The unknown in place of Omega where a long chain's tail is eliminated: smooth and well resolved at every length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.lattice.tail import Tail, Wave
+
+
+@dataclass(frozen=True)
+class TailValues:
+    """What the core needs at one value u of the parameter, and derivatives by u.
+
+    Harmonic k = 2 h + 1 has a_(c-1) = across[h] b and a_c = down[h] b: across = e sin(psi_k), down = cos(psi_k).
+    """
+
+    Omega: float
+    Omega_slope: float
+    across: Array
+    across_slope: Array
+    down: Array
+    down_slope: Array
+    psi: Array
+
+
+@dataclass(frozen=True)
+class TailParameter:
+    """A parameter u of the family of an edge mode that resolves Omega where it is pinned to an edge of the band.
+
+    At the upper edge u = psi_1. At the lower one, from which a softening mode falls into the gap, u = psi_1 - psi_3:
+    with N infinite Omega does not change below the threshold, where psi_1 does, nor when 3 Omega has come down to the
+    upper edge, where psi_3 does. Omega(u) is smooth and monotone for finite N, whatever its length.
+    """
+
+    tail: Tail
+    edge: int  # +1 for the lower edge of the band, -1 for the upper one
+    harmonics: int
+
+    def __post_init__(self) -> None:
+        if self.edge > 0 and 9.0 * self.tail.edge_squared(1) <= self.tail.edge_squared(-1):
+            raise ValueError("three times the lowest frequency lies in the band: nothing of the tail is bound")
+
+    @cached_property
+    def _turn(self) -> tuple[float, float]:
+        """psi_1 and psi_3 in the middle of the gap: below it psi_3 is solved for, above it psi_1."""
+        squared = 0.5 * (self.tail.edge_squared(1) + self.tail.edge_squared(-1) / 9.0)
+        return self._psi(1, squared), self._psi(3, squared)
+
+    def _beyond(self, k: int, Omega_squared: float) -> float:
+        """How far (k Omega)^2 is outside its edge, in units of 4 s."""
+        edge = self.edge if k == 1 else -1
+        return edge * (self.tail.edge_squared(edge) - k**2 * Omega_squared) / (4.0 * self.tail.coupling)
+
+    def _beside(self, k: int, Omega_squared: float) -> Wave:
+        return self.tail.wave_at(self._beyond(k, Omega_squared))
+
+    def _psi(self, k: int, Omega_squared: float) -> float:
+        return self._beside(k, Omega_squared).psi
+
+    def _squared(self, k: int, wave: Wave) -> float:
+        """Omega^2 of a wave of harmonic k."""
+        edge = self.edge if k == 1 else -1
+        return (self.tail.edge_squared(edge) - 4.0 * edge * self.tail.coupling * self.tail.outside(wave)) / k**2
+
+    def of_frequency(self, Omega: float) -> float:
+        """u where the frequency is `Omega`, bound beside the band; NaN where it is pinned or not there."""
+        bound = [1] if self.edge < 0 else [1, 3]
+        if min(self._beyond(k, Omega**2) for k in bound) <= 0.0:
+            return float("nan")
+        return self._psi(1, Omega**2) - (0.0 if self.edge < 0 else self._psi(3, Omega**2))
+
+    def at(self, psi: float) -> float:
+        """u where psi_1 is `psi`."""
+        if self.edge < 0:
+            return psi
+        return psi - self._psi(3, self._squared(1, self.tail.wave(psi)))
+
+    def _resolved(self, u: float) -> tuple[int, Wave]:
+        """The harmonic that resolves Omega at u, and its wave."""
+        from scipy.optimize import brentq
+
+        if self.edge < 0:
+            return 1, self.tail.wave(u)
+        psi_1, psi_3 = self._turn
+        if u >= psi_1 - psi_3:
+
+            def by_first(psi: float) -> float:
+                return psi - self._psi(3, self._squared(1, self.tail.wave(psi))) - u
+
+            return 1, self.tail.wave(float(brentq(by_first, max(u, psi_1), u + psi_3, xtol=1e-300, rtol=1e-15)))
+
+        def by_third(psi: float) -> float:
+            return self._psi(1, self._squared(3, self.tail.wave(psi))) - psi - u
+
+        return 3, self.tail.wave(float(brentq(by_third, psi_1 - u, max(-u, psi_3), xtol=1e-300, rtol=1e-15)))
+
+    def values(self, u: float) -> TailValues:
+        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
+        k0, wave = self._resolved(u)
+        tail, edge = self.tail, self.edge if k0 == 1 else -1
+        squared = self._squared(k0, wave)
+        by_psi = -4.0 * edge * tail.coupling * tail.outside_slope(wave) / k0**2  # d Omega^2 / d psi_k0
+        ks = 2 * np.arange(self.harmonics) + 1
+        edges = np.where(ks == 1, self.edge, -1)
+        psi, slopes = np.empty(ks.size), np.empty(ks.size)  # and d psi_k / d Omega^2
+        for h, k in enumerate(ks.tolist()):
+            if k != k0:
+                other = self._beside(k, squared)
+                psi[h] = other.psi
+                slopes[h] = -edges[h] * k**2 * other.slope / (2.0 * tail.coupling * np.sinh(other.kappa))
+        h0 = (k0 - 1) // 2
+        sign = 1.0 if k0 == 1 else -1.0
+        partner = 0.0 if self.edge < 0 else slopes[1 if k0 == 1 else 0] * by_psi
+        psi_slope = sign / (1.0 - partner)  # d psi_k0 / d u, with u = psi_1 - psi_3
+        squared_slope = by_psi * psi_slope
+        psi[h0] = wave.psi
+        by_u = slopes * squared_slope
+        by_u[h0] = psi_slope
+        Omega = float(np.sqrt(squared))
+        return TailValues(
+            Omega,
+            float(squared_slope / (2.0 * Omega)),
+            edges * np.sin(psi),
+            edges * np.cos(psi) * by_u,
+            np.cos(psi),
+            -np.sin(psi) * by_u,
+            psi,
+        )

@@ -1,0 +1,1 @@
+"""Orbits found by optimisation, boundary-value problems with an objective, the smallest kick."""

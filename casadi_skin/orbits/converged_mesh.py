@@ -1,0 +1,60 @@
+"""A first mesh for solutions with layers: placed again and again at a fixed number of intervals until it has settled.
+
+Collocation at Gauss points does not damp what it does not resolve: on a coarse uniform mesh a layer at an end shows
+nowhere, one inside everywhere. A mesh that is graded towards both ends meets the former at once, and repeated
+equidistribution (de Boor 1973; Ascher, Mattheij and Russell 1995, section 9.1) finds the latter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_skin.bvp import mesh
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.solvers.bordered import SingularError
+from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.levels import Ladder
+
+UNRESOLVED = 0.1  # relative error beyond which a first mesh has missed something
+RUNGS = (40, 90, 200)
+ROUNDS = 20
+SETTLED = 1.2  # imbalance of a mesh that need not be placed again
+SMALLEST = 1e-8  # first interval of a graded mesh, of the whole
+
+
+def settled(ladder: Ladder, problem: BoundaryProblem, z: Array) -> tuple[BoundaryProblem, Correction] | None:
+    """The solution near z on a mesh that resolves it; None where it is resolved as it is, or nowhere."""
+    if _error(ladder, problem, z) <= UNRESOLVED:
+        return None
+    for resolution in [r for r in RUNGS if r > problem.resolution]:
+        target = ladder.problem(resolution)
+        starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST)))
+        found = [f for start in starts if (f := _placed(ladder, problem, z, start)) is not None]
+        errors = [_error(ladder, p, correction.z) for p, correction in found]
+        if min(errors, default=np.inf) <= UNRESOLVED:
+            return found[int(np.argmin(errors))]
+    return None
+
+
+def _placed(
+    ladder: Ladder, problem: BoundaryProblem, z: Array, target: object
+) -> tuple[BoundaryProblem, Correction] | None:
+    """The solution near z on a mesh placed until it has settled."""
+    for _ in range(ROUNDS):
+        assert isinstance(target, BoundaryProblem)
+        correction = ladder.corrector(target).correct(problem.prolong(z, target), target.parameter_row(), 0.0)
+        if not correction.converged:
+            return None
+        problem, z = target, correction.z
+        if problem.imbalance(z) <= SETTLED and _error(ladder, problem, z) <= UNRESOLVED:
+            return problem, correction
+        target = problem.placed(z, problem)
+    return problem, correction
+
+
+def _error(ladder: Ladder, problem: BoundaryProblem, z: Array) -> float:
+    try:
+        return ladder.error(problem, z).relative(1.0)
+    except SingularError:
+        return float(np.inf)

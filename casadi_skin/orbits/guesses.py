@@ -1,0 +1,83 @@
+"""Where a solution is sought: guesses from numbers, functions, arrays, simulations and other solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.arguments import shown
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.statement import BoundaryValueProblem, check_name
+
+
+@runtime_checkable
+class Evaluated(Protocol):
+    """A solution, an orbit or a simulation."""
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """States, shape (time, component)."""
+        ...
+
+
+Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
+ACCEPTED = (
+    "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
+    "states); a simulation or a solution"
+)
+
+
+def sampled(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+    """The guess at times t, shape (time, component); raises ValueError for what is no guess."""
+    n = statement.model.full_size
+    values = _values(statement, guess, t)
+    if values.shape != (t.size, n):
+        raise ValueError(f"guess: gives shape {values.shape} at {t.size} times; accepted: {n} states at each")
+    if not np.all(np.isfinite(values)):
+        raise ValueError("guess: given values that are not finite; accepted: finite numbers")
+    return values
+
+
+def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+    names = statement.model.state_names
+    if isinstance(guess, Evaluated):
+        return np.asarray(guess.evaluate(t), dtype=float)
+    if isinstance(guess, Mapping):
+        for name in guess:
+            check_name("guess", name, names)
+        return np.stack([_column(name, guess.get(name, 0.0), t) for name in names], axis=1)
+    if callable(guess):
+        try:
+            return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"guess: the function fails: {error}; accepted: one that gives {len(names)} numbers"
+            ) from error
+    if isinstance(guess, tuple) and len(guess) == 2 and np.ndim(guess[1]) == 2:
+        return _interpolated(np.asarray(guess[0], dtype=float), np.asarray(guess[1], dtype=float), t)
+    try:
+        constant = np.asarray(guess, dtype=float).ravel()
+    except (TypeError, ValueError):
+        raise ValueError(f"guess: given {shown(guess)}; accepted: {ACCEPTED}") from None
+    return np.tile(constant, (t.size, 1))
+
+
+def _column(name: str, given: Any, t: Array) -> Array:
+    """Values of one state from a number or a function."""
+    try:
+        return np.array([float(given(float(x))) for x in t]) if callable(given) else np.full(t.size, float(given))
+    except (TypeError, ValueError):
+        raise ValueError(f"guess: given {shown(given)} for {name}; accepted: a number, or a function of t") from None
+
+
+def _interpolated(times: Array, values: Array, t: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    if times.ndim != 1 or times.size != len(values) or times.size < 2 or not np.all(np.diff(times) > 0):
+        given = f"times of shape {times.shape}, states of shape {values.shape}"
+        raise ValueError(f"guess: given {given}; accepted: two or more ascending times, one row of states each")
+    if not np.all(np.isfinite(values)):
+        raise ValueError("guess: given values that are not finite; accepted: finite numbers")
+    return np.asarray(CubicSpline(times, values)(np.clip(t, times[0], times[-1])))

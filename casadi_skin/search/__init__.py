@@ -1,1 +1,0 @@
-"""Orbits and perturbations found by optimisation."""

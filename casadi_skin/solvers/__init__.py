@@ -1,0 +1,1 @@
+"""Solvers: Newton, Ipopt, the bordered linear solver, levels of resolution."""

@@ -1,0 +1,183 @@
+"""Resolutions of one orbit problem from coarse to fine, each built when first needed, and the error between two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
+from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.solvers.corrector import Corrector
+
+SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+UNEVEN = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
+NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with what rounding does
+FOLD = 1e-4  # tangents that change the parameter by less than this part of it are those of a fold
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component.
+
+    `round_off` is the part, relative like `relative`, below which no discretisation brings them. `parameter` is the
+    relative error of the free parameter, 0 where the others are those at its value: only where Omega is held, or in the
+    neighbourhood of a fold, where they are those across the branch, is it not.
+    """
+
+    Omega: float
+    profile: float
+    round_off: float = 0.0
+    parameter: float = 0.0
+
+    def relative(self, Omega: float) -> float:
+        """The largest of the three, with that of Omega made relative."""
+        return max(self.Omega / Omega, self.profile, self.parameter)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """An orbit on the next finer rung, one Newton step from the orbit prolonged: better by the error estimated."""
+
+    problem: Problem
+    z: Array
+
+
+def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
+    """The error that a step from z to the better point makes up for."""
+    parameter = abs(float(step[problem.parameter_index] / z[problem.parameter_index])) if with_parameter else 0.0
+    Omega, profile = abs(problem.frequency_step(z, step)), problem.profile_change(z, step)
+    return ErrorEstimate(SAFETY * Omega, SAFETY * profile, parameter=SAFETY * parameter)
+
+
+class Ladder:
+    """Problems, linear solvers and correctors by resolution.
+
+    `build` makes a problem at a resolution, `correct_with` a corrector for it; `rungs` lists the resolutions that the
+    ladder offers, ascending. Problems of one resolution that differ in their constants share solver and corrector.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[int], Problem],
+        correct_with: Callable[[Problem], Corrector],
+        rungs: tuple[int, ...],
+    ) -> None:
+        self._build, self._correct_with, self.rungs = build, correct_with, rungs
+        self._problems: dict[int, Problem] = {}
+        self._solvers: dict[int, BorderedSolver] = {}
+        self._correctors: dict[int, Corrector] = {}
+
+    def problem(self, resolution: int) -> Problem:
+        """The problem at a resolution."""
+        if resolution not in self._problems:
+            self._problems[resolution] = self._build(resolution)
+        return self._problems[resolution]
+
+    def solver(self, problem: Problem) -> BorderedSolver:
+        """The bordered linear solver of a problem."""
+        if problem.resolution not in self._solvers:
+            self._solvers[problem.resolution] = BorderedSolver(problem)
+        return self._solvers[problem.resolution]
+
+    def corrector(self, problem: Problem) -> Corrector:
+        """The corrector of a problem."""
+        if problem.resolution not in self._correctors:
+            self._correctors[problem.resolution] = self._correct_with(problem)
+        return self._correctors[problem.resolution].on(problem)
+
+    def finer(self, problem: Problem, z: Array | None = None) -> Problem | None:
+        """The next rung above, or None at the top.
+
+        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it.
+        """
+        above = [r for r in self.rungs if r > problem.resolution]
+        if not above:
+            return None
+        if z is not None and problem.imbalance(z) > UNEVEN:
+            return problem.placed(z, self.problem(above[0]))
+        return problem.transferred(self.problem(above[0]))
+
+    def lighter(self, problem: Problem, z: Array, error: float, allowed: float) -> Problem:
+        """The coarsest rung, its unknowns placed for z, whose relative error is expected below `allowed`.
+
+        `error` is that of z on `problem`, which is returned where no coarser rung will do.
+        """
+        found = problem
+        for resolution in reversed([r for r in self.rungs if r < problem.resolution]):
+            coarser = self.problem(resolution)
+            if error > allowed or problem.expected_error(z, error, coarser) > allowed:
+                break
+            found = coarser
+        return problem if found is problem else problem.placed(z, found)
+
+    def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
+        """Error of z, from `refined`; infinite at the top of the ladder. Raises SingularError."""
+        return self.refined(problem, z, tangent)[0]
+
+    def refined(
+        self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None
+    ) -> tuple[ErrorEstimate, Refinement | None]:
+        """Error of z and the better orbit that shows it: one Newton step on the next finer rung, from z prolonged.
+
+        The step is the difference to the finer solution up to its square. It contains what the corrector left over
+        and the round-off of the residual as well. What is `held` keeps its value. Where that is None, `tangent` (unit
+        in the metric) tells the way of the branch: the step is taken across it and then brought back to the parameter
+        along it, but for the neighbourhood of a fold; without a tangent the free parameter is held. Infinite and None
+        at the top of the ladder. Raises SingularError.
+        """
+        finer = self.finer(problem)
+        if finer is None:
+            return ErrorEstimate(np.inf, np.inf), None
+        long_z = problem.prolong(z, finer)
+        row = finer.row_of(held or Scalar.PARAMETER)
+        along = None if tangent is None or held is not None else problem.prolong(tangent, finer)
+        if along is not None:
+            row = finer.metric(long_z, 1.0) * along
+        residual, nonzeros = finer.evaluate(long_z)
+        solve = self.solver(finer).factor(long_z, nonzeros, row)
+        step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
+        moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
+        error = step_error(finer, long_z, step, moves)
+        error = replace(error, Omega=max(error.Omega, problem.round_off * problem.frequency(z)))
+        if error.relative(problem.frequency(z)) < NEAR_ROUND_OFF:
+            noise = problem.rounding(z) * np.append(finer.probe, 0.0)
+            response = _at_parameter(finer, long_z, solve(noise), along)
+            error = _no_better(error, step_error(finer, long_z, response, moves), problem, z)
+            if held is Scalar.OMEGA and tangent is not None:
+                error = replace(error, parameter=max(error.parameter, _by_constants(problem, z, tangent)))
+        return error, Refinement(finer, long_z - step)
+
+
+def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
+    """A step brought back to the parameter of z along a tangent, but for the neighbourhood of a fold."""
+    index = problem.parameter_index
+    if along is None or abs(along[index]) <= FOLD * abs(z[index]):
+        return step
+    brought_back = np.asarray(step - along * (step[index] / along[index]))
+    brought_back[index] = 0.0  # but for round-off
+    return brought_back
+
+
+def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, z: Array) -> ErrorEstimate:
+    """The error, but not below the response to rounding and what rounded constants do."""
+    Omega = problem.frequency(z)
+    floor = replace(
+        response,
+        Omega=max(response.Omega, problem.round_off * Omega),
+        profile=max(response.profile, problem.round_off),
+    )
+    return ErrorEstimate(
+        max(error.Omega, floor.Omega),
+        max(error.profile, floor.profile),
+        floor.relative(Omega),
+        max(error.parameter, floor.parameter),
+    )
+
+
+def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:
+    """Relative error of the parameter at a held Omega by rounded constants, which put Omega off at a held parameter."""
+    by_Omega = abs(problem.frequency_step(z, tangent)) / problem.frequency(z)
+    by_parameter = abs(float(tangent[problem.parameter_index] / z[problem.parameter_index]))
+    return problem.round_off * by_parameter / max(by_Omega, EPSILON)

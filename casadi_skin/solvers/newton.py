@@ -1,0 +1,48 @@
+"""Newton's method on the bordered orbit equations."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.solvers.bordered import BorderedSolver, SingularError
+from casadi_skin.solvers.corrector import Correction, Status
+
+
+class NewtonCorrector:
+    """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast."""
+
+    def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self._solver = BorderedSolver(problem)
+
+    def on(self, problem: Problem) -> NewtonCorrector:
+        """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
+        other = copy.copy(self)
+        other.problem = problem
+        return other
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        if self.problem.frequency(guess) <= 0:
+            return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
+        z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
+        last = np.inf
+        for iteration in range(1, self.max_iterations + 1):
+            try:
+                residual, nonzeros = self.problem.evaluate(z)
+                solve = self._solver.factor(z, nonzeros, row)
+            except SingularError as error:
+                return Correction(z, Status.SINGULAR, iteration, str(error))
+            step = solve(np.append(residual, row @ z - value))
+            z = z - step
+            length = float(np.sqrt(np.sum(weights * step**2)))
+            if not np.isfinite(length) or length > max(1.0, 10.0 * last):
+                return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
+            # Quadratic convergence: after a step of this length the next would be about its square.
+            if length <= self.tolerance or (length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance):
+                return Correction(z, Status.CONVERGED, iteration)
+            last = length
+        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))

@@ -1,0 +1,42 @@
+"""A corrector that takes residuals of the size of their rounding for converged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.solvers.corrector import Correction, Corrector, Status
+
+ROUNDED = 4.0  # times the rounding of the largest term
+
+
+class RoundedCorrector:
+    """Another corrector, whose tolerance may lie below what rounding leaves of residuals with large terms.
+
+    Where it stops at residuals that are rounding alone there is nothing left to solve: the estimated error of the
+    point, which knows what rounding does, tells what it is worth.
+    """
+
+    def __init__(self, inner: Corrector) -> None:
+        self.inner, self.problem = inner, inner.problem
+
+    def on(self, problem: Problem) -> RoundedCorrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        return RoundedCorrector(self.inner.on(problem))
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
+        correction = self.inner.correct(guess, row, value)
+        if correction.converged or correction.status is Status.SINGULAR:
+            return correction
+        z = correction.z
+        try:
+            largest = float(np.max(np.abs(self.problem.evaluate(z)[0])))
+        except ArithmeticError:
+            return correction
+        held = abs(float(row @ z) - value) <= ROUNDED * np.finfo(float).eps * max(1.0, float(np.abs(row) @ np.abs(z)))
+        if held and largest <= ROUNDED * self.problem.rounding(z):
+            return replace(correction, status=Status.CONVERGED, message="to rounding")
+        return correction

@@ -1,0 +1,220 @@
+"""Multipliers of periodic orbits of any model, over the full period.
+
+From the linearised collocation equations, whose interval maps are multiplied (Doedel 1981; Fairgrieve and Jepson 1991),
+and, sharing nothing with these, from CVODES sensitivities. Multipliers smaller than 1 are the inverses of those of the
+inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.integrators import IntegrationError, Trajectory
+from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.models.ode import OdeModel
+
+ComplexArray = NDArray[np.complex128]
+DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
+LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
+TIGHTEST = 1e-13
+SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
+ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
+
+
+class TrivialMultiplierWarning(UserWarning):
+    """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers in descending modulus, the trivial ones among them as they were computed.
+
+    `monodromy` is the matrix over the full period at phase zero. `trivial` counts multipliers that are 1 for every
+    orbit: one in an autonomous model, two in a conservative one, none in a forced one; `deviation` is how far these are
+    from 1 (of a pair, the root of the product of both: an error e splits it by the root of e).
+    """
+
+    values: ComplexArray
+    monodromy: Array
+    trivial: int
+    deviation: float
+    allowed: float
+
+    @property
+    def others(self) -> ComplexArray:
+        """Multipliers but the trivial ones, in descending modulus."""
+        return np.asarray(self.values[_others(self.values, self.trivial)])
+
+    @property
+    def stable(self) -> bool:
+        """Whether no multiplier but the trivial ones lies outside the unit circle, within what errors allow."""
+        return bool(np.all(np.abs(self.others) <= 1.0 + self.allowed))
+
+    def warn(self) -> None:
+        """Warn where the trivial multipliers have drifted."""
+        if self.deviation > self.allowed:
+            words = f"the trivial multiplier is off by {self.deviation:.1e}, more than {self.allowed:.1e}"
+            warnings.warn(f"{words}; try a smaller tolerance", TrivialMultiplierWarning, stacklevel=4)
+
+
+def multipliers_by_collocation(
+    problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, tolerance: float
+) -> Multipliers:
+    """Multipliers from the interval maps of the linearised equations."""
+    jacobians = stage_jacobians(problem, z)
+    maps = interval_maps(problem, jacobians)
+    if symmetry is not SymmetryClass.FULL:
+        maps = _whole(maps, model, symmetry)
+    quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
+    contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
+    return _multipliers(maps, model, tolerance, contraction)
+
+
+def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
+    """Derivatives of the field, for an interval of unit length, at all stages, shape (intervals * degree, n, n)."""
+    n, d, K = problem.formulation.states, problem.degree, problem.resolution
+    values = z[: problem.states].reshape(problem.columns, n)
+    stage = problem.stages
+    starts = np.cumsum(problem.constants) - problem.constants
+    places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()
+    scalars = np.tile(z[problem.states :, None], K * d)
+    field = problem.formulation.field_function
+    arguments = field.sx_in() if field.is_a("SXFunction") else field.mx_in()
+    by_states = ca.Function("J", arguments, [ca.densify(field.call(arguments, True, False)[1])])
+    blocks = np.array(by_states.map(K * d)(places[None], values[stage].T, scalars))
+    return np.asarray(blocks.reshape(n, K * d, n).transpose(1, 0, 2))
+
+
+def interval_maps(problem: BoundaryProblem, jacobians: Array) -> Array:
+    """Transition matrices over the intervals, in order of time, shape (intervals, n, n)."""
+    n, d, K = problem.formulation.states, problem.degree, problem.resolution
+    extended = problem.table.extended
+    h = problem.constants
+    maps = np.empty((K, n, n))
+    for k in range(K):
+        blocks = jacobians[k * d : (k + 1) * d]
+        system = np.eye(n * d) - h[k] * np.einsum("ij,jab->iajb", extended[:d], blocks).reshape(n * d, n * d)
+        stages = np.linalg.solve(system, np.tile(np.eye(n), (d, 1))).reshape(d, n, n)
+        maps[k] = np.eye(n) + h[k] * np.einsum("j,jab,jbc->ac", extended[-1], blocks, stages)
+    return maps
+
+
+def _whole(maps: Array, model: OdeModel, symmetry: SymmetryClass) -> Array:
+    """Maps over the full period from those over the part that the symmetry leaves: reversed in time and repeated."""
+    reversal = np.diag(np.array(model.reversal, dtype=float))
+    half = np.diag(np.array(model.half_period, dtype=float)) if symmetry is SymmetryClass.QUARTER else None
+    mirror = reversal if half is None else half @ reversal
+    back = np.array([mirror @ np.linalg.inv(m) @ mirror for m in maps[::-1]])
+    there = np.concatenate([maps, back])
+    if half is None:
+        return there
+    return np.concatenate([there, np.array([half @ m @ half for m in there])])
+
+
+def multipliers_by_cvodes(
+    model: OdeModel, start: Array, parameters: Array, period: float, tolerance: float
+) -> Multipliers:
+    """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
+    kind = type(model.state)
+    s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
+    dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
+    local = max(LOCAL * tolerance, TIGHTEST)
+    scale = float(np.max(np.abs(start))) or 1.0
+    options = {
+        "reltol": local,
+        "abstol": local * scale,
+        "fsens_err_con": True,
+        "max_num_steps": 200_000,
+        "disable_internal_warnings": True,
+        "show_eval_warnings": False,
+    }
+    integrator = ca.integrator("flow", "cvodes", dae, 0.0, 1.0, options)
+    sensitivity = integrator.factory("monodromy", ["x0", "p"], ["xf", "jac:xf:x0"])
+    try:
+        with interrupts_deferred():
+            matrix = np.array(sensitivity(start, parameters)[1])
+    except RuntimeError as error:
+        reason = str(error).rpartition(" returned ")[2].partition(".")[0].strip('"') or "it failed"
+        empty = Trajectory(np.empty((0, start.size)), 0)
+        raise IntegrationError("cvodes", f"it returned {reason}", empty, np.array([period])) from error
+    return _multipliers(matrix[None], model, tolerance)
+
+
+def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> Multipliers:
+    from scipy.linalg import matrix_balance
+
+    matrix = _product(maps)
+    _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
+    balanced = maps * units / units[:, None]
+    values = _eigenvalues(balanced, contraction)
+    trivial = 0 if model.forced else 1 if model.hamiltonian is None else 2
+    allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
+    near = values[~_others(values, trivial)]
+    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
+    return Multipliers(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
+
+
+def _product(maps: Sequence[Array] | Array) -> Array:
+    """Later maps times earlier ones."""
+    total = np.eye(maps[0].shape[0])
+    for matrix in maps:
+        total = matrix @ total
+    return total
+
+
+def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
+    """Eigenvalues of the product in descending modulus; those far below 1 from the inverse product.
+
+    Rounding is relative to the norm of either product, so that each serves the eigenvalues on its own side of the
+    modulus at which both are equally good. A single one that is tiny follows from Liouville's formula, their product
+    being exp(contraction): maps of intervals that are long for the fastest contraction have lost its digits.
+    """
+    matrix = _product(maps)
+    forward = np.linalg.eigvals(matrix).astype(complex)
+    forward = forward[np.argsort(-np.abs(forward))]
+    if len(maps) == 1:
+        return forward
+    inverse = _inverse_product(maps)
+    if inverse is None:
+        backward, modulus = forward, np.abs(forward)
+        even = ROUNDED * float(np.finfo(float).eps * np.linalg.norm(matrix, 2))
+    else:
+        reciprocal = np.linalg.eigvals(inverse).astype(complex)
+        backward = np.full(reciprocal.size, np.inf, dtype=complex)  # of what rounding made zero
+        np.divide(1.0, reciprocal, out=backward, where=reciprocal != 0)
+        backward = backward[np.argsort(-np.abs(backward))]
+        modulus = np.sqrt(np.abs(forward)) * np.sqrt(np.abs(backward))
+        even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))
+    small = (np.abs(forward) < SMALL) & (modulus < even)
+    if contraction is not None and np.count_nonzero(small) == 1:
+        tiny = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))
+        sign = np.sign(np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(forward[:-1]).real)
+        forward[-1] = sign * tiny
+        return forward
+    return np.asarray(np.where(small, backward, forward))
+
+
+def _inverse_product(maps: Array) -> Array | None:
+    """The inverse of the product, from those of the maps; None where it has no finite entries."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            inverse = _product([np.linalg.inv(m) for m in maps[::-1]])
+    except np.linalg.LinAlgError:
+        return None
+    return inverse if np.all(np.isfinite(inverse)) else None
+
+
+def _others(values: ComplexArray, trivial: int) -> NDArray[np.bool_]:
+    """Which of the values are not the `trivial` ones nearest to 1."""
+    keep = np.ones(values.size, dtype=bool)
+    keep[np.argsort(np.abs(values - 1.0), kind="stable")[:trivial]] = False
+    return keep

@@ -1,0 +1,264 @@
+"""Random orbits of random chains by random methods: the errors that they have, and those that they say they have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.stability.result import Floquet
+from casadi_skin.studies.calibration.reference import (
+    PI,
+    ExtendedComplex,
+    ReferenceOrbit,
+    UnjudgedError,
+    paired,
+    reference_mu,
+    reference_orbit,
+)
+
+POINTS = 100  # of a family, at most: softening families may fold again and again
+NEAR = 0.1  # of the state and of Omega: farther away the reference is another orbit
+STABLE_WITHIN = 1e-14  # of [-1, 0]: a mu of the reference that is inside
+PHASES = 97  # of a quarter of the period, at which profiles are compared
+LARGEST_SITES = {"trigonometric": 60, "gauss": 24, "radau": 24, "shooting": 4}
+LARGEST_SITES_OF_FLOW = {"splitting": 60, "cvodes": 12, "gauss": 24, "rk4": 16}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One orbit to compute: case `index` of the draw `seed`.
+
+    Either the family's point at `S` is asked for, or, where `S` is None or is not met within POINTS points, that at
+    `place`, a part of the points found.
+    """
+
+    seed: int
+    index: int
+    sites: int
+    alpha: float
+    gamma: float
+    g: float
+    mode: int
+    amplitude_max: float
+    S: float | None
+    place: float
+    tolerance: float
+    transcription: str
+    corrector: str
+    walker: str
+    flow: str
+
+    @property
+    def chain(self) -> Chain:
+        """The chain."""
+        return Chain(self.sites, self.alpha, self.gamma, self.g)
+
+    def request(self) -> FamilyRequest:
+        """The family whose orbit is judged."""
+        at = () if self.S is None else (self.S,)
+        methods = {name: getattr(self, name) for name in ("transcription", "corrector", "walker", "flow")}
+        return FamilyRequest(self.chain, self.mode, self.amplitude_max, at, self.tolerance, **methods)
+
+
+def draw(seed: int, index: int) -> Case:
+    """Case `index` of the draw `seed`, which depends on nothing else."""
+    random = np.random.default_rng([seed, index])
+
+    def one_of(**shares: float) -> str:
+        return str(random.choice(list(shares), p=list(shares.values())))
+
+    def log_uniform(low: float, high: float) -> float:
+        return float(math.exp(random.uniform(math.log(low), math.log(high))))
+
+    transcription = one_of(trigonometric=0.64, gauss=0.14, radau=0.12, shooting=0.1)
+    corrector = one_of(newton=0.5, ipopt=0.5)
+    flow = one_of(splitting=0.64, cvodes=0.12, gauss=0.12, rk4=0.12)
+    series = one_of(series=0.4, arclength=0.6)
+    largest = min(LARGEST_SITES[transcription], LARGEST_SITES_OF_FLOW[flow])
+    sites = int(log_uniform(3.0, largest + 3.0)) - 2  # shifted, or one case in five has a single site
+    alpha, gamma = float(random.uniform(0.0, 5.0)), float(random.uniform(-0.9, 0.95))
+    g = float(random.choice([-1.0, 1.0])) * log_uniform(0.3, 3.0)
+    amplitude_max = log_uniform(0.03, 10.0) / abs(g)
+    asked, S = bool(random.random() < 0.5), amplitude_max * float(random.uniform(0.02, 1.0))
+    return Case(
+        seed=seed,
+        index=index,
+        sites=sites,
+        alpha=alpha,
+        gamma=gamma,
+        g=g,
+        mode=int(random.integers(1, sites + 1)),
+        amplitude_max=amplitude_max,
+        S=S if asked else None,
+        place=float(random.random()),
+        tolerance=log_uniform(1e-12, 1e-3),
+        transcription=transcription,
+        corrector=corrector,
+        walker=series if transcription == "trigonometric" else "arclength",
+        flow=flow,
+    )
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """True and estimated error, absolute, of something of size `scale`.
+
+    `bounded` is the relative error that the tolerance is to bound, `expected` what the result says of that one.
+    """
+
+    name: str
+    true: float
+    estimate: float
+    scale: float
+    tolerance: float
+    bounded: float
+    expected: float
+    excused: bool = False  # the result says that round-off keeps it from the tolerance
+
+    @property
+    def relative(self) -> float:
+        """True error over the scale."""
+        return self.true / self.scale
+
+    @property
+    def covered(self) -> bool:
+        """Whether the estimate is no smaller than the true error."""
+        return self.true <= self.estimate
+
+    @property
+    def far_off(self) -> bool:
+        """Whether the true error is more than ten times the estimate."""
+        return not self.true <= 10.0 * self.estimate
+
+    @property
+    def misses_tolerance(self) -> bool:
+        """Whether the true error exceeds the tolerance and the result does not speak of round-off."""
+        return not self.excused and not self.bounded <= self.tolerance
+
+    @property
+    def announced(self) -> bool:
+        """Whether the estimate tells that the tolerance is missed."""
+        return self.expected > self.tolerance
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A case with what came out; `reason` tells what could not be computed or judged, and is empty where all was."""
+
+    case: Case
+    quantities: tuple[Quantity, ...] = ()
+    S: float = math.nan
+    Omega: float = math.nan
+    points: int = 0
+    at_round_off: bool = False
+    stable: bool | None = None
+    reference_stable: bool | None = None
+    reason: str = ""
+
+    def quantity(self, name: str) -> Quantity | None:
+        """One of the quantities by its name, where it is known."""
+        return next((q for q in self.quantities if q.name == name), None)
+
+
+def measure(case: Case) -> Outcome:
+    """What comes out of a case; whatever fails is told in `reason`."""
+    outcome = Outcome(case)
+    try:
+        orbit, points = find(case)
+        outcome = replace(outcome, S=orbit.S, Omega=orbit.Omega, points=points, at_round_off=orbit.at_round_off)
+        reference = reference_of(orbit)
+        outcome = replace(outcome, quantities=_orbit_quantities(case, orbit, reference))
+        _check_sharp(outcome.quantities[1], reference.left_out)
+        if case.sites == 1:  # no multipliers but the trivial pair
+            return outcome
+        floquet, (exact, uncertain) = orbit.floquet(), reference_mu(reference)
+        quantity = _multiplier_quantity(case, floquet, exact)
+        outcome = replace(outcome, quantities=(*outcome.quantities, quantity), stable=floquet.stable)
+        _check_sharp(quantity, uncertain)
+        known = Floquet(exact.astype(complex), np.full(exact.size, STABLE_WITHIN), 0.0, floquet.power)
+        return replace(outcome, reference_stable=known.stable)
+    except Exception as error:  # whatever it is, the case is counted and shown
+        return replace(outcome, reason=f"{type(error).__name__}: {' '.join(str(error).split())}"[:200])
+
+
+def find(case: Case) -> tuple[Orbit, int]:
+    """The orbit of a case, and the number of points of the family that were computed; raises ArithmeticError."""
+    walk = FamilyWalk(FamilyTools(case.request()))
+    orbits: list[Orbit] = []
+    for orbit in walk:
+        assert isinstance(orbit, Orbit)
+        orbits.append(orbit)
+        if orbit.point.requested or len(orbits) == POINTS:
+            break
+    if not orbits:
+        raise ArithmeticError(walk.branch().reason)
+    chosen = orbits[-1] if orbits[-1].point.requested else orbits[int(case.place * len(orbits))]
+    return chosen, len(orbits)
+
+
+def reference_of(orbit: Orbit) -> ReferenceOrbit:
+    """The orbit anew at the same kappa, with digits to judge it by; raises UnjudgedError where there is none near."""
+    point = orbit.point
+
+    def sample(theta: Array) -> Array:
+        return point.problem.sample(point.z, theta)
+
+    reference = reference_orbit(orbit.chain, point.parameter, point.Omega, sample)
+    theta = PI / 2 * np.arange(PHASES) / (PHASES - 1)
+    q = reference.positions(theta)
+    distance = float(np.max(np.abs(q - sample(theta.astype(float)))) / np.max(np.abs(q)))
+    if max(distance, abs(float(reference.Omega) / orbit.Omega - 1.0)) > NEAR:
+        raise UnjudgedError(f"the reference is {distance:.1g} of the state away, with Omega = {reference.Omega:.6g}")
+    return reference
+
+
+def _orbit_quantities(case: Case, orbit: Orbit, reference: ReferenceOrbit) -> tuple[Quantity, ...]:
+    """Errors of Omega, and of the profile at equal phases over all sites, relative to the largest displacement."""
+    theta = (PI / 2 * np.arange(PHASES) / (PHASES - 1)).astype(float)
+    distances = np.arange(case.sites)[::-1] if case.gamma >= 0 else np.arange(case.sites)
+    gamma = abs(np.longdouble(case.gamma))
+    rho = ((1 - gamma) / (1 + gamma)) ** (distances / np.longdouble(2))
+    exact = np.sqrt(np.longdouble(orbit.S)) * rho * reference.positions(theta.astype(np.longdouble))
+    found = orbit.evaluate(theta / orbit.Omega)
+    found = found * np.sign(np.sum(found[0] * exact[0]))
+    error = float(np.max(np.abs(found - exact)) / np.max(np.abs(exact)))
+    off, size = float(abs(orbit.Omega - reference.Omega)), orbit.Omega
+    known = (case.tolerance, off / size, orbit.Omega_error / size, orbit.at_round_off)
+    of_profile = (case.tolerance, error, orbit.profile_error, orbit.at_round_off)
+    return (
+        Quantity("Omega", off, orbit.Omega_error, size, *known),
+        Quantity("profile", error, orbit.profile_error, 1.0, *of_profile),
+    )
+
+
+def _multiplier_quantity(case: Case, floquet: Floquet, exact: ExtendedComplex) -> Quantity:
+    """Error of mu and, for an orbit found unstable, of the largest modulus of a multiplier (see `Floquet.error`).
+
+    The tolerance bounds that of mu alone, relative to max(1, |mu|).
+    """
+    distances = np.abs(paired(floquet.mu.astype(np.clongdouble), exact) - floquet.mu).astype(float)
+    scales = np.maximum(1.0, np.abs(floquet.mu))
+    worst = int(np.argmax(distances / scales))
+    largest, scale = float(np.max(distances)), float(scales[worst])
+    bounded, expected = float(distances[worst] / scales[worst]), float(np.max(floquet.mu_error / scales))
+    if not floquet.stable:
+        root = np.abs(np.sqrt(exact) + np.sqrt(1 + exact))
+        modulus = np.max(np.maximum(root, 1 / root)) ** (2 * floquet.power)
+        of_modulus = float(abs(floquet.max_abs_multiplier - modulus))
+        if of_modulus > largest:
+            largest, scale = of_modulus, max(1.0, float(modulus))
+    return Quantity("multipliers", largest, floquet.error, scale, case.tolerance, bounded, expected)
+
+
+def _check_sharp(quantity: Quantity, uncertain: float) -> None:
+    """Raises UnjudgedError where an uncertain reference could change the verdict on an estimate."""
+    if uncertain > max(0.1 * quantity.true, 1e-3 * quantity.estimate):
+        raise UnjudgedError(f"the reference is known to {uncertain:.1e}, too little to judge {quantity.name}")

@@ -1,0 +1,143 @@
+"""What the figures and claims of arXiv:2512.17483 rest on, each part computed when first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.dynamics import Evolution, simulate_orbit
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.theory import multiple_scales
+
+SITES, ALPHA, GAMMA = 24, 1.0, 0.25
+MODES = (1, 6, 10, 14, 18, 24)
+AMPLITUDE_MAX = 3.0
+REPRESENTATIVE_S = 0.2
+TOLERANCE = 1e-9
+SIZE_GAMMAS = (0.25, 0.4, 0.55, 0.7)  # figure 4
+SIZES = tuple(range(4, 101, 4))  # the paper gives no range
+GAMMA_SIZES = (24, 32, 42)  # inset of figure 4
+GAMMAS = tuple(np.round(np.arange(0.05, 0.801, 0.05), 2))
+FINITE_DIFFERENCE_S = 0.01
+DENSE_S = (  # figure 5: where multipliers leave the circle, and windows narrower than a step of the walk
+    *(0.433, 0.437, 0.445, 0.46),
+    *np.round(np.arange(1.9, 2.3, 0.01), 3).tolist(),
+    *np.round(np.arange(2.3, 3.0, 0.005), 3).tolist(),
+)
+KICK = 0.005
+KICK_TIME = 40.0
+EVOLUTION_TIME = 50.0
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Sensitivity factor of mode 1, g = 1: `numerical` from a two-point difference, `analytical` by multiple scales."""
+
+    abscissa: Array
+    numerical: Array
+    analytical: Array
+
+
+class PaperData:
+    """The computations behind the paper; `say` is told what is being computed.
+
+    Parameters of the paper: N = 24, alpha = 1, gamma = 0.25, g = +1 and -1.
+    """
+
+    def __init__(self, say: Callable[[str], None] = lambda words: None) -> None:
+        self._say = say
+
+    @staticmethod
+    def chain(g: float) -> Chain:
+        """The paper's chain with cubic coefficient g."""
+        return Chain(SITES, ALPHA, GAMMA, g)
+
+    # Families (figures 3, 5, 7) -------------------------------------------------------------------------------------
+
+    @cached_property
+    def hardening(self) -> dict[int, Branch]:
+        """Families of g = +1 by mode, with stability."""
+        return {mode: self._family(+1.0, mode) for mode in MODES}
+
+    @cached_property
+    def softening(self) -> dict[int, Branch]:
+        """Families of g = -1 by mode, with stability."""
+        return {mode: self.end_breather if mode == 1 else self._family(-1.0, mode) for mode in MODES}
+
+    def _family(self, g: float, mode: int, also: tuple[float, ...] = ()) -> Branch:
+        self._say(f"family j = {mode}, g = {g:+g}")
+        at = tuple(sorted({REPRESENTATIVE_S, 1.0, 2.0, 3.0, *also}))
+        branch = follow_family(
+            self.chain(g), mode, AMPLITUDE_MAX, at=at, stability=True, tolerance=TOLERANCE, corrector="ipopt"
+        )
+        if not branch.complete:
+            raise ArithmeticError(f"family j = {mode}, g = {g:+g}: {branch.reason}")
+        return branch
+
+    @cached_property
+    def end_breather(self) -> Branch:
+        """The family of figure 5: j = 1, g = -1; dense where windows of stability are narrower than a step."""
+        return self._family(-1.0, 1, DENSE_S)
+
+    @cached_property
+    def hardening_orbit(self) -> Orbit:
+        """The representative mode of figure 3(b): j = 24, g = +1, S = 0.2."""
+        branch = self.hardening[24] if "hardening" in self.__dict__ else self._family(+1.0, 24)
+        return branch.at(S=REPRESENTATIVE_S)
+
+    @cached_property
+    def softening_orbit(self) -> Orbit:
+        """The representative mode of figure 3(e): j = 1, g = -1, S = 0.2."""
+        return self.end_breather.at(S=REPRESENTATIVE_S)
+
+    # Time evolution (figures 3 and 6) -------------------------------------------------------------------------------
+
+    def evolution(self, orbit: Orbit) -> Evolution:
+        """The unperturbed mode in time."""
+        self._say("time evolution of a mode")
+        return simulate_orbit(orbit, np.linspace(0.0, EVOLUTION_TIME, 501))
+
+    def kicked(self, site: int, method: str = "cvodes") -> Evolution:
+        """The stable softening mode with its displacement at one site, from 1, changed by KICK."""
+        self._say(f"time evolution after a kick at site {site}")
+        t = np.linspace(0.0, KICK_TIME, 401)
+        return simulate_orbit(self.softening_orbit, t, KICK, site=site, method=method)
+
+    @cached_property
+    def growth(self) -> TransientGrowth:
+        """Transient growth of perturbations of the stable softening mode."""
+        self._say("transient growth")
+        return self.softening_orbit.transient_growth()
+
+    # Sensitivity (figure 4) -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def sensitivity_by_size(self) -> dict[float, Sensitivity]:
+        """Sensitivity against N for each gamma of figure 4."""
+        return {gamma: self._sensitivity([(N, gamma) for N in SIZES], SIZES) for gamma in SIZE_GAMMAS}
+
+    @cached_property
+    def sensitivity_by_gamma(self) -> dict[int, Sensitivity]:
+        """Sensitivity against gamma for each N of the inset of figure 4."""
+        return {N: self._sensitivity([(N, gamma) for gamma in GAMMAS], GAMMAS) for N in GAMMA_SIZES}
+
+    def _sensitivity(self, cases: list[tuple[int, float]], abscissa: tuple[float, ...]) -> Sensitivity:
+        self._say(f"sensitivity at N = {cases[0][0]}, gamma = {cases[0][1]:g} and on")
+        numerical = np.array([self._two_point_slope(Chain(N, ALPHA, gamma, 1.0)) for N, gamma in cases])
+        analytical = np.array([multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1) for N, gamma in cases])
+        return Sensitivity(np.array(abscissa, dtype=float), numerical, analytical)
+
+    @staticmethod
+    def _two_point_slope(chain: Chain) -> float:
+        """(Omega(S) - omega)/(omega S) at S = 0.01, the paper's finite difference, from the shift itself."""
+        S = FINITE_DIFFERENCE_S
+        branch = follow_family(chain, 1, S, at=(S,), tolerance=1e-8, corrector="newton")
+        return branch.at(S=S).Omega_shift / (S * chain.linear_frequency(1))

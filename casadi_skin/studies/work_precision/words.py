@@ -1,0 +1,234 @@
+"""What the measured trade-off recommends, in words computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import groupby
+
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.studies.work_precision.measured import (
+    SHOOTING_SITES,
+    SMALLEST,
+    Kind,
+    Measured,
+    front_of,
+    shooting_left_out,
+)
+from casadi_skin.studies.work_precision.reference import TIGHTEST, TIGHTEST_FLOW, Errors
+
+Quantity = tuple[str, Kind, Callable[[Measured], float]]
+OMEGA: Quantity = ("Omega", Kind.ORBITS, lambda m: m.Omega_error)
+PROFILE: Quantity = ("the profile", Kind.ORBITS, lambda m: m.profile_error)
+MU: Quantity = ("mu", Kind.FLOW, lambda m: m.mu_error)
+IDLE = 0.95  # share of the processor below which a machine counts as busy
+SINGLE_RUN, SEVERAL_RUNS = 1.5, 1.1  # factor between times, of one run or medians, that means something
+TABLE_TOLERANCES = (1e-4, 1e-8, 1e-12)
+
+
+def duration(seconds: float) -> str:
+    """A time with about three digits and its unit."""
+    milliseconds = 1e3 * seconds
+    if seconds >= 1.0:
+        return f"{seconds:.2f} s"
+    return f"{milliseconds:.0f} ms" if milliseconds >= 100.0 else f"{milliseconds:.3g} ms"
+
+
+def fastest(measured: Iterable[Measured], wanted: float, error: Callable[[Measured], float]) -> Measured | None:
+    """The fastest whose tolerance promises the wanted error and whose true error keeps it, or None."""
+    kept = [m for m in measured if m.setting.tolerance <= 1.001 * wanted and error(m) <= wanted]
+    return min(kept, key=lambda m: m.seconds, default=None)
+
+
+def told_apart(faster: Measured, slower: Measured) -> bool:
+    """Whether the times differ by more than noise, and the median is below all of the other's."""
+    noise = SINGLE_RUN if slower.fastest == slower.slowest else SEVERAL_RUNS
+    return faster.seconds < slower.fastest and noise * faster.seconds < slower.seconds
+
+
+def advice(measured: Sequence[Measured], wanted: float, quantity: Quantity) -> str:
+    """What to use for a quantity to a wanted error, and how much faster that is than the next method."""
+    _, kind, error = quantity
+    asked = [m for m in measured if m.setting.kind is kind]
+    best = fastest(asked, wanted, error)
+    if best is None:
+        return "no setting measured here promises and keeps it"
+    words = f"{best.setting.method} at tolerance {best.setting.tolerance:.0e}, {duration(best.seconds)}"
+    following = fastest([m for m in asked if m.setting.method != best.setting.method], wanted, error)
+    if following is None:
+        return f"{words}; no other method reaches it"
+    name = f"{following.setting.method} ({duration(following.seconds)})"
+    if not told_apart(best, following):
+        return f"{words}; not told apart by these times from {name}"
+    return f"{words}; {following.seconds / best.seconds:.2g} times faster than the next, {name}"
+
+
+def advices(measured: Sequence[Measured], tolerances: Sequence[float]) -> list[str]:
+    """A line for each quantity and errors with the same advice; Omega and the profile as one where theirs agree."""
+    names = [OMEGA, PROFILE, *([MU] if any(m.setting.kind is Kind.FLOW for m in measured) else [])]
+    texts = {quantity[0]: [advice(measured, wanted, quantity) for wanted in tolerances] for quantity in names}
+    if texts["Omega"] == texts["the profile"]:
+        texts = {"Omega and the profile": texts.pop("Omega"), **texts}
+        del texts["the profile"]
+    lines = []
+    for what, each in texts.items():
+        for text, group in groupby(zip(tolerances, each, strict=True), key=lambda pair: pair[1]):
+            wanted = [f"{tolerance:.0e}" for tolerance, _ in group]
+            span = wanted[0] if len(wanted) == 1 else f"{wanted[0]} and down to {wanted[-1]}"
+            lines.append(f"For {what} to {span}: {text}.")
+    return lines
+
+
+def promised(measured: Sequence[Measured]) -> list[float]:
+    """The tolerances of the methods measured, descending."""
+    return sorted({m.setting.tolerance for m in measured if m.setting.kind is not Kind.PRESET}, reverse=True)
+
+
+def by_transcription(measured: Sequence[Measured], wanted: float) -> str:
+    """The fastest orbits of each transcription to a wanted error of Omega and profile."""
+    orbits = [m for m in measured if m.setting.kind is Kind.ORBITS]
+    found = []
+    for name in dict.fromkeys(m.setting.request.transcription for m in orbits):
+        best = fastest([m for m in orbits if m.setting.request.transcription == name], wanted, lambda m: m.orbit_error)
+        found.append(f"{name} {duration(best.seconds) if best else 'does not keep it'}")
+    return f"Orbits to {wanted:.0e}, the fastest of each transcription: {', '.join(found)}."
+
+
+def front_words(measured: Sequence[Measured], kind: Kind, known: float) -> str:
+    """The methods of the Pareto front by rising time."""
+    front, settings = front_of(measured, kind, known), sum(m.setting.kind is kind for m in measured)
+    if not front:
+        return ""
+    runs: list[list[Measured]] = []
+    for m in front:
+        if runs and runs[-1][0].setting.method == m.setting.method:
+            runs[-1].append(m)
+        else:
+            runs.append([m])
+    parts = [
+        f"{run[0].setting.method} "
+        + (f"from {_point(run[0])} to {_point(run[-1])}" if len(run) > 1 else f"at {_point(run[0])}")
+        for run in runs
+    ]
+    what = "orbits" if kind is Kind.ORBITS else "multipliers"
+    return f"The Pareto front of {what}, {len(front)} of {settings} settings: {'; '.join(parts)}."
+
+
+def _point(m: Measured) -> str:
+    return f"{m.error:.1e} in {duration(m.seconds)}"
+
+
+def preset_words(preset: Measured, measured: Sequence[Measured]) -> str:
+    """What a preset costs, how wrong it is, and where it sits."""
+    name, tolerance = preset.setting.name, preset.setting.tolerance
+    if preset.failure:
+        return f"`{name}` ({tolerance:.0e}): {preset.failure}."
+    errors = [f"Omega {preset.Omega_error:.1e}", f"profile {preset.profile_error:.1e}"]
+    if preset.mu_error == preset.mu_error:
+        errors.append(f"mu {preset.mu_error:.1e}")
+    kept = "kept" if preset.error <= tolerance else f"missed by a factor {preset.error / tolerance:.2g}"
+    words = f"`{name}` ({tolerance:.0e}): {duration(preset.seconds)} with multipliers and {preset.points} points; true "
+    words += f"errors {', '.join(errors)}; the tolerance is {kept}."
+    orbits = [m for m in measured if m.setting.kind is Kind.ORBITS]
+    request = preset.setting.request
+    default = ", ".join((request.transcription, request.way, request.corrector))
+    same = next((m for m in orbits if m.setting.method == default and m.setting.tolerance == tolerance), None)
+    best = fastest(orbits, tolerance, lambda m: m.orbit_error)
+    if same is None or best is None or same.failure:
+        return words
+    words += f" Its orbits alone take {duration(same.seconds)}"
+    if best.setting.method == default or not told_apart(best, same):
+        return f"{words}; nothing measured here is faster and keeps the tolerance."
+    return (
+        f"{words}, {same.seconds / best.seconds:.2g} times as long as the fastest that keeps the tolerance: "
+        f"{best.setting.method}, {duration(best.seconds)}."
+    )
+
+
+def broken_promises(measured: Sequence[Measured]) -> list[str]:
+    """Settings whose true error is above their tolerance, and those that failed, each a line."""
+    lines = []
+    for m in measured:
+        where = f"{m.setting.method}, tolerance {m.setting.tolerance:.0e}"
+        if m.failure:
+            lines.append(f"{where}: no result: {m.failure}.")
+        elif m.error > m.setting.tolerance and not m.at_reference:
+            told = "the program tells" if m.told else "the program does not tell"
+            lines.append(f"{where}: true error {m.error:.1e}, {m.error / m.setting.tolerance:.2g} times that; {told}.")
+    return lines
+
+
+def busy(measured: Sequence[Measured]) -> str:
+    """A sentence where other work kept the process from a processor for more than a little of the time."""
+    timed = [m for m in measured if m.processor == m.processor]
+    share = sum(m.processor * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
+    if not timed or share > IDLE:
+        return ""
+    return f" The machine was busy: the process had a processor for {share:.0%} of the time that passed."
+
+
+def table(measured: Sequence[Measured], tolerances: Sequence[float]) -> list[str]:
+    """Lines of a table in Markdown: settings at the tolerances."""
+    heads = ["method", "tolerance", "time (least to most)", "building", "peak memory", "unknowns"]
+    heads += ["error of Omega", "profile", "mu"]
+    lines = [f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1)]
+    for m in measured:
+        if not any(abs(m.setting.tolerance / t - 1.0) < 1e-9 for t in tolerances) or m.failure:
+            continue
+        name = f"preset {m.setting.name}" if m.setting.kind is Kind.PRESET else m.setting.method
+        name = f"flow {name}" if m.setting.kind is Kind.FLOW else name
+        spread = duration(m.seconds)
+        if m.fastest < m.slowest:
+            spread += f" ({duration(m.fastest)} to {duration(m.slowest)})"
+        memory = f"{m.memory:.0f} MB" if m.memory == m.memory else ""
+        errors = [_error(value) for value in (m.Omega_error, m.profile_error, m.mu_error)]
+        mark = "*" if m.at_reference else ""
+        cells = (f"{name}{mark}", f"{m.setting.tolerance:.0e}", spread, duration(m.building), memory, f"{m.unknowns}")
+        lines.append(f"| {' | '.join((*cells, *errors))} |")
+    return lines
+
+
+def _error(value: float) -> str:
+    return "" if value != value else f"{value:.1e}"
+
+
+def recommendations(
+    request: FamilyRequest, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
+) -> str:
+    """All of it as Markdown: what was measured, what to use, where the presets sit, and the table."""
+    chain = request.chain
+    tolerances = promised(measured)
+    presets = [preset_words(m, measured) for m in measured if m.setting.kind is Kind.PRESET]
+    floors = ((Kind.ORBITS, max(known.Omega, known.profile)), (Kind.FLOW, known.mu))
+    fronts = [words for kind, floor in floors if (words := front_words(measured, kind, floor))]
+    shared = [t for t in TABLE_TOLERANCES if any(abs(t / other - 1.0) < 1e-9 for other in tolerances)]
+    use = advices(measured, tolerances) + [by_transcription(measured, t) for t in shared]
+    mu = f", of mu {known.mu:.1e} (a flow of order 16 against the splitting, both to {TIGHTEST_FLOW:.0e})"
+    lines = [
+        "# What accuracy costs",
+        "",
+        f"Family j = {request.mode} of the chain N = {chain.sites}, alpha = {chain.alpha:g}, gamma = {chain.gamma:g}, "
+        f"g = {chain.g:g} to S = {request.amplitude_max:g}; errors are true, relative, the largest at S = "
+        f"{', '.join(f'{S:.6g}' for S in request.at)}. The references agree to {max(known.Omega, SMALLEST):.1e} of "
+        f"Omega and {known.profile:.1e} of the profile (odd cosines against collocation, both to {TIGHTEST:.0e})"
+        f"{mu if known.mu == known.mu else ''}; settings as good as that are marked *. Processor times: medians "
+        f"of {repeats} run{'s' if repeats > 1 else ''} after a first one, whose surplus is the building; of flows, for "
+        f"the multipliers of all these orbits, which are the reference's. The mu of orbits are what its flow "
+        f"finds along them. Peak memory is that of a process of its own, {baseline:.0f} MB of which it "
+        f"takes to start; of flows, with the family.{busy(measured)}",
+        "",
+        *_section("What to use", use),
+        *_section("Where the presets sit", presets),
+        *_section("Pareto fronts", fronts),
+        *_section("Not kept", broken_promises(measured)),
+    ]
+    if shooting_left_out(request):
+        reason = f"the chain has {chain.sites} sites, and it is measured up to {SHOOTING_SITES}"
+        lines += [
+            f"Shooting is left out: {reason}, since it integrates the sensitivity of every state to every one.",
+            "",
+        ]
+    return "\n".join([*lines, *_section("Measured", table(measured, TABLE_TOLERANCES), bullet="")])
+
+
+def _section(name: str, lines: Sequence[str], bullet: str = "- ") -> list[str]:
+    return [f"## {name}", "", *(bullet + line for line in lines), ""] if lines else []
