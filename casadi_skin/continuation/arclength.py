@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import HISTORY, predictor
-from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
@@ -39,11 +39,11 @@ class _Departure:
         return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-class ArclengthWalk:
+class ArclengthContinuation:
     """A walk by predictor and corrector for any problem (see `Walk`); `rejected` counts steps refused."""
 
-    def __init__(self, locator: Locator, history: tuple[Point, ...]) -> None:
-        self.locator, self.settings = locator, locator.settings
+    def __init__(self, point_solver: PointSolver, history: tuple[Point, ...]) -> None:
+        self.point_solver, self.settings = point_solver, point_solver.settings
         self.history = history[-HISTORY:]
         self.end: End | None = None
         self.detail = ""
@@ -69,7 +69,7 @@ class ArclengthWalk:
 
     def _advance(self, current: Point) -> Point | None:
         """The next point of the walk; None with `end` set where there is none."""
-        lighter = self.locator.lighter(current)
+        lighter = self.point_solver.lighter(current)
         departure = self._departure(current, lighter)
         step = min(current.step, self._longest_step(current))
         while step >= self.settings.min_step:
@@ -82,16 +82,16 @@ class ArclengthWalk:
             self.rejected += 1
             if departure.problem is current.problem:
                 step *= 0.5
-            else:  # perhaps for what the coarser rung leaves out
+            else:  # perhaps for what the coarser level leaves out
                 departure = self._departure(current, current.problem)
         self.end, advice = End.NO_STEP, "try another transcription or a larger tolerance"
-        self.detail = f"{self.detail or self.locator.failure}; {advice}".removeprefix("; ")
+        self.detail = f"{self.detail or self.point_solver.failure}; {advice}".removeprefix("; ")
         return None
 
     def _departure(self, current: Point, problem: Problem) -> _Departure:
         """The current point and the way on from it in the unknowns of `problem`."""
         z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
-        weights = self.locator.metric(problem, z)
+        weights = self.point_solver.metric(problem, z)
         if problem is not current.problem:
             t = t / np.sqrt(np.sum(weights * t**2))
         row = weights * t
@@ -102,17 +102,17 @@ class ArclengthWalk:
         return _Departure(problem, z, t, weights, row, predictor(z, t, before, row))
 
     def _stepped(self, departure: _Departure, step: float) -> Point | None:
-        """The point a step away; None where the guard refuses it, or, with `end` set, where no rung is fine enough."""
+        """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough."""
         problem, row = departure.problem, departure.row
         guess = departure.curve(step)
-        correction = self.locator.correct(problem, guess, row, float(row @ departure.z) + step, step)
+        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, step)
         if correction is None:
             return None
-        tangent = self.locator.tangent(problem, correction.z, self.locator.factor(problem, correction.z, row))
+        tangent = self.point_solver.tangent(problem, correction.z, self.point_solver.factor(problem, correction.z, row))
         angle = departure.angle(tangent)
         if angle > self.settings.guard_angle:
             return None
-        point = self.locator.near(problem, correction, tangent, row)
+        point = self.point_solver.near(problem, correction, tangent, row)
         if point is None:
             self.end = End.RESOLUTION
             return None
@@ -120,7 +120,7 @@ class ArclengthWalk:
 
     def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
         """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
-        weights = self.locator.metric(problem, correction.z)
+        weights = self.point_solver.metric(problem, correction.z)
         missed = float(np.sqrt(np.sum(weights * (correction.z - guess) ** 2))) / step
         by_angle = self.settings.aim_angle / max(angle, 1e-3)
         by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
@@ -141,10 +141,10 @@ class ArclengthWalk:
         if current.parameter == 0.0 and self.settings.tiny_first:
             wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
         inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
-        for target, point in self.locator.between(current, following, inside):
+        for target, point in self.point_solver.between(current, following, inside):
             if point is None:
                 self.missed.append(target)
-                self.detail = self.locator.failure
+                self.detail = self.point_solver.failure
             else:
                 yield replace(point, requested=wanted[target])
             if target in ends:

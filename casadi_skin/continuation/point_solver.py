@@ -13,24 +13,24 @@ import numpy as np
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import LocalCurve
-from casadi_skin.continuation.points import Point, Target, WalkSettings
+from casadi_skin.continuation.points import ContinuationSettings, Point, Target
 from casadi_skin.solvers.bordered import SingularError, Solve
 from casadi_skin.solvers.corrector import Correction
-from casadi_skin.solvers.levels import ErrorEstimate, Ladder, step_error
+from casadi_skin.solvers.levels import ErrorEstimate, Levels, step_error
 
-ROUND_OFF = 1e-7  # an estimate below this that a finer rung does not halve
-COARSEN = 0.25  # of the tolerance: the error expected of a coarser rung; less than 1, or it is left again at once
+ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
+COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
 START_ERROR = 1e-4  # of the linear mode where a walk starts
-PATIENCE = 4  # rungs that may fail to halve, all together, an estimate that is small enough to mean something
+PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
 MEANINGFUL = 1e-3
 BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
-class Locator:
-    """Makes points of one branch on a ladder of resolutions, to the tolerance of the settings."""
+class PointSolver:
+    """Makes points of one branch on a levels of resolutions, to the tolerance of the settings."""
 
-    def __init__(self, ladder: Ladder, settings: WalkSettings) -> None:
-        self.ladder, self.settings = ladder, settings
+    def __init__(self, levels: Levels, settings: ContinuationSettings) -> None:
+        self.levels, self.settings = levels, settings
         self.failure = ""  # why the last correction came to nothing, in words
 
     # Geometry -------------------------------------------------------------------------------------------------------
@@ -40,7 +40,7 @@ class Locator:
 
     def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
         """Solver of the Jacobian at z closed by `row`; raises SingularError."""
-        return self.ladder.solver(problem).factor(z, problem.evaluate(z)[1], row)
+        return self.levels.solver(problem).factor(z, problem.evaluate(z)[1], row)
 
     def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
         """Unit tangent at z with row . t > 0, by the solver closed by that row."""
@@ -52,11 +52,11 @@ class Locator:
     def start(self, positions: Array, Omega: float) -> Point:
         """The linear mode at zero amplitude with the tangent of its family; not walked.
 
-        On the coarsest rung whose own linear mode is this one, but for an error that the guard does not see.
+        On the coarsest level whose own linear mode is this one, but for an error that the guard does not see.
         """
         direction = float(np.sign(self.settings.parameter_max))
-        for resolution in self.ladder.rungs:
-            problem = self.ladder.problem(resolution)
+        for resolution in self.levels.resolutions:
+            problem = self.levels.problem(resolution)
             assert isinstance(problem, OrbitProblem)
             z = problem.pack(positions, Omega, 0.0)
             solve = self.factor(problem, z, direction * problem.parameter_row())
@@ -71,7 +71,7 @@ class Locator:
 
     def correct(self, problem: Problem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
         """Corrected point within the guard's fraction of `reach` of the guess, or None."""
-        correction = self.ladder.corrector(problem).correct(guess, row, value)
+        correction = self.levels.corrector(problem).correct(guess, row, value)
         if not correction.converged or problem.frequency(correction.z) <= 0:
             self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
             return None
@@ -91,15 +91,15 @@ class Locator:
         held: Scalar | None = None,
         known: tuple[Point, float] | None = None,
     ) -> Point | None:
-        """The point on the coarsest rung from `problem` up that meets the tolerance; None at the top of the ladder.
+        """The point on the coarsest level from `problem` up that meets the tolerance; None at the top of the levels.
 
         `held` tells what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
-        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer rung
+        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer level
         does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
         relative error, where these have been found. Raises SingularError.
         """
         z, iterations, polished, placed = correction.z, correction.iterations, False, False
-        coarser: tuple[float, Point] | None = None  # the same point one rung below, with its error
+        coarser: tuple[float, Point] | None = None  # the same point one level below, with its error
         climbed: list[tuple[int, float]] = []
         while True:
             solve = self.factor(problem, z, row)
@@ -114,7 +114,7 @@ class Locator:
             if polished and algebraic > 0.25 * relative:
                 return replace(point, at_round_off=True)
             if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
-                return replace(coarser[1], at_round_off=True)  # its finer rung has more round-off, not less error
+                return replace(coarser[1], at_round_off=True)  # its finer level has more round-off, not less error
             if algebraic > 0.25 * relative:
                 polished, target, guess = True, problem, z - left_over
             elif not placed and problem.expected_error(z, relative, problem) <= self.settings.tolerance:
@@ -123,13 +123,13 @@ class Locator:
             else:
                 climbed.append((problem.resolution, relative))
                 _check_gain(climbed, point)
-                finer = self.ladder.finer(problem, z)
-                if finer is None or self.ladder.finer(finer) is None:
+                finer = self.levels.finer(problem, z)
+                if finer is None or self.levels.finer(finer) is None:
                     return None
                 polished, placed, target, coarser = False, False, finer, (relative, point)
                 guess = problem.prolong(z, target)
             row = self._closing(problem, target, guess, row, point.tangent, held)
-            correction = self.ladder.corrector(target).correct(guess, row, float(row @ guess))
+            correction = self.levels.corrector(target).correct(guess, row, float(row @ guess))
             if not correction.converged:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
             problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
@@ -146,7 +146,7 @@ class Locator:
         self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
-        error, better = self.ladder.refined(problem, correction.z, tangent, held)
+        error, better = self.levels.refined(problem, correction.z, tangent, held)
         relative = error.relative(problem.frequency(correction.z))
         at_round_off = self.settings.tolerance < relative <= error.round_off
         step, iterations = self.settings.first_step, correction.iterations
@@ -164,9 +164,9 @@ class Locator:
         return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
 
     def lighter(self, point: Point) -> Problem:
-        """Where to try the next step from a point: a coarser rung where that is expected to be accurate enough."""
+        """Where to try the next step from a point: a coarser level where that is expected to be accurate enough."""
         allowed = COARSEN * self.settings.tolerance
-        return self.ladder.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
+        return self.levels.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
 
     # At a value of the parameter or of Omega, between two points -----------------------------------------------------
 
@@ -228,7 +228,7 @@ class Locator:
 
 
 def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
-    """Raises SingularError where finer rungs do not lessen the error: rounding is amplified there."""
+    """Raises SingularError where finer resolutions do not lessen the error: rounding is amplified there."""
     if len(climbed) <= PATIENCE:
         return
     (coarse, before), (fine, now) = climbed[-1 - PATIENCE], climbed[-1]

@@ -41,7 +41,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class WalkSettings:
+class ContinuationSettings:
     """What the walk aims for and refuses; lengths in the relative metric, angles in degrees."""
 
     parameter_max: float  # the walk ends at this value of the free parameter; its sign is the direction
@@ -94,7 +94,7 @@ class Point:
     iterations: int
     requested: bool = False
     walked: bool = True  # a point of the walk itself; others lie between two of these
-    better: Refinement | None = None  # the point one Newton step nearer to the next finer rung
+    better: Refinement | None = None  # the point one Newton step nearer to the next finer level
     at_round_off: bool = False  # the tolerance is below what round-off leaves of the point
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.arclength import START_FRACTION
-from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.solvers.bordered import SingularError, Solve
@@ -43,7 +43,7 @@ class _Stop:
     requested: bool = False
 
 
-class SeriesWalk:
+class SeriesContinuation:
     """A walk by Taylor series (see `Walk`) for problems whose series `recursion` computes.
 
     `precision` of a problem is the residual, relative to the state, that the series may leave.
@@ -51,12 +51,12 @@ class SeriesWalk:
 
     def __init__(
         self,
-        locator: Locator,
+        point_solver: PointSolver,
         history: tuple[Point, ...],
         recursion: Callable[[Problem], Recursion],
         precision: Callable[[Problem], float],
     ) -> None:
-        self.locator, self.settings = locator, locator.settings
+        self.point_solver, self.settings = point_solver, point_solver.settings
         self.history = history[-2:]
         self.end: End | None = None
         self.detail = ""
@@ -87,8 +87,8 @@ class SeriesWalk:
     # The series -----------------------------------------------------------------------------------------------------
 
     def _departure(self, base: Point) -> tuple[Point, Stretch] | None:
-        """A base point, on a coarser rung where that is expected to do, with its series; None where there is none."""
-        lighter = self.locator.lighter(base)
+        """A base point, on a coarser level where that is expected to do, with its series; None where there is none."""
+        lighter = self.point_solver.lighter(base)
         for problem in dict.fromkeys((lighter, base.problem)):
             if problem is not base.problem:
                 z, t = (base.problem.prolong(v, problem) for v in (base.z, base.tangent))
@@ -108,15 +108,15 @@ class SeriesWalk:
         """The series at a base point, as far as its end satisfies the equations; None where that is nowhere."""
         problem = base.problem
         precision = self._precision(problem)
-        row = self.locator.metric(problem, base.z) * base.tangent
+        row = self.point_solver.metric(problem, base.z) * base.tangent
         residual, nonzeros = problem.evaluate(base.z)
-        solve = self.locator.ladder.solver(problem).factor(base.z, nonzeros, row)
+        solve = self.point_solver.levels.solver(problem).factor(base.z, nonzeros, row)
         z = base.z - solve(np.append(residual, 0.0))
         if base.parameter == 0.0:
             z[problem.parameter_index] = 0.0  # but for round-off, which must not skip tiny values asked for
-        slope = base.step * self.locator.tangent(problem, z, solve)
+        slope = base.step * self.point_solver.tangent(problem, z, solve)
         coefficients = self._recursion(problem).series(z, slope, solve)
-        sizes = np.sqrt(np.sum(self.locator.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
+        sizes = np.sqrt(np.sum(self.point_solver.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
         orders = np.arange(coefficients.shape[0] - 2, coefficients.shape[0])
         stretch = Stretch(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
         while stretch.length * base.step >= self.settings.min_step:
@@ -178,7 +178,7 @@ class SeriesWalk:
         problem, settings = base.problem, self.settings
         taus = np.linspace(0.0, final, SAMPLES)
         points = stretch.at(taus)
-        weights = np.sqrt(self.locator.metric(problem, points[0]))
+        weights = np.sqrt(self.point_solver.metric(problem, points[0]))
         slopes = weights * stretch.slope(taus)
         slopes /= np.linalg.norm(slopes, axis=1)[:, None]
         angles = np.degrees(np.arccos(np.clip(np.sum(slopes[1:] * slopes[:-1], axis=1), -1.0, 1.0)))
@@ -194,7 +194,7 @@ class SeriesWalk:
     def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> Point | None:
         """The corrected point at a stop; None where the corrector does not find it near the series."""
         guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
-        weights = self.locator.metric(problem, guess)
+        weights = self.point_solver.metric(problem, guess)
         tangent = slope / np.sqrt(np.sum(weights * slope**2))
         target = stop.target
         if target is None:
@@ -205,13 +205,13 @@ class SeriesWalk:
             value = wanted * float(row[index])
         try:
             polished, tangent = self._polished(problem, guess, row, value)
-            correction = self.locator.correct(problem, polished, row, value, reach)
+            correction = self.point_solver.correct(problem, polished, row, value, reach)
             if correction is None:
-                self.detail = f'{self.locator.failure}; try walker = "arclength"'
+                self.detail = f'{self.point_solver.failure}; try walker = "arclength"'
                 return None
             if target is not None:
                 correction.z[index] = wanted  # equal but for round-off of the held row
-            return self.locator.near(problem, correction, tangent, row, None if target is None else target.held)
+            return self.point_solver.near(problem, correction, tangent, row, None if target is None else target.held)
         except SingularError as error:
             self.detail = str(error)
             return None
@@ -225,5 +225,5 @@ class SeriesWalk:
         states = guess[: problem.states]  # a view
         states[np.abs(states) < FAINT * np.max(np.abs(states))] = 0.0
         residual, nonzeros = problem.evaluate(guess)
-        solve = self.locator.ladder.solver(problem).factor(guess, nonzeros, row)
-        return guess - solve(np.append(residual, row @ guess - value)), self.locator.tangent(problem, guess, solve)
+        solve = self.point_solver.levels.solver(problem).factor(guess, nonzeros, row)
+        return guess - solve(np.append(residual, row @ guess - value)), self.point_solver.tangent(problem, guess, solve)

@@ -11,7 +11,7 @@ from casadi_skin.arguments import shown
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import Tailed
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.orbit import Orbit
 
@@ -95,7 +95,7 @@ class Subject:
 
     @staticmethod
     def _not_in_cosines(orbit: Orbit) -> str | None:
-        if isinstance(orbit.tools.layout, Tailed):
+        if isinstance(orbit.tools.layout, CoreWithTail):
             return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
         if not isinstance(orbit.point.problem, TrigonometricProblem):
             return "its equations are not in odd cosines; with transcription trigonometric it can"

@@ -19,7 +19,7 @@ from casadi_skin.figures.style import (
     title,
 )
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import Tailed
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.theory.linear import standing_wave
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ DEEPEST = -290.0  # log10 of sizes that are drawn as they are
 MARKED_SITES = 60  # profiles of longer chains are lines without markers, of the sites that move
 
 
-def _tailed_mode(layout: Tailed) -> Array:
+def _tailed_mode(layout: CoreWithTail) -> Array:
     """The linear mode with norm 1 at the core's sites, largest displacement positive, shape (core sites,)."""
     u = layout.core.rho * layout.mode
     u = u if layout.chain.gamma >= 0 else u[::-1]
@@ -102,7 +102,7 @@ def _draw_profiles(
     layout = branch.tools.layout
     mode = (
         _tailed_mode(layout)
-        if isinstance(layout, Tailed)
+        if isinstance(layout, CoreWithTail)
         else linear_mode(branch.tools.request.chain, branch.tools.request.mode)
     )
     n, dot = layout.shown, "o" if mode.size == 1 else None
@@ -115,7 +115,7 @@ def _draw_profiles(
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
         chain = branch.tools.request.chain
         mode_logs = (
-            np.log10(np.abs(mode)) if isinstance(layout, Tailed) else _log_mode(chain, branch.tools.request.mode)
+            np.log10(np.abs(mode)) if isinstance(layout, CoreWithTail) else _log_mode(chain, branch.tools.request.mode)
         )
         deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)

@@ -13,13 +13,13 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.full_chain import projected, unit_mode
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import TailedProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
 
 
 @dataclass(frozen=True)
-class Tailed:
+class CoreWithTail:
     """A core of nonlinear sites at the edge that the modes lean to; the rest is linear and eliminated.
 
     Unknowns are those of the chain seen from its other end where gamma < 0. Sites are numbered from 1; those of an
@@ -123,7 +123,7 @@ class Tailed:
 
     def _tail_logs(self, problem: Problem, z: Array, steps: Indices) -> tuple[Array, Array]:
         """Natural logarithms and signs of `tail_coefficients`."""
-        assert isinstance(problem, TailedProblem)
+        assert isinstance(problem, CoreWithTailProblem)
         values, first = problem.values(z), problem.coefficients(z)[0]
         c, d = self.tail.sites, np.asarray(steps, dtype=float)
         logs, signs = np.empty((problem.resolution, d.size)), np.empty((problem.resolution, d.size))
@@ -149,7 +149,7 @@ class Tailed:
 
         In the tail L a_k = (k Omega)^2 a_k: products of two harmonics add up to a term at its end (Green's identity).
         """
-        assert isinstance(problem, TailedProblem)
+        assert isinstance(problem, CoreWithTailProblem)
         q, values = problem.sample(z, np.zeros(1))[0], problem.values(z)
         core = float(hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
         s, first = self.chain.coupling, problem.coefficients(z)[0]
@@ -164,7 +164,7 @@ class Tailed:
 
     def Omega_shift(self, problem: Problem, z: Array) -> float:
         """Beside the band from its edge; in the band by projection, as for a chain of unknown sites alone."""
-        assert isinstance(problem, TailedProblem)
+        assert isinstance(problem, CoreWithTailProblem)
         values = problem.values(z)
         wave, s, N = self.tail.wave(float(values.psi[0])), self.chain.coupling, self.chain.sites
         finite = bool(np.isfinite(N))

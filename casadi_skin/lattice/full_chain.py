@@ -73,7 +73,7 @@ def projected(problem: Problem, z: Array, core: Chain, phi: Array) -> tuple[floa
 
 
 @dataclass(frozen=True)
-class Whole:
+class FullChain:
     """Every site is an unknown."""
 
     core: Chain
@@ -104,7 +104,7 @@ class Whole:
 
 
 @dataclass(frozen=True)
-class Alone(Whole):
+class EdgeSite(FullChain):
     """At |gamma| = 1 the edge site moves by itself, and the others rest."""
 
     chain: Chain

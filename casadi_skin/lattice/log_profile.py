@@ -62,7 +62,7 @@ def _solved_anew(tools: FamilyTools, point: Point) -> tuple[Array, float]:
 
     They are left out of the guess of a Newton step, which then does not correct them but solves for them.
     """
-    problem, locator = point.problem, tools.locator
+    problem, point_solver = point.problem, tools.point_solver
     if not isinstance(problem, TrigonometricProblem):
         return point.z, FAINT
     states = np.abs(point.z[: problem.states])
@@ -71,10 +71,10 @@ def _solved_anew(tools: FamilyTools, point: Point) -> tuple[Array, float]:
         return point.z, SMALLEST
     guess = point.z.copy()
     guess[faint] = 0.0
-    row = locator.metric(problem, point.z) * point.tangent
+    row = point_solver.metric(problem, point.z) * point.tangent
     residual, nonzeros = problem.evaluate(guess)
     try:
-        solve = tools.ladder.solver(problem).factor(guess, nonzeros, row)
+        solve = tools.levels.solver(problem).factor(guess, nonzeros, row)
     except SingularError:
         return point.z, FAINT
     step = solve(np.append(residual, row @ (guess - point.z)))

@@ -48,7 +48,7 @@ class Regime(Enum):
     THIRD = "three times the frequency is pinned to the band: the third harmonic fills the tail"
 
 
-class TailedProblem(TrigonometricProblem):
+class CoreWithTailProblem(TrigonometricProblem):
     """Unknowns are the core's positions at the nodes, u of `TailParameter` in place of Omega, and the free parameter.
 
     The model is that of the core by itself, first site next to the tail; `coupling` is what it lacks there. Equations

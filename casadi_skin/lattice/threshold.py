@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.core_with_tail import Tailed
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.tail import EDGE_ANGLE
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
@@ -40,7 +40,7 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
     tools = FamilyTools(FamilyRequest(infinite, mode, amplitude_max, (), TOLERANCE, corrector="newton"))
     layout, last = tools.layout, tools.start
-    assert isinstance(layout, Tailed)
+    assert isinstance(layout, CoreWithTail)
     born = layout.parameter(2).at(EDGE_ANGLE)
     with one_thread():
         for point in tools.walk((tools.start,)):
@@ -52,13 +52,13 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
 
 def _held(tools: FamilyTools, before: Point, after: Point, u: float) -> float:
     """kappa where the tail's parameter is u, between two points; raises ArithmeticError where it is not found."""
-    problem, locator = after.problem, tools.locator
-    curve, length = locator.curve(before, after)
+    problem, point_solver = after.problem, tools.point_solver
+    curve, length = point_solver.curve(before, after)
     (place,) = curve.crossings(problem.Omega_index, u, length)
     row = np.zeros(problem.size)
     row[problem.Omega_index] = -1.0  # u falls along the family
-    correction = locator.correct(problem, curve.at(place), row, -u, length)
-    point = None if correction is None else locator.refined(problem, correction, row, held=None)
+    correction = point_solver.correct(problem, curve.at(place), row, -u, length)
+    point = None if correction is None else point_solver.refined(problem, correction, row, held=None)
     if point is None:
         raise ArithmeticError("threshold: no orbit is found where the frequency leaves the band")
     return point.parameter

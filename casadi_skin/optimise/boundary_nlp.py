@@ -19,11 +19,11 @@ from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.saved import programs_in
-from casadi_skin.optimise.curvature import downwards
+from casadi_skin.optimise.curvature import negative_curvature
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.optimum import Optimality, OptimalSolution, Optimum
-from casadi_skin.orbits.solve import ITERATIONS, BoundaryError, Method, Sizes, build_ladder, packed
-from casadi_skin.solvers.levels import SAFETY, ErrorEstimate, Ladder
+from casadi_skin.orbits.solve import ITERATIONS, BoundaryError, Method, Sizes, build_levels, packed
+from casadi_skin.solvers.levels import SAFETY, ErrorEstimate, Levels
 
 WORDS = {
     "Infeasible_Problem_Detected": "no point near the guess satisfies conditions and bounds",
@@ -59,11 +59,11 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> O
     """
     method = Method.of(options)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
-    ladder = build_ladder(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
-    found, errors = _first(ladder, statement, guess, method), list[float]()
+    levels = build_levels(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
+    found, errors = _first(levels, statement, guess, method), list[float]()
     while True:
-        above = ladder.finer(found.problem, found.z)
-        if above is None or ladder.finer(above) is None:
+        above = levels.finer(found.problem, found.z)
+        if above is None or levels.finer(above) is None:
             raise BoundaryError(f"{statement.model.name}: more than {found.problem.resolution} intervals are needed")
         assert isinstance(above, BoundaryProblem)
         start = found.problem.prolong(found.z, above)
@@ -83,11 +83,11 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> O
         found = finer
 
 
-def _first(ladder: Ladder, statement: BoundaryValueProblem, guess: Guess, method: Method) -> _Found:
+def _first(levels: Levels, statement: BoundaryValueProblem, guess: Guess, method: Method) -> _Found:
     """The solution on the first mesh on which there is one."""
     failure: BoundaryError | None = None
-    for resolution in [r for r in ladder.rungs if r >= method.intervals][:MESHES]:
-        problem = ladder.problem(resolution)
+    for resolution in [r for r in levels.resolutions if r >= method.intervals][:MESHES]:
+        problem = levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         start = packed(problem, guess)
         try:
@@ -164,7 +164,7 @@ class _Programme:
             raise BoundaryError(f"{self.statement.model.name}: {backwards}; bound it from below")
         multipliers = [np.array(result[key]).ravel() for key in ("lam_g", "lam_x")]
         optimality = self._optimality(z, *multipliers)
-        curvature = self._downwards(z, *multipliers)
+        curvature = self._negative_curvature(z, *multipliers)
         if curvature < 0.0:
             words = f"is stationary, but no minimum: curvature {curvature:.1e} of the largest"
             where = self.problem.whereabouts(z)
@@ -186,7 +186,7 @@ class _Programme:
         parts = float(np.max(np.abs(stationarity[bounded]))) / size, float(np.max(complementarity[bounded])) / size
         return Optimality(max(parts), violation, self._active(z, of_bounds, size), self._exact)
 
-    def _downwards(self, z: Array, of_equations: Array, of_bounds: Array) -> float:
+    def _negative_curvature(self, z: Array, of_equations: Array, of_bounds: Array) -> float:
         """The most negative curvature at a stationary point, of what bounds do not hold; 0 at a minimum, or unknown."""
         if not self._exact:
             return 0.0
@@ -194,7 +194,7 @@ class _Programme:
         held = np.sqrt(self._tolerance) * max(1.0, float(np.max(np.abs(of_equations), initial=0.0)))
         left = (self.lower < self.upper) & (np.abs(of_bounds) <= held)
         jacobian = self._derivatives(z)[1].sparse().tocsc()
-        return downwards(ca.triu2symm(upper).sparse().tocsc(), jacobian, self.problem.sizes(z), left)
+        return negative_curvature(ca.triu2symm(upper).sparse().tocsc(), jacobian, self.problem.sizes(z), left)
 
     def _active(self, z: Array, of_bounds: Array, size: float) -> tuple[str, ...]:
         """Bounds that hold the solution, in words."""

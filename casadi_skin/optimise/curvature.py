@@ -16,7 +16,7 @@ from casadi_skin.bvp.problem import Array
 CURVED = 1e-6  # of what the Hessian does to the directions: less is rounding
 
 
-def downwards(hessian: Any, jacobian: Any, sizes: Array, left: NDArray[np.bool_]) -> float:
+def negative_curvature(hessian: Any, jacobian: Any, sizes: Array, left: NDArray[np.bool_]) -> float:
     """The most negative curvature, relative to what the Hessian does; 0 where there is none beyond rounding.
 
     `hessian` and `jacobian` are sparse matrices of scipy, `sizes` what unknowns are measured by, and `left` tells which

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.optimise.search_nlp import SearchProgramme, Solution
+from casadi_skin.optimise.search_nlp import SearchNlp, Solution
 
 Indices = NDArray[np.int64]
 
@@ -29,7 +29,7 @@ class Kkt:
         return max(self.stationarity, self.violation, self.complementarity)
 
 
-def kkt(programme: SearchProgramme, solution: Solution) -> Kkt:
+def kkt(programme: SearchNlp, solution: Solution) -> Kkt:
     """The conditions of optimality at a solution, from its multipliers."""
     gradient = programme.gradient(solution.x)
     g, J = programme.residual(solution.x), programme.jacobian(solution.x)
@@ -54,7 +54,7 @@ def kkt(programme: SearchProgramme, solution: Solution) -> Kkt:
     )
 
 
-def curvature(programme: SearchProgramme, solution: Solution, active: Indices, rows: Indices) -> float:
+def curvature(programme: SearchNlp, solution: Solution, active: Indices, rows: Indices) -> float:
     """Smallest eigenvalue of the Hessian of the Lagrangian on the directions that the constraints leave free.
 
     `active` are the unknowns and `rows` the constraints held. Infinite where nothing is left free.

@@ -7,7 +7,7 @@ import numpy as np
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.optimality import Indices, curvature, kkt
 from casadi_skin.optimise.result import FoundOrbit, Optimum, physical_coefficients
-from casadi_skin.optimise.search_nlp import SearchProgramme, Solution, programme
+from casadi_skin.optimise.search_nlp import SearchNlp, Solution, programme
 from casadi_skin.optimise.starts import HARMONICS, Ending, Outcome, chain_at, outcome
 from casadi_skin.optimise.verify import plain_check
 
@@ -16,7 +16,7 @@ NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at whic
 MOVED = 1e-2  # relative change of Omega by more harmonics of what is no optimum but on the coarse grid
 
 
-def finished(nlp: SearchProgramme, found: Outcome, numbers: tuple[int, ...]) -> Optimum | None:
+def finished(nlp: SearchNlp, found: Outcome, numbers: tuple[int, ...]) -> Optimum | None:
     """The optimum of an outcome on as many harmonics as the tolerance asks for; None where more do not confirm it.
 
     An orbit off the family asked for is taken no farther than the first step that shows so.
@@ -24,7 +24,7 @@ def finished(nlp: SearchProgramme, found: Outcome, numbers: tuple[int, ...]) -> 
     if found.solution is None:
         return None
     solution, best = found.solution, None
-    for harmonics in (rung for rung in HARMONICS if rung > nlp.harmonics):
+    for harmonics in (level for level in HARMONICS if level > nlp.harmonics):
         finer = programme(nlp.request, harmonics)
         better = finer.solve(nlp.prolonged(solution.x, finer), polish=True)
         if outcome(finer, found.start, better).ending is not Ending.CONVERGED:
@@ -42,7 +42,7 @@ def finished(nlp: SearchProgramme, found: Outcome, numbers: tuple[int, ...]) -> 
     return best
 
 
-def differences(nlp: SearchProgramme, solution: Solution, finer: SearchProgramme, better: Solution) -> dict[str, float]:
+def differences(nlp: SearchNlp, solution: Solution, finer: SearchNlp, better: Solution) -> dict[str, float]:
     """What objective, Omega and free numbers differ by."""
     moved = np.abs(finer.free_of(better.x) - nlp.free_of(solution.x))
     turned = np.max(np.abs(finer.frequencies(better.x) - nlp.frequencies(solution.x)))
@@ -51,7 +51,7 @@ def differences(nlp: SearchProgramme, solution: Solution, finer: SearchProgramme
     return dict(zip(names, values, strict=True))
 
 
-def optimum(nlp: SearchProgramme, solution: Solution, numbers: tuple[int, ...], errors: dict[str, float]) -> Optimum:
+def optimum(nlp: SearchNlp, solution: Solution, numbers: tuple[int, ...], errors: dict[str, float]) -> Optimum:
     """A solution with all that is told of it; `numbers` are the starts that led to it."""
     x, request = solution.x, nlp.request
     chain = chain_at(request, nlp.free_of(x))
@@ -80,7 +80,7 @@ def optimum(nlp: SearchProgramme, solution: Solution, numbers: tuple[int, ...], 
     )
 
 
-def _active(nlp: SearchProgramme, solution: Solution) -> tuple[tuple[str, ...], Indices, Indices]:
+def _active(nlp: SearchNlp, solution: Solution) -> tuple[tuple[str, ...], Indices, Indices]:
     """Words for the bounds that hold at a solution, the unknowns at bounds, and the rows of conditions that hold."""
     x, words, unknowns, rows = solution.x, list[str](), list[int](), list[int]()
     for i, (name, (low, high)) in enumerate(zip(nlp.request.free_names, nlp.request.limits, strict=True)):

@@ -39,7 +39,7 @@ class Solution:
     iterations: int
 
 
-class SearchProgramme(SearchLayout):
+class SearchNlp(SearchLayout):
     """The nonlinear programme of a request on a number of harmonics."""
 
     def __init__(self, request: SearchRequest, harmonics: int) -> None:
@@ -255,6 +255,6 @@ class SearchProgramme(SearchLayout):
 
 
 @lru_cache(maxsize=16)
-def programme(request: SearchRequest, harmonics: int) -> SearchProgramme:
+def programme(request: SearchRequest, harmonics: int) -> SearchNlp:
     """The programme of a request; the last few are kept, since starts share them."""
-    return SearchProgramme(request, harmonics)
+    return SearchNlp(request, harmonics)

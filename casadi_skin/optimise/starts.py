@@ -11,7 +11,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.optimality import Kkt, kkt
 from casadi_skin.optimise.request import SearchRequest
-from casadi_skin.optimise.search_nlp import VIOLATION, SearchProgramme, Solution, programme
+from casadi_skin.optimise.search_nlp import VIOLATION, SearchNlp, Solution, programme
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
@@ -118,7 +118,7 @@ def first_harmonics(request: SearchRequest, start: Start) -> int:
         needed = max(orbit.harmonics for orbit in family_orbits(request, start.free))
     except (ValueError, ArithmeticError):
         needed = 12
-    return next((rung for rung in HARMONICS[:-1] if rung >= needed), HARMONICS[-2])
+    return next((level for level in HARMONICS[:-1] if level >= needed), HARMONICS[-2])
 
 
 def run_start(
@@ -141,12 +141,12 @@ def run_start(
         return replace(outcome(nlp, start, solution), deflated=bool(known))
 
 
-def packed(nlp: SearchProgramme, start: Start, orbits: list[Orbit]) -> Array:
+def packed(nlp: SearchNlp, start: Start, orbits: list[Orbit]) -> Array:
     """Unknowns of the programme at these orbits."""
     return nlp.pack(np.array(start.free), [(gauge_values(orbit, nlp.harmonics), orbit.Omega) for orbit in orbits])
 
 
-def outcome(nlp: SearchProgramme, start: Start, solution: Solution) -> Outcome:
+def outcome(nlp: SearchNlp, start: Start, solution: Solution) -> Outcome:
     """What a solution is: an optimum where our own conditions of optimality say so."""
     finite = bool(np.all(np.isfinite(solution.x)))
     gaps = nlp.violations(solution.x) if finite else np.full(1, np.inf)
@@ -165,7 +165,7 @@ def outcome(nlp: SearchProgramme, start: Start, solution: Solution) -> Outcome:
     return Outcome(start, ending, solution.words, solution, optimality.violation, worst, violation)
 
 
-def same_place(nlp: SearchProgramme, first: Array, second: Array) -> bool:
+def same_place(nlp: SearchNlp, first: Array, second: Array) -> bool:
     """Whether two points are the same optimum."""
     distance = np.abs(nlp.place(first) - nlp.place(second)) / nlp.scales
     return bool(np.max(distance) <= SAME)

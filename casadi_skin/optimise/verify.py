@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.search_nlp import SearchProgramme
+from casadi_skin.optimise.search_nlp import SearchNlp
 from casadi_skin.optimise.starts import HARMONICS, chain_at, family_orbits
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.linear import Array
@@ -41,7 +41,7 @@ class PlainCheck:
         return abs(self.family_difference) <= ON_FAMILY * Omega
 
 
-def plain_model(programme: SearchProgramme, x: Array) -> OdeModel:
+def plain_model(programme: SearchNlp, x: Array) -> OdeModel:
     """The gauge equations of the chain at x, of a nonuniform one as well, with kappa = g S as their parameter."""
     model = chain_at(programme.request, programme.free_of(x)).gauge_model()
     if "alpha_n" not in programme.request.free:
@@ -51,9 +51,9 @@ def plain_model(programme: SearchProgramme, x: Array) -> OdeModel:
     return replace(model, rhs=model.rhs - uneven * q, hamiltonian=None)
 
 
-def plain_check(programme: SearchProgramme, x: Array, orbit: int) -> PlainCheck:
+def plain_check(programme: SearchNlp, x: Array, orbit: int) -> PlainCheck:
     """Solve one orbit of x again as a plain orbit problem."""
-    harmonics = next(rung for rung in HARMONICS if rung > programme.harmonics or rung == HARMONICS[-1])
+    harmonics = next(level for level in HARMONICS if level > programme.harmonics or level == HARMONICS[-1])
     problem = TrigonometricProblem(plain_model(programme, x), harmonics)
     S, Omega = programme.amplitude(x, orbit), float(np.sqrt(programme.square_of(x, orbit)))
     kappa = float(programme.parameter(x, "g")) * S
@@ -66,7 +66,7 @@ def plain_check(programme: SearchProgramme, x: Array, orbit: int) -> PlainCheck:
     return PlainCheck(correction.converged, difference, residual, harmonics, family, words)
 
 
-def _beside_family(programme: SearchProgramme, x: Array, S: float, Omega: float) -> tuple[float | None, str]:
+def _beside_family(programme: SearchNlp, x: Array, S: float, Omega: float) -> tuple[float | None, str]:
     request = programme.request
     if "alpha_n" in request.free:
         return None, ""

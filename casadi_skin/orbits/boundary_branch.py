@@ -12,11 +12,11 @@ from casadi_skin.arguments import number, numbers, shown
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import check_name
-from casadi_skin.continuation.arclength import ArclengthWalk
-from casadi_skin.continuation.point_solver import Locator
-from casadi_skin.continuation.points import End, Point, Target, WalkSettings
+from casadi_skin.continuation.arclength import ArclengthContinuation
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.orbits.solution import BoundarySolution
-from casadi_skin.orbits.solve import BoundaryError, Sizes, build_ladder, refined
+from casadi_skin.orbits.solve import BoundaryError, Sizes, build_levels, refined
 
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 WORDS = {End.RETURNED: "the branch came back to the value of the parameter that it started from"}
@@ -90,7 +90,7 @@ def follow(
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
-    settings = WalkSettings(
+    settings = ContinuationSettings(
         1.0, solution.method.tolerance, wanted, max_step=number("max_step", max_step), max_points=max_points,
         tiny_first=False, max_parameter_step=0.2,
     )  # fmt: skip
@@ -101,24 +101,24 @@ def follow(
 class _Following:
     """A walk along the branch and what it has found."""
 
-    def __init__(self, solution: BoundarySolution, parameter: str, end: float, settings: WalkSettings) -> None:
+    def __init__(self, solution: BoundarySolution, parameter: str, end: float, settings: ContinuationSettings) -> None:
         values = {**solution.statement.parameters, **solution.parameters}
         self.statement = replace(solution.statement, parameters=values)
         self.solution, self.parameter = solution, parameter
         sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
-        self.locator = Locator(build_ladder(self.statement, solution.method, sizes, parameter, end), settings)
+        self.point_solver = PointSolver(build_levels(self.statement, solution.method, sizes, parameter, end), settings)
         self.points: list[Point] = []
         self.folds: list[Point] = []
 
     def _start(self) -> Point:
-        problem = self.locator.ladder.problem(self.solution.intervals)
+        problem = self.point_solver.levels.problem(self.solution.intervals)
         problem = problem.with_constants(self.solution.problem.constants)
         z = self.solution.point.z.copy()
         z[-1] = 0.0
-        correction = self.locator.ladder.corrector(problem).correct(z, problem.parameter_row(), 0.0)
+        correction = self.point_solver.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:
             raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
-        return replace(refined(self.locator, problem, correction), step=self.locator.settings.first_step)
+        return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
 
     def followed(
         self,
@@ -127,7 +127,7 @@ class _Following:
         progress: Callable[[BoundarySolution], None] | None,
     ) -> BoundaryBranch:
         start = self._start()
-        walk = ArclengthWalk(self.locator, (start,))
+        walk = ArclengthContinuation(self.point_solver, (start,))
         stopped, broken = False, ""
         solutions: list[BoundarySolution] = []
         for point in self._with_folds(start, walk):
@@ -140,7 +140,7 @@ class _Following:
             if until is not None and until(solutions[-1]):
                 stopped = True
                 break
-        if walk.end is End.REACHED and any(target in self.locator.settings.ends for target in walk.missed):
+        if walk.end is End.REACHED and any(target in self.point_solver.settings.ends for target in walk.missed):
             broken = f"the branch passes the end, and no solution was found there: {walk.detail}"
         complete = stopped or (walk.end is End.REACHED and not broken)
         reason = "" if complete or walk.end is None else WORDS.get(walk.end, f"{walk.end.value}: {walk.detail}")
@@ -149,7 +149,7 @@ class _Following:
         folds = tuple(self._solution(point, {}) for point in self.folds)
         return BoundaryBranch(self.parameter, tuple(solutions), folds, complete, reason, missed)
 
-    def _with_folds(self, start: Point, walk: ArclengthWalk) -> Iterator[Point | str]:
+    def _with_folds(self, start: Point, walk: ArclengthContinuation) -> Iterator[Point | str]:
         """Points of the walk with the folds between them; last, why the branch cannot go on, in words."""
         yield start
         last = start
@@ -175,9 +175,9 @@ class _Following:
         found: dict[float, Point] = {0.0: before, 1.0: after}
 
         def slope(fraction: float) -> float:
-            point = found.get(fraction) or self.locator.along(before, after, fraction)
+            point = found.get(fraction) or self.point_solver.along(before, after, fraction)
             if point is None:
-                why = self.locator.failure or "the equations are singular beside it"
+                why = self.point_solver.failure or "the equations are singular beside it"
                 raise BoundaryError(f"the parameter turns back at a point that cannot be located: {why}")
             found[fraction] = point
             return _slope(point)

@@ -181,17 +181,17 @@ class Branch:
             "Omega": lambda: Target(Scalar.OMEGA, value),
             "period": lambda: Target(Scalar.OMEGA, TWO_PI / value),
         }[name]()
-        locator = self.tools.locator
+        point_solver = self.tools.point_solver
         passage, before = 0, self.start
         for orbit in self.orbits:
             if getattr(orbit, name) == value:
                 found: list[Point | None] = [orbit.point]
             elif target.meets(orbit.point):
-                found = [locator.beside(orbit.point, target)]
+                found = [point_solver.beside(orbit.point, target)]
             elif target.meets(before):
                 found = []
             else:
-                found = [point for _, point in locator.between(before, orbit.point, (target,))]
+                found = [point for _, point in point_solver.between(before, orbit.point, (target,))]
             before = orbit.point
             for point in found:
                 if passage < which:

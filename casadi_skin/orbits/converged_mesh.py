@@ -14,7 +14,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
-from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.levels import Levels
 
 UNRESOLVED = 0.1  # relative error beyond which a first mesh has missed something
 RUNGS = (40, 90, 200)
@@ -23,38 +23,38 @@ SETTLED = 1.2  # imbalance of a mesh that need not be placed again
 SMALLEST = 1e-8  # first interval of a graded mesh, of the whole
 
 
-def settled(ladder: Ladder, problem: BoundaryProblem, z: Array) -> tuple[BoundaryProblem, Correction] | None:
+def converged_mesh(levels: Levels, problem: BoundaryProblem, z: Array) -> tuple[BoundaryProblem, Correction] | None:
     """The solution near z on a mesh that resolves it; None where it is resolved as it is, or nowhere."""
-    if _error(ladder, problem, z) <= UNRESOLVED:
+    if _error(levels, problem, z) <= UNRESOLVED:
         return None
     for resolution in [r for r in RUNGS if r > problem.resolution]:
-        target = ladder.problem(resolution)
+        target = levels.problem(resolution)
         starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST)))
-        found = [f for start in starts if (f := _placed(ladder, problem, z, start)) is not None]
-        errors = [_error(ladder, p, correction.z) for p, correction in found]
+        found = [f for start in starts if (f := _placed(levels, problem, z, start)) is not None]
+        errors = [_error(levels, p, correction.z) for p, correction in found]
         if min(errors, default=np.inf) <= UNRESOLVED:
             return found[int(np.argmin(errors))]
     return None
 
 
 def _placed(
-    ladder: Ladder, problem: BoundaryProblem, z: Array, target: object
+    levels: Levels, problem: BoundaryProblem, z: Array, target: object
 ) -> tuple[BoundaryProblem, Correction] | None:
     """The solution near z on a mesh placed until it has settled."""
     for _ in range(ROUNDS):
         assert isinstance(target, BoundaryProblem)
-        correction = ladder.corrector(target).correct(problem.prolong(z, target), target.parameter_row(), 0.0)
+        correction = levels.corrector(target).correct(problem.prolong(z, target), target.parameter_row(), 0.0)
         if not correction.converged:
             return None
         problem, z = target, correction.z
-        if problem.imbalance(z) <= SETTLED and _error(ladder, problem, z) <= UNRESOLVED:
+        if problem.imbalance(z) <= SETTLED and _error(levels, problem, z) <= UNRESOLVED:
             return problem, correction
         target = problem.placed(z, problem)
     return problem, correction
 
 
-def _error(ladder: Ladder, problem: BoundaryProblem, z: Array) -> float:
+def _error(levels: Levels, problem: BoundaryProblem, z: Array) -> float:
     try:
-        return ladder.error(problem, z).relative(1.0)
+        return levels.error(problem, z).relative(1.0)
     except SingularError:
         return float(np.inf)

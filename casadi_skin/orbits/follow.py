@@ -23,10 +23,10 @@ from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
 UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
-TOGETHER = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
+STABILITY_BATCH = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
 
 
-class FamilyWalk:
+class FamilyContinuation:
     """Iterates over the orbits of a family and, between two of them, over the changes of stability.
 
     What has been computed is in `branch()` at any time, so that an interruption loses no more than the few points whose
@@ -60,7 +60,7 @@ class FamilyWalk:
             yield result
 
     def _results(self) -> Iterator[Orbit | StabilityChange]:
-        together = min(self.tools.flow.batch, TOGETHER) if self.stability else 1
+        together = min(self.tools.flow.batch, STABILITY_BATCH) if self.stability else 1
         for point in self._walk:
             if len(self.orbits) + len(self._waiting) == self.tools.request.max_points:
                 self._stopped = End.POINTS
@@ -88,7 +88,7 @@ class FamilyWalk:
         try:
             for orbit in self._with_stability():
                 if self.events and self.orbits and self.orbits[-1].floquet().stable != orbit.floquet().stable:
-                    change = locate_change(self.tools.locator, self.orbits[-1], orbit)
+                    change = locate_change(self.tools.point_solver, self.orbits[-1], orbit)
                     self.changes.append(change)
                     yield change
                 self.orbits.append(orbit)
@@ -173,7 +173,7 @@ def follow_family(
         tail = "full"  # all sites take part in it
     number_of_mode = chain.mode_number(mode) if isinstance(chain, Chain) else mode
     request = FamilyRequest(chain, number_of_mode, largest, wanted, tolerance, *methods, *passed, tail)
-    walk = FamilyWalk(FamilyTools(request), stability, events)
+    walk = FamilyContinuation(FamilyTools(request), stability, events)
     for result in walk:
         if progress is not None and isinstance(result, Orbit):
             progress(result)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.points import Point
-from casadi_skin.lattice.core_with_tail import Tailed
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.levels import Refinement
 from casadi_skin.stability.flow import OrbitState
@@ -41,7 +41,7 @@ def on_all_sites(tools: FamilyTools, point: Point) -> Point:
     Raises ValueError where these are too many.
     """
     layout = tools.layout
-    if not isinstance(layout, Tailed):
+    if not isinstance(layout, CoreWithTail):
         return point
 
     def whole(problem: Problem, z: Array) -> Refinement:
@@ -49,7 +49,7 @@ def on_all_sites(tools: FamilyTools, point: Point) -> Point:
         theta = (np.arange(H) + 0.5) * np.pi / (2 * H)
         positions = layout.positions(problem, z, theta)
         unknowns = np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
-        return Refinement(tools.whole.ladder.problem(H), unknowns)
+        return Refinement(tools.whole.levels.problem(H), unknowns)
 
     here = whole(point.problem, point.z)
     better = None if point.better is None else whole(point.better.problem, point.better.z)
@@ -68,7 +68,7 @@ def floquets_of(tools: FamilyTools, points: Sequence[Point]) -> list[Floquet]:
 
     Raises FlowError where the flow map cannot reach the tolerance for any of them.
     """
-    if isinstance(tools.layout, Tailed):
+    if isinstance(tools.layout, CoreWithTail):
         return floquets_of(tools.whole, [on_all_sites(tools, point) for point in points])
     states = [orbit_state(point) for point in points]
     with one_thread():

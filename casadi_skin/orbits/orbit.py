@@ -12,10 +12,10 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import Tailed
-from casadi_skin.lattice.full_chain import Alone
+from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.full_chain import EdgeSite
 from casadi_skin.lattice.log_profile import log_positions
-from casadi_skin.lattice.tail_problem import Regime, TailedProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.orbits.multipliers import accelerations, floquets_of, on_all_sites, orbit_state
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.stability.flow import Transition
@@ -151,13 +151,13 @@ class Orbit:
         logs, signs = self._core_logs
         numbers = layout.shown if self.chain.infinite else np.arange(1, self.chain.sites + 1)
         numbers = numbers if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
-        if isinstance(layout, Tailed):
+        if isinstance(layout, CoreWithTail):
             m = layout.distances(numbers)
             inside, place = m < layout.core.sites, layout.core.sites - 1 - m
             (logs, signs), core = layout.log_positions(self.point.problem, self.point.z, m), (logs, signs)
             logs[inside], signs[inside] = core[0][place[inside]], core[1][place[inside]]
             logs = logs - np.arctanh(abs(self.chain.gamma)) * m
-        elif isinstance(layout, Alone):
+        elif isinstance(layout, EdgeSite):
             moves = numbers - 1 == layout.edge
             logs, signs = np.where(moves, logs[0], -np.inf), np.where(moves, signs[0], 0.0)
         else:
@@ -192,14 +192,14 @@ class Orbit:
     def regime(self) -> Regime | None:
         """Whether Omega, or three times it, is pinned to the band; None where the tail is not eliminated."""
         problem = self.point.problem
-        return problem.regime(self.point.z) if isinstance(problem, TailedProblem) else None
+        return problem.regime(self.point.z) if isinstance(problem, CoreWithTailProblem) else None
 
     # Stability ------------------------------------------------------------------------------------------------------
 
     def _transition(self) -> tuple[Transition, Array]:
         """Transition matrix of all sites, and q'' at phase zero."""
         tools, point = self.tools, on_all_sites(self.tools, self.point)
-        tools = tools.whole if isinstance(tools.layout, Tailed) else tools
+        tools = tools.whole if isinstance(tools.layout, CoreWithTail) else tools
         acceleration = accelerations(tools, [orbit_state(point)])[0]
         return tools.flow.transition(point.problem, point.z), np.asarray(acceleration)
 

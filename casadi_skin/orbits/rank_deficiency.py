@@ -18,7 +18,7 @@ ROUNDS = 4
 NAMED = 0.05  # of the largest weight of a condition
 
 
-def weakness(problem: BoundaryProblem, z: Array) -> str:
+def rank_deficiency(problem: BoundaryProblem, z: Array) -> str:
     """Which conditions leave which variable undetermined, and where; empty where the equations at z are regular."""
     found = _null_vectors(problem, z)
     if found is None:

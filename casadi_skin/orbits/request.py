@@ -13,7 +13,7 @@ from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.points import SAME, Target, WalkSettings
+from casadi_skin.continuation.points import SAME, ContinuationSettings, Target
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 
 if TYPE_CHECKING:
@@ -202,12 +202,12 @@ class FamilyRequest:
         """
         return round(2.0 - 0.75 * math.log10(self.tolerance)) if self.degree is None else self.degree
 
-    def walk_settings(self) -> WalkSettings:
+    def continuation_settings(self) -> ContinuationSettings:
         """The walk in kappa = g S, the model's free parameter; a quick look has half the points."""
         g, end = self.chain.g, self.chain.g * self.amplitude_max
         at = [Target(Scalar.PARAMETER, g * S) for S in self.at]
         at += [Target(Scalar.OMEGA, Omega) for Omega in (*self.at_Omega, *self._Omega_of_period)]
-        settings = WalkSettings(
+        settings = ContinuationSettings(
             end,
             self.tolerance,
             tuple(dict.fromkeys(at)),

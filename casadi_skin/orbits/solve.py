@@ -13,16 +13,16 @@ from casadi_skin.bvp.butcher import gauss_table, radau_table
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import BoundaryValueProblem, check_name
-from casadi_skin.continuation.point_solver import Locator
-from casadi_skin.continuation.points import Point, WalkSettings
-from casadi_skin.orbits.converged_mesh import settled
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import ContinuationSettings, Point
+from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.rank_deficiency import weakness
+from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.solution import BoundarySolution
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.solvers.rounding import RoundedCorrector
 
@@ -32,7 +32,7 @@ CORRECTORS = ("ipopt", "newton")
 DEGREES = range(1, 13)
 TOLERANCES = (1e-13, 1e-1)
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
-TRIES = 6  # rungs on which a first solution is sought
+TRIES = 6  # resolutions on which a first solution is sought
 FIRST = 12  # intervals
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
 MEANINGLESS = 1e-2  # estimated error of what is called solved but for rounding, and is not
@@ -99,17 +99,17 @@ class Sizes:
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
 
 
-def build_ladder(
+def build_levels(
     statement: BoundaryValueProblem, method: Method, sizes: Sizes, walking: str | None = None, end: float = 1.0
-) -> Ladder:
+) -> Levels:
     """Discretisations of the problem from coarse to fine; the scalar u is held, or follows the parameter `walking`."""
     formulation, table = statement.formulation(walking, end), TABLES[method.transcription](method.degree)
 
     def build(intervals: int) -> Problem:
         return BoundaryProblem(statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, end)
 
-    rungs = tuple(sorted({*INTERVALS, method.intervals}))
-    return Ladder(build, method.build_corrector, rungs)
+    resolutions = tuple(sorted({*INTERVALS, method.intervals}))
+    return Levels(build, method.build_corrector, resolutions)
 
 
 def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> BoundarySolution:
@@ -123,31 +123,32 @@ def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Boun
     """
     method = Method.of(options)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
-    ladder = build_ladder(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
-    locator = Locator(ladder, WalkSettings(1.0, method.tolerance))
-    return BoundarySolution(statement, method, first_point(locator, statement, guess, method))
+    levels = build_levels(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
+    point_solver = PointSolver(levels, ContinuationSettings(1.0, method.tolerance))
+    return BoundarySolution(statement, method, first_point(point_solver, statement, guess, method))
 
 
-def first_point(locator: Locator, statement: BoundaryValueProblem, guess: Guess, method: Method) -> Point:
+def first_point(point_solver: PointSolver, statement: BoundaryValueProblem, guess: Guess, method: Method) -> Point:
     """The solution near a guess with u = 0 held, refined to the tolerance; raises BoundaryError."""
-    rungs = [r for r in locator.ladder.rungs if r >= method.intervals][:TRIES]
+    resolutions = [r for r in point_solver.levels.resolutions if r >= method.intervals][:TRIES]
     failures = []
-    for problem in _first_problems(locator.ladder, rungs, guess):
+    for problem in _first_problems(point_solver.levels, resolutions, guess):
         z = packed(problem, guess)
-        correction = _corrected(locator.ladder.corrector(problem), z, problem)
+        correction = _corrected(point_solver.levels.corrector(problem), z, problem)
         backwards = problem.backwards(correction.z) if correction.converged else ""
         if backwards:
             failures.append(backwards)
             continue
         if correction.converged:
-            correction = _sized(locator.ladder, problem, correction, not np.any(z[: problem.states]))
-            return refined(locator, *(settled(locator.ladder, problem, correction.z) or (problem, correction)))
-        words = f"{correction.status.value}; {problem.worst(correction.z)}", weakness(problem, correction.z)
+            correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
+            resolved = converged_mesh(point_solver.levels, problem, correction.z)
+            return refined(point_solver, *(resolved or (problem, correction)))
+        words = f"{correction.status.value}; {problem.worst(correction.z)}", rank_deficiency(problem, correction.z)
         failures.append("; there ".join(filter(None, words)))
     raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 
 
-def _sized(ladder: Ladder, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:
+def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:
     """The correction, solved to its own size: Ipopt's tolerance is absolute where states are below 1.
 
     Where the guess of zeros left states `unmeasured`, they are measured by where a Newton step leads.
@@ -155,7 +156,7 @@ def _sized(ladder: Ladder, problem: BoundaryProblem, correction: Correction, unm
     z, row = correction.z, problem.parameter_row()
     residual, nonzeros = problem.evaluate(z)
     try:
-        step = ladder.solver(problem).factor(z, nonzeros, row)(np.append(residual, 0.0))
+        step = levels.solver(problem).factor(z, nonzeros, row)(np.append(residual, 0.0))
     except SingularError:  # which condition is at fault is told where the solution is refined
         return correction
     if unmeasured:
@@ -166,14 +167,14 @@ def _sized(ladder: Ladder, problem: BoundaryProblem, correction: Correction, unm
     return finished if finished.converged else correction
 
 
-def _first_problems(ladder: Ladder, rungs: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
+def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
     """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess."""
-    if isinstance(guess, BoundarySolution) and guess.intervals in ladder.rungs:
-        problem = ladder.problem(guess.intervals).with_constants(guess.problem.constants)
+    if isinstance(guess, BoundarySolution) and guess.intervals in levels.resolutions:
+        problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         yield problem
-    for resolution in rungs:
-        problem = ladder.problem(resolution)
+    for resolution in resolutions:
+        problem = levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         z = packed(problem, guess)
         placed = problem.placed(z, problem) if problem.imbalance(z) > 1.0 else problem
@@ -181,24 +182,24 @@ def _first_problems(ladder: Ladder, rungs: Sequence[int], guess: Guess) -> Itera
         yield placed
 
 
-def refined(locator: Locator, problem: Problem, correction: Correction) -> Point:
+def refined(point_solver: PointSolver, problem: Problem, correction: Correction) -> Point:
     """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
     assert isinstance(problem, BoundaryProblem)
     name = problem.statement.model.name
     try:
-        point = locator.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
+        point = point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
     except SingularError as error:
-        reason = weakness(problem, correction.z) or str(error)
+        reason = rank_deficiency(problem, correction.z) or str(error)
         raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
     if point is None:
-        top = locator.ladder.rungs[-2]
+        top = point_solver.levels.resolutions[-2]
         raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
     assert isinstance(point.problem, BoundaryProblem)
     backwards = point.problem.backwards(point.z)
     if backwards:
         raise BoundaryError(f"{name}: {backwards}")
     if point.error.relative(1.0) > MEANINGLESS:
-        reason = weakness(point.problem, point.z) or "the equations are nearly singular there"
+        reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
         words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
         raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
     return point

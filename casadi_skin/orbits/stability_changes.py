@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import Floquet
 
@@ -44,8 +44,8 @@ class _Bracket:
     squared distance of the two mu that meet, or the distance of one from the end of [-1, 0].
     """
 
-    def __init__(self, locator: Locator, before: Orbit, after: Orbit) -> None:
-        self._locator, self._ends = locator, (before, after)
+    def __init__(self, point_solver: PointSolver, before: Orbit, after: Orbit) -> None:
+        self._point_solver, self._ends = point_solver, (before, after)
         self.first, self.last, self.low, self.high = before, after, 0.0, 1.0
 
     @property
@@ -64,7 +64,7 @@ class _Bracket:
         if fraction in (0.0, 1.0):
             orbit = after if fraction else before
         else:
-            point = self._locator.along(before.point, after.point, fraction)
+            point = self._point_solver.along(before.point, after.point, fraction)
             if point is None:
                 raise _NotFoundError
             orbit = Orbit(before.tools, point)
@@ -117,13 +117,13 @@ def _born(unstable: Floquet) -> tuple[complex, bool]:
     return complex(unstable.mu[chosen[np.argmax(np.abs(unstable.mu[chosen] + 0.5))]]), real.size > 0
 
 
-def locate_change(locator: Locator, before: Orbit, after: Orbit) -> StabilityChange:
+def locate_change(point_solver: PointSolver, before: Orbit, after: Orbit) -> StabilityChange:
     """Find the change of stability on the stretch of branch between two neighbouring orbits (Brent 1973).
 
     Where the corrector fails inside the bracket the change is given with the bracket reached (`S_width`). Raises
     FlowError from the flow map.
     """
-    bracket = _Bracket(locator, before, after)
+    bracket = _Bracket(point_solver, before, after)
     with suppress(_NotFoundError):
         bracket.close(WIDTH * min(1.0, before.tools.request.amplitude_max))
     first, last = bracket.first, bracket.last

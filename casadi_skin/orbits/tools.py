@@ -15,17 +15,17 @@ from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.arclength import ArclengthWalk
-from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.continuation.arclength import ArclengthContinuation
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point, Walk
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import Tailed
-from casadi_skin.lattice.full_chain import Alone, Whole
-from casadi_skin.lattice.tail_problem import TailedProblem
+from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.full_chain import EdgeSite, FullChain
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowMap
@@ -62,16 +62,16 @@ class FamilyTools:
         self._recursions: dict[int, TaylorRecursion] = {}
 
     @cached_property
-    def layout(self) -> Whole | Tailed:
+    def layout(self) -> FullChain | CoreWithTail:
         """Which sites are unknown: all, those where the cubic term is felt, or at |gamma| = 1 the edge site alone."""
         request, chain = self.request, self.request.chain
         if abs(chain.gamma) == 1.0:
-            return Alone(Chain(1, chain.alpha, 0.0, chain.g), 1, chain)
+            return EdgeSite(Chain(1, chain.alpha, 0.0, chain.g), 1, chain)
         if request.tailed:
-            return Tailed(
+            return CoreWithTail(
                 chain, replace(chain, sites=request.core_sites, gamma=abs(chain.gamma)), -1 if chain.g > 0 else 1
             )
-        return Whole(chain, request.mode)
+        return FullChain(chain, request.mode)
 
     @property
     def core(self) -> Chain:
@@ -81,13 +81,13 @@ class FamilyTools:
     @property
     def linear_frequency(self) -> float:
         """Frequency of the linear mode that the family grows from."""
-        alone = isinstance(self.layout, Alone)
+        alone = isinstance(self.layout, EdgeSite)
         return self.core.linear_frequency(1) if alone else self.request.chain.linear_frequency(self.request.mode)
 
     @property
     def linear(self) -> tuple[Chain, int] | None:
         """Chain and mode whose closed formulas hold for the family; None in an infinite chain."""
-        if isinstance(self.layout, Alone):
+        if isinstance(self.layout, EdgeSite):
             return self.core, 1
         return None if self.request.chain.infinite else (self.request.chain, self.request.mode)
 
@@ -123,43 +123,43 @@ class FamilyTools:
         return self.request.symmetry or symmetry_class(self.model)
 
     @cached_property
-    def ladder(self) -> Ladder:
+    def levels(self) -> Levels:
         """Discretisations from coarse to fine with their correctors."""
         if self.request.transcription == "shooting":
             useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.request.tolerance]
-            return Ladder(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
+            return Levels(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
         if self.request.transcription in COLLOCATIONS:
-            return Ladder(self._problem, self._corrector, INTERVALS)
+            return Levels(self._problem, self._corrector, INTERVALS)
         fits = [H for H in HARMONICS if self.core.sites * H**2 <= LARGEST]
         fits += [H for H in MANY_HARMONICS if self.core.sites * H**2 <= CHEAP]
-        return Ladder(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
+        return Levels(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
 
     @cached_property
-    def locator(self) -> Locator:
+    def point_solver(self) -> PointSolver:
         """What makes points of the family at its tolerance."""
-        return Locator(self.ladder, self.request.walk_settings())
+        return PointSolver(self.levels, self.request.continuation_settings())
 
     @cached_property
     def start(self) -> Point:
         """The linear mode at S = 0 with the tangent of the family."""
         layout = self.layout
-        frequency = layout.start if isinstance(layout, Tailed) else self.linear_frequency
-        return self.locator.start(layout.mode, frequency)
+        frequency = layout.start if isinstance(layout, CoreWithTail) else self.linear_frequency
+        return self.point_solver.start(layout.mode, frequency)
 
     def walk(self, history: tuple[Point, ...]) -> Walk:
         """The way along the family from the last points walked, or from `start`."""
         if self.request.way == "arclength":
-            return ArclengthWalk(self.locator, history)
-        from casadi_skin.continuation.series import SeriesWalk
+            return ArclengthContinuation(self.point_solver, history)
+        from casadi_skin.continuation.series import SeriesContinuation
 
         def precision(problem: Problem) -> float:
             allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
-        return SeriesWalk(self.locator, history, self._recursion, precision)
+        return SeriesContinuation(self.point_solver, history, self._recursion, precision)
 
     def _recursion(self, problem: Problem) -> TaylorRecursion:
-        """Power series on one rung of the ladder, made once."""
+        """Power series on one level of the levels, made once."""
         from casadi_skin.bvp.recursion import TaylorRecursion
 
         assert isinstance(problem, TrigonometricProblem)
@@ -174,8 +174,8 @@ class FamilyTools:
         return PolynomialForm.of(self.model)
 
     def _problem(self, resolution: int) -> Problem:
-        if isinstance(self.layout, Tailed):
-            return TailedProblem(self.model, resolution, self.layout.parameter(resolution))
+        if isinstance(self.layout, CoreWithTail):
+            return CoreWithTailProblem(self.model, resolution, self.layout.parameter(resolution))
         if self.request.transcription == "trigonometric":
             return TrigonometricProblem(self.model, resolution)
         if self.request.transcription == "shooting":

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.files import replacing
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.orbits.tools import FamilyTools
@@ -106,7 +106,7 @@ def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
 
 def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
     point = Point(
-        problem=tools.ladder.problem(record.resolution).with_constants(_doubles(record.constants)),
+        problem=tools.levels.problem(record.resolution).with_constants(_doubles(record.constants)),
         z=_doubles(record.z),
         tangent=_doubles(record.tangent),
         error=ErrorEstimate(record.Omega_error, record.profile_error, parameter=record.parameter_error),
@@ -183,13 +183,15 @@ def resumable(records: Sequence[Record]) -> list[Record]:
     return list(records[:last])
 
 
-def restore(records: Sequence[Record], tools: FamilyTools, stability: bool, events: bool) -> FamilyWalk | Branch:
+def restore(
+    records: Sequence[Record], tools: FamilyTools, stability: bool, events: bool
+) -> FamilyContinuation | Branch:
     """The finished branch of the family of `tools`, or the walk that goes on from what the records hold of it."""
     mode = tools.request.mode
     mine = [r for r in records if r.mode == mode]
     orbits = [_orbit(r, tools) for r in mine if isinstance(r, OrbitRecord)]
     changes = [r.change for r in mine if isinstance(r, ChangeRecord)]
-    walk = FamilyWalk(tools, stability, events, orbits, changes)
+    walk = FamilyContinuation(tools, stability, events, orbits, changes)
     for record in mine:
         if isinstance(record, EndRecord):
             missed = (record.missed, record.missed_Omega, record.missed_period)

@@ -6,8 +6,8 @@ import time
 
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.lattice.core_with_tail import Tailed
-from casadi_skin.lattice.full_chain import Alone
+from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.full_chain import EdgeSite
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.runs.request import scene_requests
@@ -66,10 +66,10 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
         ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
         ("symmetry", tools.symmetry.reason),
     ]
-    if isinstance(tools.layout, Tailed):
+    if isinstance(tools.layout, CoreWithTail):
         words = f"{tools.core.sites} at the edge, where the cubic term is felt; the linear tail is eliminated exactly"
         lines.append(("unknown sites", words))
-    elif isinstance(tools.layout, Alone):
+    elif isinstance(tools.layout, EdgeSite):
         lines.append(("unknown sites", "the edge site alone: at |gamma| = 1 no other site moves in the gauge"))
     started = time.perf_counter()
     problem, error = _first_problem(tools)
@@ -99,10 +99,10 @@ def _first_problem(tools: FamilyTools) -> tuple[Problem, ErrorEstimate]:
     problem, z = start.problem, start.z + start.step * start.tangent
     while True:
         row = problem.parameter_row()
-        correction = tools.ladder.corrector(problem).correct(z, row, float(row @ z))
-        error = tools.ladder.error(problem, correction.z)
-        finer = tools.ladder.finer(problem)
-        at_top = finer is None or tools.ladder.finer(finer) is None  # the last rung has no error to show
+        correction = tools.levels.corrector(problem).correct(z, row, float(row @ z))
+        error = tools.levels.error(problem, correction.z)
+        finer = tools.levels.finer(problem)
+        at_top = finer is None or tools.levels.finer(finer) is None  # the last level has no error to show
         if finer is None or at_top or error.relative(problem.frequency(z)) <= tools.request.tolerance:
             return problem, error
         problem, z = finer, problem.prolong(correction.z, finer)
@@ -124,8 +124,8 @@ def _cost(scene: Scene, tools: FamilyTools, problem: Problem, families: int, bui
     z = start.problem.prolong(start.z + start.step * start.tangent, problem)
     row = problem.parameter_row()
     started = time.perf_counter()
-    z = tools.ladder.corrector(problem).correct(z, row, float(row @ z)).z
-    tools.ladder.error(problem, z)
+    z = tools.levels.corrector(problem).correct(z, row, float(row @ z)).z
+    tools.levels.error(problem, z)
     point = time.perf_counter() - started
     words = f"{1e3 * building:.0f} ms to build, {1e3 * point:.2g} ms a point"
     if scene.stability is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import casadi_skin.figures as figures
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.progress import Progress
@@ -98,13 +98,13 @@ class Run:
                 )
                 started = time.perf_counter()
                 self._keep(known.orbits)
-                if isinstance(known, FamilyWalk):
+                if isinstance(known, FamilyContinuation):
                     self._follow(known, journal)
                 else:
                     self.branches.append(known)
                 self.seconds.append(time.perf_counter() - started)
 
-    def _follow(self, walk: FamilyWalk, journal: Journal) -> None:
+    def _follow(self, walk: FamilyContinuation, journal: Journal) -> None:
         """Follow one family to its end; each result goes to the journal before anything else happens."""
         request = walk.tools.request
         self.progress.say(f"j = {request.mode}: building")

@@ -38,7 +38,7 @@ class ErrorEstimate:
 
 @dataclass(frozen=True)
 class Refinement:
-    """An orbit on the next finer rung, one Newton step from the orbit prolonged: better by the error estimated."""
+    """An orbit on the next finer level, one Newton step from the orbit prolonged: better by the error estimated."""
 
     problem: Problem
     z: Array
@@ -51,20 +51,20 @@ def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = F
     return ErrorEstimate(SAFETY * Omega, SAFETY * profile, parameter=SAFETY * parameter)
 
 
-class Ladder:
+class Levels:
     """Problems, linear solvers and correctors by resolution.
 
-    `build` makes a problem at a resolution, `correct_with` a corrector for it; `rungs` lists the resolutions that the
-    ladder offers, ascending. Problems of one resolution that differ in their constants share solver and corrector.
+    `build` makes a problem at a resolution, `correct_with` a corrector for it; `resolutions` lists those on offer in
+    ascending order. Problems of one resolution that differ in their constants share solver and corrector.
     """
 
     def __init__(
         self,
         build: Callable[[int], Problem],
         correct_with: Callable[[Problem], Corrector],
-        rungs: tuple[int, ...],
+        resolutions: tuple[int, ...],
     ) -> None:
-        self._build, self._correct_with, self.rungs = build, correct_with, rungs
+        self._build, self._correct_with, self.resolutions = build, correct_with, resolutions
         self._problems: dict[int, Problem] = {}
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
@@ -88,11 +88,11 @@ class Ladder:
         return self._correctors[problem.resolution].on(problem)
 
     def finer(self, problem: Problem, z: Array | None = None) -> Problem | None:
-        """The next rung above, or None at the top.
+        """The next level above, or None at the top.
 
         Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it.
         """
-        above = [r for r in self.rungs if r > problem.resolution]
+        above = [r for r in self.resolutions if r > problem.resolution]
         if not above:
             return None
         if z is not None and problem.imbalance(z) > UNEVEN:
@@ -100,12 +100,12 @@ class Ladder:
         return problem.transferred(self.problem(above[0]))
 
     def lighter(self, problem: Problem, z: Array, error: float, allowed: float) -> Problem:
-        """The coarsest rung, its unknowns placed for z, whose relative error is expected below `allowed`.
+        """The coarsest level, its unknowns placed for z, whose relative error is expected below `allowed`.
 
-        `error` is that of z on `problem`, which is returned where no coarser rung will do.
+        `error` is that of z on `problem`, which is returned where no coarser level will do.
         """
         found = problem
-        for resolution in reversed([r for r in self.rungs if r < problem.resolution]):
+        for resolution in reversed([r for r in self.resolutions if r < problem.resolution]):
             coarser = self.problem(resolution)
             if error > allowed or problem.expected_error(z, error, coarser) > allowed:
                 break
@@ -113,19 +113,19 @@ class Ladder:
         return problem if found is problem else problem.placed(z, found)
 
     def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
-        """Error of z, from `refined`; infinite at the top of the ladder. Raises SingularError."""
+        """Error of z, from `refined`; infinite at the top of the levels. Raises SingularError."""
         return self.refined(problem, z, tangent)[0]
 
     def refined(
         self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None
     ) -> tuple[ErrorEstimate, Refinement | None]:
-        """Error of z and the better orbit that shows it: one Newton step on the next finer rung, from z prolonged.
+        """Error of z and the better orbit that shows it: one Newton step on the next finer level, from z prolonged.
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
         and the round-off of the residual as well. What is `held` keeps its value. Where that is None, `tangent` (unit
         in the metric) tells the way of the branch: the step is taken across it and then brought back to the parameter
         along it, but for the neighbourhood of a fold; without a tangent the free parameter is held. Infinite and None
-        at the top of the ladder. Raises SingularError.
+        at the top of the levels. Raises SingularError.
         """
         finer = self.finer(problem)
         if finer is None:

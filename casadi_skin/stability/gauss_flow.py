@@ -98,7 +98,7 @@ class GaussMap:
 class GaussFlow(SteppedFlow):
     """Transition matrices by Gauss-Legendre collocation for models of either order."""
 
-    method, ladder = "Gauss-Legendre collocation", STEPS
+    method, step_numbers = "Gauss-Legendre collocation", STEPS
     orders = (2 * DEGREE,)
 
     def _build(self, steps: int) -> StepMap:

@@ -70,7 +70,7 @@ class RungeKuttaMap:
 class RungeKuttaFlow(SteppedFlow):
     """Transition matrices by the classical Runge-Kutta method, extrapolated to order 5, for models of either order."""
 
-    method, ladder = "Runge-Kutta method", STEPS
+    method, step_numbers = "Runge-Kutta method", STEPS
     orders = (4, 5)
 
     def _build(self, steps: int) -> StepMap:

@@ -72,7 +72,7 @@ class SplittingFlow(SteppedFlow):
     Raises ValueError for a model that is not of second order with forces that depend on positions only.
     """
 
-    method, ladder = "splitting", STEPS
+    method, step_numbers = "splitting", STEPS
     orders = (6, 8)
 
     def __init__(self, model: OdeModel, tolerance: float) -> None:

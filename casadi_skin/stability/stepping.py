@@ -42,7 +42,7 @@ def extrapolation(steps: Sequence[int], orders: Sequence[int]) -> Array:
 
 
 class SteppedFlow(ABC):
-    """Transition matrices at neighbouring step numbers of a ladder, extrapolated (Richardson).
+    """Transition matrices at neighbouring step numbers of a step_numbers, extrapolated (Richardson).
 
     The method's errors go with h^orders[0], h^orders[1], ... With one step number more than `orders` has entries, all
     maps together give a matrix without any of these errors, and all but the coarsest one without all but the last:
@@ -52,14 +52,14 @@ class SteppedFlow(ABC):
     """
 
     method: str
-    ladder: tuple[int, ...]
+    step_numbers: tuple[int, ...]
     orders: tuple[int, ...]
 
     def __init__(self, model: OdeModel, tolerance: float) -> None:
         self.model, self.tolerance = model, tolerance
         self.fraction = symmetry_class(model).value
         self._maps: dict[int, StepMap] = {}
-        self._rung = len(self.orders)  # of the finest map where the last orbits met the tolerance
+        self._level = len(self.orders)  # of the finest map where the last orbits met the tolerance
 
     @abstractmethod
     def _build(self, steps: int) -> StepMap:
@@ -105,67 +105,67 @@ class SteppedFlow(ABC):
     def _adapted(self, orbits: Sequence[OrbitState], tolerance: float) -> list[Transition]:
         """One batch, with more steps for those that need more."""
         done: dict[int, Transition] = {}
-        places, rung = np.arange(len(orbits)), min(self._rung, len(self.ladder) - 1)
-        maps: dict[int, Array] = {}  # by rung, of the orbits that still wait
+        places, level = np.arange(len(orbits)), min(self._level, len(self.step_numbers) - 1)
+        maps: dict[int, Array] = {}  # by level, of the orbits that still wait
         while True:
             waiting = [orbits[i] for i in places.tolist()]
-            rungs = range(rung - len(self.orders), rung + 1)
-            for r in rungs:
+            levels = range(level - len(self.orders), level + 1)
+            for r in levels:
                 if r not in maps:
-                    maps[r] = self.matrices(self.ladder[r], waiting)
-            matrices, errors = self._extrapolated(rung, maps)
+                    maps[r] = self.matrices(self.step_numbers[r], waiting)
+            matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation = np.linalg.norm(errors, axis=(1, 2))
                 round_off = ROUND_OFF * np.linalg.norm(matrices, axis=(1, 2))
             met = truncation <= np.maximum(tolerance, round_off)
-            pairs = self._pairs(rungs[0], maps[rungs[0]], waiting, met)
+            pairs = self._pairs(levels[0], maps[levels[0]], waiting, met)
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 done[int(places[k])] = Transition(matrices[k], self.fraction, total, errors[k], pairs.get(k))
             if met.all():
-                self._rung = self._lower(rung, float(np.max(truncation)), tolerance)
+                self._level = self._lower(level, float(np.max(truncation)), tolerance)
                 return [done[i] for i in range(len(orbits))]
             worst = int(np.argmax(np.where(met, -np.inf, truncation)))
             place = _place(waiting[worst], errors[worst], self.model.size)
-            rung = self._higher(rung, float(np.max(truncation[~met])), tolerance, place)
+            level = self._higher(level, float(np.max(truncation[~met])), tolerance, place)
             places, maps = places[~met], {r: m[~met] for r, m in maps.items()}
 
-    def _extrapolated(self, rung: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
+    def _extrapolated(self, level: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
         """Extrapolated matrices, and matrices like their errors."""
-        rungs = range(rung - len(self.orders), rung + 1)
-        steps = [self.ladder[r] for r in rungs]
+        levels = range(level - len(self.orders), level + 1)
+        steps = [self.step_numbers[r] for r in levels]
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
-        result = sum(weight * maps[r] for weight, r in zip(few, rungs[1:], strict=True))
-        better = sum(weight * maps[r] for weight, r in zip(all_, rungs, strict=True))
+        result = sum(weight * maps[r] for weight, r in zip(few, levels[1:], strict=True))
+        better = sum(weight * maps[r] for weight, r in zip(all_, levels, strict=True))
         return np.asarray(result), SAFETY * (better - result)
 
     def _pairs(
-        self, rung: int, along: Array, orbits: Sequence[OrbitState], met: NDArray[np.bool_]
+        self, level: int, along: Array, orbits: Sequence[OrbitState], met: NDArray[np.bool_]
     ) -> dict[int, tuple[Array, Array]]:
-        """By place, matrices along the orbit and along the better one, where there is one, in the steps of a rung."""
+        """By place, matrices along the orbit and along the better one, where there is one, in the steps of a level."""
         states = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
         if not states:
             return {}
-        matrices = self.matrices(self.ladder[rung], list(states.values()))
+        matrices = self.matrices(self.step_numbers[level], list(states.values()))
         return {k: (along[k], matrix) for k, matrix in zip(states, matrices, strict=True)}
 
-    def _lower(self, rung: int, truncation: float, tolerance: float) -> int:
-        """The rung to start from next time: one lower where that would have done."""
-        expected = truncation * (self.ladder[rung] / self.ladder[rung - 1]) ** self.orders[-1]
-        return rung - 1 if rung > len(self.orders) and HEADROOM * expected <= tolerance else rung
+    def _lower(self, level: int, truncation: float, tolerance: float) -> int:
+        """The level to start from next time: one lower where that would have done."""
+        expected = truncation * (self.step_numbers[level] / self.step_numbers[level - 1]) ** self.orders[-1]
+        return level - 1 if level > len(self.orders) and HEADROOM * expected <= tolerance else level
 
-    def _higher(self, rung: int, truncation: float, tolerance: float, place: str) -> int:
-        """The rung that should do where one did not; raises FlowError at the end of the ladder."""
-        steps = self.ladder[rung]
-        if rung + 1 == len(self.ladder):
+    def _higher(self, level: int, truncation: float, tolerance: float, place: str) -> int:
+        """The level that should do where one did not; raises FlowError at the end of the step_numbers."""
+        steps = self.step_numbers[level]
+        if level + 1 == len(self.step_numbers):
             raise FlowError(
                 f"the {self.method} leaves {truncation:.1e} with {steps} steps; asked: {tolerance:.1e}; worst {place}; "
                 "try a larger tolerance or another flow (splitting, gauss, cvodes, rk4)"
             )
         if not np.isfinite(truncation):
-            return rung + 1
+            return level + 1
         needed = steps * (truncation / tolerance) ** (1.0 / self.orders[-1])
-        return next((r for r in range(rung + 1, len(self.ladder)) if self.ladder[r] >= needed), rung + 1)
+        return next((r for r in range(level + 1, len(self.step_numbers)) if self.step_numbers[r] >= needed), level + 1)
 
 
 def _place(orbit: OrbitState, errors: Array, size: int) -> str:

@@ -22,11 +22,11 @@ from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
 from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.continuation.point_solver import Locator
-from casadi_skin.continuation.points import WalkSettings
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import ContinuationSettings
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.solve import BoundaryError, Method, Sizes, build_ladder, first_point, sampled
+from casadi_skin.orbits.solve import BoundaryError, Method, Sizes, build_levels, first_point, sampled
 
 pytestmark = pytest.mark.benchmark
 
@@ -50,10 +50,10 @@ def cases() -> ModuleType:
 
 def solve_warm(problem: BoundaryValueProblem, guess: Any, method: Method) -> float:
     """Seconds of a solve whose discretisations and solvers are built."""
-    ladder = build_ladder(problem, method, Sizes.of(problem, sampled(problem, guess, np.linspace(*problem.span(
+    levels = build_levels(problem, method, Sizes.of(problem, sampled(problem, guess, np.linspace(*problem.span(
         np.array(list(problem.values.values()))), 201))))  # fmt: skip
-    locator = Locator(ladder, WalkSettings(1.0, method.tolerance))
-    return seconds(lambda: first_point(locator, problem, guess, method), 3)
+    point_solver = PointSolver(levels, ContinuationSettings(1.0, method.tolerance))
+    return seconds(lambda: first_point(point_solver, problem, guess, method), 3)
 
 
 def by_scipy(case: Any, eps: float, tolerance: float) -> Any:

@@ -20,12 +20,12 @@ from casadi_skin import Chain
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
 from casadi_skin.orbits import multipliers
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.studies.paper.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark
@@ -34,8 +34,8 @@ SOFT = Chain(24, 1.0, 0.25, -1.0)
 Record = Callable[[str, float, int], None]
 
 
-def follow(tools: FamilyTools, stability: bool) -> FamilyWalk:
-    walk = FamilyWalk(tools, stability, events=False)
+def follow(tools: FamilyTools, stability: bool) -> FamilyContinuation:
+    walk = FamilyContinuation(tools, stability, events=False)
     for _ in walk:
         pass
     assert walk.branch().complete
@@ -48,8 +48,8 @@ def test_end_breather_family_with_and_without_multipliers(record: Record, correc
     request = FamilyRequest(SOFT, 1, 3.0, (0.2, 1.0, 3.0), 1e-9, corrector=corrector, walker=walker)
     started = time.perf_counter()
     tools = FamilyTools(request)
-    FamilyWalk(tools)
-    tools.ladder.corrector(tools.ladder.problem(8))
+    FamilyContinuation(tools)
+    tools.levels.corrector(tools.levels.problem(8))
     print(f"\n{corrector}, {walker}: first build {time.perf_counter() - started:.3f} s")
     walk = follow(tools, stability=True)
     assert abs(walk.orbits[-1].Omega - 0.765958900020734) < 1e-9
@@ -99,7 +99,7 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
     watch(OrbitProblem, "evaluate", "residuals and Jacobians outside Ipopt")
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
     watch(TaylorRecursion, "series", "series")
-    watch(Ladder, "refined", "error estimates, but for the two above")
+    watch(Levels, "refined", "error estimates, but for the two above")
     watch(multipliers, "floquets", "multipliers")
     started = time.perf_counter()
     walk = follow(tools, stability=True)
@@ -113,12 +113,12 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 tools = FamilyTools(FamilyRequest(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
 started = time.perf_counter()
-walk = FamilyWalk(tools)
+walk = FamilyContinuation(tools)
 for _ in walk:
     pass
 assert abs(walk.orbits[-1].Omega - 2.3200364277694) < 1e-8, walk.orbits[-1].Omega

@@ -195,16 +195,16 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.orbits.solve import Method, Sizes, build_ladder, packed
+    from casadi_skin.orbits.solve import Method, Sizes, build_levels, packed
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)
     method = Method(1e-12, transcription, degree, "newton")
-    ladder = build_ladder(problem, method, Sizes(np.ones(2), np.ones(0)))
+    levels = build_levels(problem, method, Sizes(np.ones(2), np.ones(0)))
     errors = []
     for intervals in (5, 8, 12):
-        equations = ladder.problem(intervals)
-        z = ladder.corrector(equations).correct(packed(equations, [0.0, 0.0]), equations.parameter_row(), 0.0).z  # type: ignore[arg-type]
+        equations = levels.problem(intervals)
+        z = levels.corrector(equations).correct(packed(equations, [0.0, 0.0]), equations.parameter_row(), 0.0).z  # type: ignore[arg-type]
         errors.append(abs(z[1] - slope))
     measured = np.log(errors[0] / errors[2]) / np.log(12 / 5)
     assert abs(measured - order) < 0.3

@@ -18,7 +18,7 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
@@ -182,7 +182,7 @@ def test_a_refined_mesh_holds_the_polynomials_of_the_coarse_one(kind: type[Collo
 
 
 def followed(tools: FamilyTools) -> Branch:
-    walk = FamilyWalk(tools)
+    walk = FamilyContinuation(tools)
     list(walk)
     return walk.branch()
 
@@ -227,12 +227,12 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
     tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.99999, (), 1e-8, "gauss", "newton"))
     point = followed(tools).orbits[-1].point
     problem = point.problem
-    even = tools.ladder.problem(problem.resolution)
+    even = tools.levels.problem(problem.resolution)
     z = problem.prolong(point.z, even)
     assert even.imbalance(z) > 1.3 > problem.imbalance(point.z)
-    correction = tools.ladder.corrector(even).correct(z, even.parameter_row(), point.parameter)
-    assert tools.ladder.error(even, correction.z).relative(point.Omega) > 1e-8
-    found = tools.locator.refined(even, correction, -even.parameter_row(), Scalar.PARAMETER)
+    correction = tools.levels.corrector(even).correct(z, even.parameter_row(), point.parameter)
+    assert tools.levels.error(even, correction.z).relative(point.Omega) > 1e-8
+    found = tools.point_solver.refined(even, correction, -even.parameter_row(), Scalar.PARAMETER)
     assert found is not None
     assert found.problem.resolution == problem.resolution
     assert found.error.relative(found.Omega) <= 1e-8
@@ -240,7 +240,7 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
 
 def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off() -> None:
     request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.9999, (2.0,), 1e-8, "gauss", "newton")
-    whole = [o for o in FamilyWalk(FamilyTools(request)) if isinstance(o, Orbit)]
+    whole = [o for o in FamilyContinuation(FamilyTools(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
     records = [msgspec.msgpack.encode(orbit_record(o, with_stability=False)) for o in whole]
@@ -249,7 +249,7 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off()
             kept -= 1
         known = [msgspec.msgpack.decode(r, type=OrbitRecord) for r in records[:kept]]
         walk = restore(known, FamilyTools(request), stability=False, events=False)
-        assert isinstance(walk, FamilyWalk)
+        assert isinstance(walk, FamilyContinuation)
         list(walk)
         again = walk.branch().orbits
         assert len(again) == len(whole)

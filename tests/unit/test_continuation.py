@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.continuation.arclength import ArclengthWalk
+from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.hermite import LocalCurve, predictor
-from casadi_skin.continuation.point_solver import Locator
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.corrector import Correction
@@ -149,12 +149,14 @@ def test_a_long_chain_stays_on_its_family_where_others_lie_close() -> None:
         assert cosine > 0.9
 
 
-def walked_with(chain: Chain, mode: int, amplitude_max: float, **changes: float) -> tuple[ArclengthWalk, list[Point]]:
+def walked_with(
+    chain: Chain, mode: int, amplitude_max: float, **changes: float
+) -> tuple[ArclengthContinuation, list[Point]]:
     """A walk with changed settings and its points."""
     tools = FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
-    locator = Locator(tools.ladder, replace(tools.request.walk_settings(), **changes))  # type: ignore[arg-type]
-    start = locator.start(tools.layout.mode, tools.core.linear_frequency(mode))
-    walk = ArclengthWalk(locator, (start,))
+    point_solver = PointSolver(tools.levels, replace(tools.request.continuation_settings(), **changes))  # type: ignore[arg-type]
+    start = point_solver.start(tools.layout.mode, tools.core.linear_frequency(mode))
+    walk = ArclengthContinuation(point_solver, (start,))
     return walk, list(walk)
 
 
@@ -341,10 +343,10 @@ def test_a_walk_whose_guard_lets_nothing_pass_ends_by_name(guard: str) -> None:
 
 
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
-    """Two rungs only: what a stronger nonlinearity needs is not there."""
+    """Two resolutions only: what a stronger nonlinearity needs is not there."""
     tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
-    tools.ladder.rungs = (4, 6)
-    walk = ArclengthWalk(tools.locator, (tools.start,))
+    tools.levels.resolutions = (4, 6)
+    walk = ArclengthContinuation(tools.point_solver, (tools.start,))
     points = list(walk)
     assert walk.end is End.RESOLUTION
     assert 0 < len(points) < 40
@@ -352,7 +354,7 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
     tools = FamilyTools(FamilyRequest(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, (0.3, 0.9), 1e-8, corrector="newton"))
-    whole = [o for o in FamilyWalk(tools) if isinstance(o, Orbit)]
+    whole = [o for o in FamilyContinuation(tools) if isinstance(o, Orbit)]
     for kept in (1, 7, 20):
         # Broken off after a point walked: one that was asked for is not yet followed by its successor.
         known = whole[:kept]
@@ -360,7 +362,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = FamilyWalk(FamilyTools(tools.request), orbits=known)
+        again = FamilyContinuation(FamilyTools(tools.request), orbits=known)
         list(again)
         branch = again.branch()
         assert branch.complete
@@ -369,7 +371,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 
 
 def test_what_was_computed_before_an_interruption_is_kept() -> None:
-    walk = FamilyWalk(FamilyTools(FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
+    walk = FamilyContinuation(FamilyTools(FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
     for k, _ in enumerate(walk):
         if k == 4:
             break

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits import follow
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.multipliers import accelerations, floquets_of
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
@@ -271,7 +271,7 @@ def test_steps_go_up_and_down_with_the_orbits(kind: type[SteppedFlow], monkeypat
 
 
 def test_rk4_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(RungeKuttaFlow, "ladder", (6, 8, 12, 16))
+    monkeypatch.setattr(RungeKuttaFlow, "step_numbers", (6, 8, 12, 16))
     orbit = followed(*ORBITS[0]).at(1.5)
     with pytest.raises(FlowError, match=r"the Runge-Kutta method leaves .*e-0\d with 16 steps; asked: 1\.0e-10"):
         RungeKuttaFlow(orbit.tools.model, 1e-10).transition(orbit.point.problem, orbit.point.z)
@@ -281,8 +281,8 @@ def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatc
     request = FamilyRequest(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, (0.5, 2.0), 1e-8, corrector="newton")
     results = []
     for together in (8, 1):
-        monkeypatch.setattr(follow, "TOGETHER", together)
-        walk = FamilyWalk(FamilyTools(request), stability=True)
+        monkeypatch.setattr(follow, "STABILITY_BATCH", together)
+        walk = FamilyContinuation(FamilyTools(request), stability=True)
         order = ["orbit" if isinstance(result, Orbit) else "change" for result in walk]
         results.append((order, walk.branch()))
     (order, a), (other, b) = results
@@ -305,7 +305,7 @@ def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: 
         return original(self, orbits, tolerance)
 
     monkeypatch.setattr(SplittingFlow, "transitions", limited)
-    walk = FamilyWalk(FamilyTools(request), stability=True)
+    walk = FamilyContinuation(FamilyTools(request), stability=True)
     orbits = [result for result in walk if isinstance(result, Orbit)]
     whole = [S for S in follow_family(request.chain, 1, 3.0, corrector="newton").S if S <= 1.234]
     assert [orbit.S for orbit in orbits] == pytest.approx(whole)
@@ -329,7 +329,7 @@ def test_an_interruption_of_the_last_batch_is_not_the_end(monkeypatch: pytest.Mo
         return floquets_of(tools, points)
 
     monkeypatch.setattr(follow, "floquets_of", interrupted)
-    walk = FamilyWalk(FamilyTools(request), stability=True)
+    walk = FamilyContinuation(FamilyTools(request), stability=True)
     with pytest.raises(KeyboardInterrupt):
         for _ in walk:
             pass
@@ -408,7 +408,7 @@ def test_the_error_of_the_multipliers_follows_from_that_of_mu(power: int) -> Non
 def exact_floquet(orbit: Orbit) -> Floquet:
     """The same orbit at twice its resolution, corrected to round-off, with a flow of many steps."""
     tools, problem = orbit.tools, orbit.point.problem
-    fine = tools.ladder.problem(next(r for r in tools.ladder.rungs if r >= max(2 * problem.resolution, 16)))
+    fine = tools.levels.problem(next(r for r in tools.levels.resolutions if r >= max(2 * problem.resolution, 16)))
     z, row = problem.prolong(orbit.point.z, fine), fine.parameter_row()
     for _ in range(2):
         z = NewtonCorrector(fine, 1e-13).correct(z, row, float(row @ z)).z

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.continuation.point_solver import Locator
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.theory.duffing import duffing_frequency
@@ -37,12 +37,12 @@ def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8, method=method)
     assert branch.complete
-    rungs = np.array([o.point.problem.resolution for o in branch.orbits])
-    assert rungs[0] < rungs.max()
-    assert rungs[-1] < rungs.max()
+    resolutions = np.array([o.point.problem.resolution for o in branch.orbits])
+    assert resolutions[0] < resolutions.max()
+    assert resolutions[-1] < resolutions.max()
     for orbit in branch.orbits:
         assert orbit.point.error.relative(orbit.Omega) <= 1e-8
-    changes = np.diff(rungs)
+    changes = np.diff(resolutions)
     down_and_up = np.count_nonzero((changes[:-1] < 0) & (changes[1:] > 0))
     assert np.count_nonzero(changes < 0) >= 1
     assert down_and_up <= 1
@@ -51,7 +51,7 @@ def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method:
 def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8)
-    monkeypatch.setattr(Locator, "lighter", lambda _, point: point.problem)
+    monkeypatch.setattr(PointSolver, "lighter", lambda _, point: point.problem)
     other = follow_family(chain, mode, amplitude_max, tolerance=1e-8, corrector="newton")
     sums = [sum(o.point.problem.resolution for o in b.orbits) for b in (branch, other)]
     assert sums[0] < sums[1]
@@ -60,25 +60,26 @@ def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypat
 
 def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> None:
     branch = followed(Chain(6, 1.0, 0.4, -1.0), 1, 2.0, 1e-12)
-    ladder = branch.tools.ladder
+    levels = branch.tools.levels
     ratios = []
     for orbit in branch.orbits[len(branch) // 2 :: 3]:
-        point, coarser = orbit.point, ladder.problem(6)
+        point, coarser = orbit.point, levels.problem(6)
         expected = point.problem.expected_error(point.z, 1e-12, coarser)
-        correction = ladder.corrector(coarser).correct(
+        correction = levels.corrector(coarser).correct(
             point.problem.prolong(point.z, coarser), coarser.parameter_row(), point.parameter
         )
-        ratios.append(ladder.error(coarser, correction.z).relative(point.Omega) / expected)
+        ratios.append(levels.error(coarser, correction.z).relative(point.Omega) / expected)
     assert min(ratios) > 0.1
-    assert max(ratios) < 3.0  # less than 1/COARSEN: or a coarser rung would be left as soon as it is tried
+    assert max(ratios) < 3.0  # less than 1/COARSEN: or a coarser level would be left as soon as it is tried
 
 
 def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been() -> None:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8)
-    rungs = [o.point.problem.resolution for o in branch.orbits]
-    kept = 1 + max(k for k in range(len(rungs) - 1) if rungs[k + 1] < rungs[k])  # just before the last step down
-    again = FamilyWalk(FamilyTools(branch.tools.request), orbits=branch.orbits[:kept])
+    resolutions = [o.point.problem.resolution for o in branch.orbits]
+    # just before the last step down
+    kept = 1 + max(k for k in range(len(resolutions) - 1) if resolutions[k + 1] < resolutions[k])
+    again = FamilyContinuation(FamilyTools(branch.tools.request), orbits=branch.orbits[:kept])
     list(again)
     np.testing.assert_array_equal(again.branch().S, branch.S)
     np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
@@ -88,8 +89,8 @@ def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
     request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 3, 1.0, (), 1e-4, "gauss", "newton", degree=2)
     tools = FamilyTools(request)
     start = tools.start
-    assert start.problem.resolution > tools.ladder.rungs[0]
-    step = tools.ladder.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
+    assert start.problem.resolution > tools.levels.resolutions[0]
+    step = tools.levels.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
     assert abs(step[start.problem.Omega_index]) < 1e-4 * start.Omega
     assert FamilyTools(replace(request, transcription="trigonometric", degree=None)).start.problem.resolution == 4
 
@@ -113,17 +114,17 @@ def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_o
 
 @pytest.mark.parametrize("sites", [2, 10, 40])
 def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites: int) -> None:
-    """The same orbit on many rungs: they differ by round-off only, and by less than the estimates say."""
+    """The same orbit on many resolutions: they differ by round-off only, and by less than the estimates say."""
     chain = Chain(sites, 0.9, 0.25, -1.0)
     branch = followed(chain, 1, 0.8, 1e-12)
-    ladder, point = branch.tools.ladder, branch.orbits[-1].point
+    levels, point = branch.tools.levels, branch.orbits[-1].point
     found, estimates = [], []
     for harmonics in (14, 16, 20, 24, 28, 32, 40):
-        problem = ladder.problem(harmonics)
+        problem = levels.problem(harmonics)
         z = point.problem.prolong(point.z, problem)
-        z = ladder.corrector(problem).correct(z, problem.parameter_row(), point.parameter).z
+        z = levels.corrector(problem).correct(z, problem.parameter_row(), point.parameter).z
         found.append(z[problem.Omega_index] / point.Omega)
-        estimates.append(ladder.error(problem, z).Omega / point.Omega)
+        estimates.append(levels.error(problem, z).Omega / point.Omega)
     assert np.ptp(found) < 4e-15
     assert np.ptp(found) <= 2.0 * min(estimates)
 

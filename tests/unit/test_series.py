@@ -11,9 +11,9 @@ from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.continuation.series import SeriesWalk
+from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.theory.duffing import duffing_frequency
@@ -46,7 +46,7 @@ def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tup
     tools = tools_of(chain, mode, 3.0)
     problem = TrigonometricProblem(tools.model, harmonics)
     z = problem.pack(tools.layout.mode, chain.linear_frequency(mode), 0.0)
-    solve = tools.ladder.solver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
+    solve = tools.levels.solver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     unit = np.zeros(problem.size)
     unit[-1] = 1.0
     return tools, TaylorRecursion(problem, PolynomialForm.of(tools.model), orders).series(z, solve(unit), solve)
@@ -87,7 +87,7 @@ def test_terms_in_no_order_are_gathered() -> None:
     )
     problem = TrigonometricProblem(model, 6)
     z = problem.pack(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0)
-    solver = tools_of(Chain(2, 1.0, 0.0, 1.0), 1, 1.0).ladder
+    solver = tools_of(Chain(2, 1.0, 0.0, 1.0), 1, 1.0).levels
     solve = type(solver.solver(problem))(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     unit = np.zeros(problem.size)
     unit[-1] = 1.0
@@ -166,7 +166,7 @@ def test_points_are_where_they_would_be_drawn() -> None:
 
 
 def test_the_corrector_has_nothing_to_do() -> None:
-    """Ipopt accepts what the series predicts; points on a finer rung than their stretch are corrected."""
+    """Ipopt accepts what the series predicts; points on a finer level than their stretch are corrected."""
     branch = follow_family(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, tolerance=1e-9, walker="series")
     iterations = [o.point.iterations for o in branch.orbits]
     assert sum(i > 0 for i in iterations) <= 8
@@ -179,11 +179,11 @@ def test_few_stretches_cover_the_family() -> None:
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
     tools = tools_of(Chain(8, 1.0, 0.3, -1.0), 1, 2.5)
-    whole = [o for o in FamilyWalk(tools) if isinstance(o, Orbit)]
+    whole = [o for o in FamilyContinuation(tools) if isinstance(o, Orbit)]
     walked = [i for i, o in enumerate(whole) if o.point.walked]
     assert len(walked) >= 3
     for cut in walked[:3]:
-        again = FamilyWalk(FamilyTools(tools.request), orbits=whole[: cut + 1])
+        again = FamilyContinuation(FamilyTools(tools.request), orbits=whole[: cut + 1])
         rest = [o for o in again if isinstance(o, Orbit)]
         assert [o.S for o in rest] == [o.S for o in whole[cut + 1 :]]
         assert [o.Omega for o in rest] == [o.Omega for o in whole[cut + 1 :]]
@@ -191,7 +191,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     tools = tools_of(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10)
-    tools.ladder.rungs = (4, 6)
+    tools.levels.resolutions = (4, 6)
     walk = tools.walk((tools.start,))
     points = list(walk)
     assert walk.end is End.RESOLUTION
@@ -202,8 +202,8 @@ def test_the_limit_on_points_ends_the_walk_by_name() -> None:
     from dataclasses import replace
 
     tools = tools_of(Chain(3, 1.0, 0.3, 1.0), 1, 3.0)
-    locator = type(tools.locator)(tools.ladder, replace(tools.request.walk_settings(), max_points=5))
-    walk = SeriesWalk(locator, (tools.start,), tools._recursion, lambda problem: 1e-12)
+    point_solver = type(tools.point_solver)(tools.levels, replace(tools.request.continuation_settings(), max_points=5))
+    walk = SeriesContinuation(point_solver, (tools.start,), tools._recursion, lambda problem: 1e-12)
     assert len(list(walk)) >= 5
     assert walk.end is End.POINTS
 

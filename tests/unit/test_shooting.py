@@ -32,13 +32,13 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.follow import FamilyWalk, follow_family
+from casadi_skin.orbits.follow import FamilyContinuation, follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import DIGITS, FamilyTools
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
-from casadi_skin.solvers.levels import Ladder
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
@@ -216,13 +216,13 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
     tools = FamilyTools(FamilyRequest(chain, mode, S, tolerance=1e-13, corrector="newton"))
     orbit = follow_family(chain, mode, S, at=(S,), tolerance=1e-13, corrector="newton").orbits[-1]
     exact, model = orbit.point, tools.model
-    ladder = Ladder(lambda d: ShootingProblem(model, d, QUARTER), corrector_of, digits)
+    levels = Levels(lambda d: ShootingProblem(model, d, QUARTER), corrector_of, digits)
     found = []
     for d in digits[:-1]:
-        problem = ladder.problem(d)
+        problem = levels.problem(d)
         assert isinstance(problem, ShootingProblem)
         guess = problem.pack(orbit._gauge(np.zeros(1))[0], orbit.Omega, exact.parameter)
-        correction = ladder.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
+        correction = levels.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
         if not correction.converged:
             continue
         theta = 0.5 * np.pi * np.arange(problem.segments + 1) / problem.segments
@@ -230,7 +230,7 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
         size = np.abs(correction.z[: problem.states]).max()
         profile = np.abs(positions - exact.problem.sample(exact.z, theta)).max() / size
         Omega = abs(correction.z[problem.Omega_index] - orbit.Omega) / orbit.Omega
-        found.append((ladder.error(problem, correction.z).relative(orbit.Omega), max(profile, Omega)))
+        found.append((levels.error(problem, correction.z).relative(orbit.Omega), max(profile, Omega)))
     return found
 
 
@@ -287,7 +287,7 @@ def test_a_flow_that_fails_is_a_failed_correction_and_nothing_is_printed(
         assert "cvodes returned CV_" in correction.message
     with pytest.raises(ShootingError, match="segment of the period cannot be computed: cvodes returned CV_"):
         problem.evaluate(z)
-    with pytest.raises(SingularError):  # which every walk and ladder expects
+    with pytest.raises(SingularError):  # which every walk and levels expects
         problem.evaluate(z)
     output = capfd.readouterr()
     assert output.out == output.err == ""
@@ -392,7 +392,7 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
             Chain(4, 1.0, 0.2, -1.0), 1, 8.0, tolerance=1e-6, transcription=name, corrector="newton"
         )
         S: list[float] = []
-        for result in FamilyWalk(FamilyTools(request)):
+        for result in FamilyContinuation(FamilyTools(request)):
             assert isinstance(result, Orbit)
             S.append(result.S)
             turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
@@ -425,10 +425,10 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
 
 def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
-    assert tools.ladder.rungs == DIGITS
+    assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = FamilyTools(replace(tools.request, corrector="newton", tolerance=1e-10)).ladder
-    assert newton.rungs == (12, 14, 15)
+    newton = FamilyTools(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
+    assert newton.resolutions == (12, 14, 15)
     corrector = newton.corrector(ShootingProblem(tools.model, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)
     assert corrector.tolerance == pytest.approx(1e-8)

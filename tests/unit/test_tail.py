@@ -13,7 +13,7 @@ from scipy.optimize import fsolve
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import Regime, TailedProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.lattice.threshold import threshold
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
@@ -96,7 +96,7 @@ def test_three_times_the_lowest_frequency_in_the_band_is_refused() -> None:
 @pytest.mark.parametrize("edge", [1, -1])
 def test_the_jacobian_is_that_of_the_residual(edge: int) -> None:
     model = Chain(9, 1.0, 0.25, -float(edge)).gauge_model()
-    problem = TailedProblem(model, 4, TailParameter(Tail(81, 1.0, GAP), edge, 4))
+    problem = CoreWithTailProblem(model, 4, TailParameter(Tail(81, 1.0, GAP), edge, 4))
     z = np.append(0.1 * np.random.default_rng(0).normal(size=36), [0.9, 0.5])
     nonzeros, step = problem.evaluate(z)[1], 1e-6
     dense = np.zeros((problem.size - 1, problem.size))

@@ -16,16 +16,16 @@ from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.arclength import ArclengthWalk
-from casadi_skin.continuation.point_solver import Locator
-from casadi_skin.continuation.points import End, Point, Target, WalkSettings
-from casadi_skin.continuation.series import SeriesWalk
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.continuation.arclength import ArclengthContinuation
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
+from casadi_skin.continuation.series import SeriesContinuation
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.results.journal import EndRecord, orbit_record, restore
 from casadi_skin.solvers.bordered import Solve
-from casadi_skin.solvers.levels import ErrorEstimate, Ladder
+from casadi_skin.solvers.levels import ErrorEstimate, Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 
 Array = NDArray[np.float64]
@@ -79,15 +79,17 @@ class Expansion:
         return coefficients
 
 
-def walked(walker: str, settings: WalkSettings) -> tuple[ArclengthWalk | SeriesWalk, list[Point]]:
-    ladder = Ladder(Graph, lambda problem: NewtonCorrector(problem, 1e-13), (1, 2, 3))
-    locator = Locator(ladder, settings)
-    start = locator.start(np.ones(1), float(COURSE(0.0)))
-    walk: ArclengthWalk | SeriesWalk
+def walked(
+    walker: str, settings: ContinuationSettings
+) -> tuple[ArclengthContinuation | SeriesContinuation, list[Point]]:
+    levels = Levels(Graph, lambda problem: NewtonCorrector(problem, 1e-13), (1, 2, 3))
+    point_solver = PointSolver(levels, settings)
+    start = point_solver.start(np.ones(1), float(COURSE(0.0)))
+    walk: ArclengthContinuation | SeriesContinuation
     if walker == "arclength":
-        walk = ArclengthWalk(locator, (start,))
+        walk = ArclengthContinuation(point_solver, (start,))
     else:
-        walk = SeriesWalk(locator, (start,), lambda problem: Expansion(), lambda problem: 1e-9)
+        walk = SeriesContinuation(point_solver, (start,), lambda problem: Expansion(), lambda problem: 1e-9)
     return walk, list(walk)
 
 
@@ -97,7 +99,7 @@ WALKERS = pytest.mark.parametrize("walker", ["arclength", "series"])
 @WALKERS
 def test_every_passage_of_a_value_of_Omega_is_a_point(walker: str) -> None:
     at = (Target(Scalar.OMEGA, 2.0), Target(Scalar.PARAMETER, 0.3), Target(Scalar.OMEGA, 1.9))
-    walk, points = walked(walker, WalkSettings(1.0, 1e-9, at))
+    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, at))
     assert walk.end is End.REACHED
     assert walk.missed == []
     asked = [p for p in points if p.requested]
@@ -115,7 +117,7 @@ def test_every_passage_of_a_value_of_Omega_is_a_point(walker: str) -> None:
 @WALKERS
 @pytest.mark.parametrize("wanted", [(), (Target(Scalar.OMEGA, 2.0),)], ids=["plain", "asked for as well"])
 def test_a_walk_ends_at_a_value_of_Omega(walker: str, wanted: tuple[Target, ...]) -> None:
-    walk, points = walked(walker, WalkSettings(1.0, 1e-9, wanted, Omega_end=2.0))
+    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, wanted, Omega_end=2.0))
     assert walk.end is End.REACHED
     last = points[-1]
     assert last.Omega == 2.0
@@ -126,14 +128,14 @@ def test_a_walk_ends_at_a_value_of_Omega(walker: str, wanted: tuple[Target, ...]
 
 @WALKERS
 def test_the_first_end_that_is_reached_counts(walker: str) -> None:
-    _, points = walked(walker, WalkSettings(0.15, 1e-9, Omega_end=2.0))
+    _, points = walked(walker, ContinuationSettings(0.15, 1e-9, Omega_end=2.0))
     assert points[-1].parameter == 0.15
     assert points[-1].Omega < 2.0
 
 
 @WALKERS
 def test_a_value_of_Omega_that_is_not_passed_is_not_missed_by_the_walk(walker: str) -> None:
-    walk, points = walked(walker, WalkSettings(1.0, 1e-9, (Target(Scalar.OMEGA, 50.0),)))
+    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, (Target(Scalar.OMEGA, 50.0),)))
     assert walk.end is End.REACHED
     assert walk.missed == []
     assert not any(p.requested for p in points)
@@ -284,9 +286,9 @@ def test_a_family_of_exactly_as_many_points_is_complete() -> None:
 @WALKERS
 def test_points_before_an_interruption_count(walker: str) -> None:
     request = FamilyRequest(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
-    whole = list(FamilyWalk(FamilyTools(request)))
+    whole = list(FamilyContinuation(FamilyTools(request)))
     cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
-    again = FamilyWalk(FamilyTools(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    again = FamilyContinuation(FamilyTools(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
     list(again)
     assert len(again.orbits) == 60
     assert again.branch().end is End.POINTS
@@ -300,10 +302,10 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
         Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
-    whole = [o for o in FamilyWalk(FamilyTools(request)) if isinstance(o, Orbit)]
+    whole = [o for o in FamilyContinuation(FamilyTools(request)) if isinstance(o, Orbit)]
     cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
     walk = restore([orbit_record(o, False) for o in whole[: cut + 1]], FamilyTools(request), False, False)
-    assert isinstance(walk, FamilyWalk)
+    assert isinstance(walk, FamilyContinuation)
     list(walk)
     again = walk.branch()
     assert again.complete

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
@@ -191,7 +191,7 @@ def measure(case: Case) -> Outcome:
 
 def find(case: Case) -> tuple[Orbit, int]:
     """The orbit of a case, and the number of points of the family that were computed; raises ArithmeticError."""
-    walk = FamilyWalk(FamilyTools(case.request()))
+    walk = FamilyContinuation(FamilyTools(case.request()))
     orbits: list[Orbit] = []
     for orbit in walk:
         assert isinstance(orbit, Orbit)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.work_precision.measured import SMALLEST, Kind, Measured, Setting
@@ -76,7 +76,7 @@ def _family(setting: Setting, reference: Reference, repeats: int) -> Measured:
     stability = setting.kind is Kind.PRESET
     tools = FamilyTools(setting.request)
 
-    def act() -> FamilyWalk:
+    def act() -> FamilyContinuation:
         walk = walked(tools, stability)
         requested_orbits(walk)  # a family that ends early is not walked again
         return walk

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.multipliers import accelerations
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyRequest
@@ -26,7 +26,7 @@ from casadi_skin.stability.stepping import StepMap
 
 TIGHTEST = 1e-13
 TIGHTEST_FLOW = 1e-14
-MORE_RUNGS = 2  # of the ladder of harmonics above the one that meets the tightest tolerance
+MORE_RUNGS = 2  # of the levels of harmonics above the one that meets the tightest tolerance
 POLISHING = 2  # Newton steps that take away what the corrector left
 PHASES = np.linspace(0.0, np.pi, 129)  # half of the period: the other half repeats it
 TIGHT_DEGREE = 8
@@ -98,7 +98,7 @@ def floquets_along(tools: FamilyTools, flow: FlowMap, points: Sequence[Point], t
     return floquets(flow, states, lambda orbits: accelerations(tools, orbits), tolerance)
 
 
-def requested_orbits(walk: FamilyWalk) -> list[Orbit]:
+def requested_orbits(walk: FamilyContinuation) -> list[Orbit]:
     """Orbits at the S that were asked for; raises ArithmeticError with the reason where the family has not all."""
     branch = walk.branch()
     if not branch.complete:
@@ -106,9 +106,9 @@ def requested_orbits(walk: FamilyWalk) -> list[Orbit]:
     return [orbit for orbit in branch.orbits if orbit.point.requested]
 
 
-def walked(tools: FamilyTools, stability: bool = False) -> FamilyWalk:
+def walked(tools: FamilyTools, stability: bool = False) -> FamilyContinuation:
     """A walk to its end."""
-    walk = FamilyWalk(tools, stability)
+    walk = FamilyContinuation(tools, stability)
     for _ in walk:
         pass
     return walk
@@ -171,16 +171,16 @@ class Reference:
 
     def _finer(self, orbit: Orbit) -> Orbit:
         """The orbit with more harmonics, corrected to round-off at its value of the parameter."""
-        point, ladder, locator = orbit.point, self.tools.ladder, self.tools.locator
+        point, levels, point_solver = orbit.point, self.tools.levels, self.tools.point_solver
         problem, z = point.problem, point.z
         for _ in range(MORE_RUNGS):
-            finer = ladder.finer(problem)
+            finer = levels.finer(problem)
             if finer is not None:
                 problem, z = finer, problem.prolong(z, finer)
         row = problem.parameter_row()
-        z = ladder.corrector(problem).correct(z, row, point.parameter).z
+        z = levels.corrector(problem).correct(z, row, point.parameter).z
         for _ in range(POLISHING):
-            z = z - locator.factor(problem, z, row)(np.append(problem.evaluate(z)[0], 0.0))
+            z = z - point_solver.factor(problem, z, row)(np.append(problem.evaluate(z)[0], 0.0))
         z[problem.parameter_index] = point.parameter
         return Orbit(self.tools, replace(point, problem=problem, z=z, better=None), asked_S=orbit.S)
 

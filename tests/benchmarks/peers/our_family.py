@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
-from casadi_skin.orbits.follow import FamilyWalk
+from casadi_skin.orbits.follow import FamilyContinuation
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
@@ -28,7 +28,7 @@ def our_walk(
     tools = FamilyTools(FamilyRequest(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
 
     def follow() -> tuple[Orbit, ...]:
-        walk = FamilyWalk(tools, stability, events=False)
+        walk = FamilyContinuation(tools, stability, events=False)
         for _ in walk:
             pass
         branch = walk.branch()
