@@ -43,7 +43,7 @@ def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAM
         stems = axes.vlines(n, 0.0, y[0], color="0.6", lw=0.8)
         (points,) = axes.plot(n, y[0], "o", ms=4, color="black", clip_on=False)
         clock = axes.text(0.03, 0.93, "", transform=axes.transAxes, va="top")
-        figure.suptitle(f"{title(orbit.chain)}, $j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$")
+        figure.suptitle(f"{title(orbit.model)}, $j = {orbit.space.coordinates.mode_number}$, $S = {number(orbit.S)}$")
 
         def show(frame: int) -> tuple[object, ...]:
             points.set_ydata(y[frame])

@@ -150,7 +150,7 @@ def perturbed(
     1; a `vector` of N displacements or of these and N velocities, scaled to norm 1; random displacements of a `seed`,
     normally distributed and scaled to norm 1. Raises ValueError for other arguments.
     """
-    sites = orbit.chain.sites
+    sites = orbit.model.sites
     if not np.isfinite(size):
         raise ValueError(f"size: given {size!r}; accepted: a finite number")
     given = [name for name, value in (("site", site), ("vector", vector), ("seed", seed)) if value is not None]
@@ -189,10 +189,10 @@ def simulate_orbit(
 
     Raises ValueError for arguments out of range and EvolutionError where the integrator fails.
     """
-    start = (orbit.profile, np.zeros(orbit.chain.sites))
+    start = (orbit.profile, np.zeros(orbit.model.sites))
     if size != 0 or site is not None or vector is not None or seed is not None:
         start = perturbed(orbit, size, site=site, vector=vector, seed=seed)
-    return evolve(orbit.chain, *start, t, method, tolerance, coordinates)
+    return evolve(orbit.model, *start, t, method, tolerance, coordinates)
 
 
 class CosineSeries(Protocol):

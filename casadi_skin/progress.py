@@ -35,7 +35,7 @@ class Progress:
     def orbit(self, orbit: Orbit, points: int) -> None:
         """Tell that an orbit has been reached."""
         if self._status is not None:
-            request, step = orbit.tools.request, orbit.point.step
+            request, step = orbit.space.request, orbit.point.step
             self._status.update(
                 f"j = {request.mode}: S = {orbit.S:.6g} of {request.amplitude_max:g}, {points} points, step {step:.2g}"
             )

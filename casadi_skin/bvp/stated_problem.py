@@ -15,6 +15,7 @@ from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.declared import Expression
 
 SHOWN = 40  # characters of a condition in a message
+PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
 SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
 
@@ -42,10 +43,16 @@ class BoundaryProblem(CollocationEquations):
         self._discretise(formulation, intervals, table)
 
     def index_of(self, scalar: Scalar) -> int:
-        """Place of u among the unknowns; there is no Omega."""
-        if scalar is Scalar.OMEGA:
-            raise ValueError("a boundary-value problem has no Omega")
-        return self.size - 1
+        """Place of u among the unknowns; of the unknown period of an orbit, which stands for Omega."""
+        if scalar is Scalar.PARAMETER:
+            return self.size - 1
+        if PERIOD not in self.statement.free:
+            raise ValueError("a boundary-value problem without a free period has no Omega")
+        return self.states + list(self.statement.free).index(PERIOD)
+
+    def unknown_at(self, scalar: Scalar, value: float) -> float:
+        """The unknown period at an Omega; u itself."""
+        return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
 
     # Values ---------------------------------------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.guesses import Guess
-    from casadi_skin.orbits.solution import BoundarySolution
+    from casadi_skin.orbits.solution import Solution
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -189,7 +189,7 @@ class BoundaryValueProblem:
 
     # What can be asked of it ----------------------------------------------------------------------------------------
 
-    def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
+    def solve(self, guess: Guess, **options: Any) -> Solution:
         """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
 
         See `casadi_skin.orbits.solve.solve` for the guess, the options, and what is raised.

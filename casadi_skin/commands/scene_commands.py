@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     _summary(run)
     for branch in run.branches:
         if not branch.complete:
-            print(f"{arguments.scene}: mode {branch.tools.request.mode}: {branch.reason}", file=sys.stderr)
+            print(f"{arguments.scene}: mode {branch.space.coordinates.mode_number}: {branch.reason}", file=sys.stderr)
     if run.export_failure:
         print(f"{arguments.scene}: [export]: {run.export_failure}", file=sys.stderr)
     if run.search is not None and not complete:
@@ -160,7 +160,7 @@ def _summary(run: Run) -> None:
     for column in (*columns, "seconds"):
         table.add_column(column, justify="right", no_wrap=True)
     for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
-        cells = [str(branch.tools.request.mode), str(len(branch))]
+        cells = [str(branch.space.coordinates.mode_number), str(len(branch))]
         if not len(branch):
             table.add_row(*cells)
             continue
@@ -173,7 +173,7 @@ def _summary(run: Run) -> None:
     for branch in run.branches:
         if branch.threshold is not None:
             words = f"end breather of the infinite chain born at S_c = {branch.threshold:.10g}"
-            print(f"mode {branch.tools.request.mode}: {words}")
+            print(f"mode {branch.space.coordinates.mode_number}: {words}")
     if run.evolution is not None:
         print(f"dynamics: {run.evolution.status}")
     print(f"results in {run.directory}")

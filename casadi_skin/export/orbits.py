@@ -131,7 +131,7 @@ def orbit_part(subject: Subject) -> Part:
     told = [f"extern const double @p_orbit_{name}; {comment(words)}" for name, (_, words) in numbers.items()]
     arrays = [doubles("@p_orbit_coefficients", orbit.coefficients(harmonics))]
     coefficients = comment("y_n(t) = sum of c_kn cos((2k+1) Omega t): c_kn at place k SITES + n.")
-    told += [coefficients, f"extern const double @p_orbit_coefficients[{harmonics * int(orbit.chain.sites)}];"]
+    told += [coefficients, f"extern const double @p_orbit_coefficients[{harmonics * int(orbit.model.sites)}];"]
     if subject.refusal("residual") is None:
         arrays.append(doubles("@p_orbit_z", orbit.point.z))
         unknowns = "The same orbit as unknowns of the collocation equations."

@@ -95,7 +95,7 @@ class Subject:
 
     @staticmethod
     def _not_in_cosines(orbit: Orbit) -> str | None:
-        if isinstance(orbit.tools.layout, CoreWithTail):
+        if isinstance(orbit.space.coordinates, CoreWithTail):
             return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
         if not isinstance(orbit.point.problem, TrigonometricProblem):
             return "its equations are not in odd cosines; with transcription trigonometric it can"

@@ -71,8 +71,8 @@ def _draw_family(axes: Axes, branch: Branch, path: Array, shift: bool, colour: A
     if len(pieces) > 1:
         joints = np.array([piece[-1] for _, piece in pieces[:-1]])
         axes.plot(*joints.T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
-    if branch.tools.linear is not None:
-        _draw_theory(axes, *branch.tools.linear, np.array([0.0, path[:, 0].max()]), shift)
+    if branch.space.linear is not None:
+        _draw_theory(axes, *branch.space.linear, np.array([0.0, path[:, 0].max()]), shift)
     marked = [i + 1 for i, orbit in enumerate(branch.orbits) if orbit.point.requested]
     if marked:
         axes.plot(*path[marked].T, "o", ms=4, mfc="white", mec=colour, label="requested", zorder=6, clip_on=False)
@@ -114,10 +114,10 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
     leader = {"arrowstyle": "-", "lw": 0.5, "color": "0.45", "shrinkA": 0, "shrinkB": 0}
     common: dict[str, Any] = {"va": "center", "xycoords": "data", "annotation_clip": False}
     for i, place in zip(outside, places, strict=True):
-        text, at = f"$j = {branches[i].tools.request.mode}$", (1.045, float(place))
+        text, at = f"$j = {branches[i].space.coordinates.mode_number}$", (1.045, float(place))
         axes.annotate(text, tuple(ends[i]), at, textcoords="axes fraction", arrowprops=leader, **common)
     for i in inside:
-        text = f"$j = {branches[i].tools.request.mode}$"
+        text = f"$j = {branches[i].space.coordinates.mode_number}$"
         axes.annotate(text, tuple(ends[i]), (6, 0), textcoords="offset points", zorder=8, **common)
 
 
@@ -143,7 +143,7 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
         axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin), title=title(chain))
         label_ends(axes, branches, np.array([path[-1] for path in paths]))
-        mode = branches[0].tools.request.mode
+        mode = branches[0].space.coordinates.mode_number
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=AMPLITUDE, ylabel=label)
         return finished(figure, [axes], 3, in_black=True)

@@ -88,7 +88,7 @@ def multiplier_figure(branch: Branch) -> Figure | None:
     if not branch.with_stability or not branch.orbits:
         return None
     orbits = list(requested(branch, 3).values()) or [branch.orbits[-1]]
-    request, layout = branch.tools.request, ("ab", "abc", "ab;cd")[len(orbits) - 1]
+    request, layout = branch.space.request, ("ab", "abc", "ab;cd")[len(orbits) - 1]
     with style():
         figure = blank(*((6.8, 3.9), (9.6, 3.9), (6.8, 7.0))[len(orbits) - 1])
         panels = figure.subplot_mosaic(layout)

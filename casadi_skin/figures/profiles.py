@@ -99,11 +99,11 @@ def _draw_profiles(
     """
     from matplotlib.ticker import MaxNLocator
 
-    layout = branch.tools.layout
+    layout = branch.space.coordinates
     mode = (
         _tailed_mode(layout)
         if isinstance(layout, CoreWithTail)
-        else linear_mode(branch.tools.request.chain, branch.tools.request.mode)
+        else linear_mode(branch.space.model, branch.space.coordinates.mode_number)
     )
     n, dot = layout.output_sites, "o" if mode.size == 1 else None
     first, *second = panels
@@ -113,9 +113,9 @@ def _draw_profiles(
         first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
     for axes in second:
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
-        chain = branch.tools.request.chain
+        chain = branch.space.model
         mode_logs = (
-            np.log10(np.abs(mode)) if isinstance(layout, CoreWithTail) else _log_mode(chain, branch.tools.request.mode)
+            np.log10(np.abs(mode)) if isinstance(layout, CoreWithTail) else _log_mode(chain, branch.space.coordinates.mode_number)
         )
         deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
@@ -127,7 +127,7 @@ def _draw_profiles(
         else:
             axes.set_yscale("log")
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
-    panels[0].set_title(f"$j = {branch.tools.request.mode}$", loc="left")
+    panels[0].set_title(f"$j = {branch.space.coordinates.mode_number}$", loc="left")
     panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
     for axes in panels[1:]:
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
@@ -144,7 +144,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
     if not chosen:
         return None
-    shown = chosen[0][0].tools.layout.output_sites
+    shown = chosen[0][0].space.coordinates.output_sites
     profiles = np.array([orbit.evaluate(0.0, shown)[0] for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))

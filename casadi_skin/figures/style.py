@@ -84,7 +84,7 @@ def colours(count: int) -> Array:
 
 
 def common_chain(branches: Sequence[Branch]) -> Chain:
-    chains = {branch.tools.request.chain for branch in branches}
+    chains = {branch.space.model for branch in branches}
     if len(chains) != 1:
         raise ValueError(f"branches: given branches of {len(chains)} chains; accepted: one or more, all of one chain")
     return chains.pop()

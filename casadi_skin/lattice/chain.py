@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,10 @@ from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.coordinates import Coordinates
+    from casadi_skin.orbits.method import Method
 
 FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
 
@@ -137,6 +141,12 @@ class Chain:
             np.full(self.sites, 2.0 + self.alpha), np.full(self.sites - 1, -self.coupling)
         )
         return np.asarray(values, dtype=float), np.asarray(self.rho[:, None] * vectors)
+
+    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
+        """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
+        from casadi_skin.lattice.chain_coordinates import chain_coordinates
+
+        return chain_coordinates(self, mode, amplitude_max, method)
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

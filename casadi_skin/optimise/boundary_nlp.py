@@ -1,4 +1,4 @@
-"""Boundary-value problems with an objective or bounds: nonlinear programmes for Ipopt with exact second derivatives.
+"""Boundary-value problems with an objective or bounds: nonlinear programs for Ipopt with exact second derivatives.
 
 The equations are those of every other solve; Ipopt (Waechter and Biegler 2006) gets the objective and the bounds
 beside them. The mesh is refined and placed anew until the solution no longer changes. Bounds on states hold at the
@@ -20,10 +20,12 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.saved import programs_in
 from casadi_skin.optimise.curvature import negative_curvature
-from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.optimum import Optimality, OptimalSolution, Optimum
-from casadi_skin.orbits.solve import ITERATIONS, BoundaryError, Method, Sizes, build_levels, packed
-from casadi_skin.solvers.levels import SAFETY, ErrorEstimate, Levels
+from casadi_skin.orbits.boundary_space import ITERATIONS, BoundaryError, BoundarySpace
+from casadi_skin.orbits.guesses import Guess
+from casadi_skin.orbits.optimum import Optimality, Optimum
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.solve import packed, space_of
+from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
 
 WORDS = {
     "Infeasible_Problem_Detected": "no point near the guess satisfies conditions and bounds",
@@ -43,7 +45,7 @@ MESHES = 2  # on which a first optimum is sought
 
 @dataclass(frozen=True)
 class _Found:
-    """A solution of the programme on one mesh."""
+    """A solution of the program on one mesh."""
 
     problem: BoundaryProblem
     z: Array
@@ -52,30 +54,29 @@ class _Found:
     iterations: int
 
 
-def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> OptimalSolution:
+def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Solution:
     """The local optimum near a guess, on a mesh refined to the tolerance; options as in `solve`.
 
     Raises ValueError for options out of range and BoundaryError where no optimum is found.
     """
-    method = Method.of(options)
-    times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
-    levels = build_levels(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
-    found, errors = _first(levels, statement, guess, method), list[float]()
+    space = space_of(statement, guess, options)
+    levels = space.levels
+    found, errors = _first(space, guess), list[float]()
     while True:
         above = levels.finer(found.problem, found.z)
         if above is None or levels.finer(above) is None:
             raise BoundaryError(f"{statement.model.name}: more than {found.problem.resolution} intervals are needed")
         assert isinstance(above, BoundaryProblem)
         start = found.problem.prolong(found.z, above)
-        finer = _Programme(above, method).solve(start)
+        finer = _BoundaryNlp(above, space.tolerance).solve(start)
         profile, scalars = (f(finer.z, finer.z - start) for f in (above.profile_change, above.frequency_step))
         error = ErrorEstimate(SAFETY * scalars, SAFETY * profile)
         held = above.resolution >= ENOUGH and finer.optimality.holds_states(statement.model.state_names)
-        if held or error.relative(1.0) <= method.tolerance:
+        if held or error.relative(1.0) <= space.tolerance:
             unit = np.append(np.zeros(above.size - 1), 1.0)
             point = Point(above, finer.z, unit, error, 0.0, finer.iterations)
             moved = SAFETY * abs(finer.objective - found.objective)
-            return OptimalSolution(statement, method, point, Optimum(finer.objective, moved, finer.optimality))
+            return Solution(space, point, optimum=Optimum(finer.objective, moved, finer.optimality))
         errors.append(error.relative(1.0))
         if len(errors) > PATIENCE and errors[-1] > 0.5 * errors[-1 - PATIENCE]:
             words = f"finer meshes, up to {above.resolution} intervals, leave a change of {errors[-1]:.1e}"
@@ -83,15 +84,16 @@ def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> O
         found = finer
 
 
-def _first(levels: Levels, statement: BoundaryValueProblem, guess: Guess, method: Method) -> _Found:
+def _first(space: BoundarySpace, guess: Guess) -> _Found:
     """The solution on the first mesh on which there is one."""
     failure: BoundaryError | None = None
-    for resolution in [r for r in levels.resolutions if r >= method.intervals][:MESHES]:
-        problem = levels.problem(resolution)
+    first = int(space.method.intervals or 1)
+    for resolution in [r for r in space.levels.resolutions if r >= first][:MESHES]:
+        problem = space.levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         start = packed(problem, guess)
         try:
-            found = _Programme(problem, method).solve(start)
+            found = _BoundaryNlp(problem, space.tolerance).solve(start)
         except BoundaryError as error:
             failure = error
             continue
@@ -102,17 +104,17 @@ def _first(levels: Levels, statement: BoundaryValueProblem, guess: Guess, method
     raise failure
 
 
-class _Programme:
-    """The nonlinear programme of a statement on one mesh."""
+class _BoundaryNlp:
+    """The nonlinear program of a statement on one mesh."""
 
-    def __init__(self, problem: BoundaryProblem, method: Method) -> None:
+    def __init__(self, problem: BoundaryProblem, tolerance: float) -> None:
         self.problem, self.statement = problem, problem.statement
         z, residual, jacobian = problem.symbols
         lengths = problem.constants_symbol
         value = _objective(problem, z)
         substituted = ca.graph_substitute([residual, jacobian, value], [lengths], [ca.MX(ca.DM(problem.constants))])
         self._residual, jacobian, value = substituted
-        self._tolerance = float(np.clip(1e-2 * method.tolerance, 1e-11, 1e-6))
+        self._tolerance = float(np.clip(1e-2 * tolerance, 1e-11, 1e-6))
         options: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,

@@ -76,12 +76,12 @@ class SmallestKick:
     @property
     def displacements(self) -> Array:
         """What is added to the orbit's displacements at t = 0, shape (sites,)."""
-        return self.best.kick[: self.orbit.chain.sites]
+        return self.best.kick[: self.orbit.model.sites]
 
     @property
     def velocities(self) -> Array:
         """The velocities given at t = 0, where the orbit has none, shape (sites,)."""
-        return self.best.kick[self.orbit.chain.sites :]
+        return self.best.kick[self.orbit.model.sites :]
 
     @property
     def norm(self) -> float:
@@ -166,7 +166,7 @@ def smallest_kick(
     peak = int(np.argmax(gains[:, 0]))
     scale = float(distance / gains[peak, 0])
     far = _far_end(orbit)
-    along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.chain.rho, 2), rcond=None)[0], dtype=float)
+    along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.model.rho, 2), rcond=None)[0], dtype=float)
     named = directions(along_far, gains, vectors, starts, seed)
     search = KickSearch(flow, distance, basis, scale, len(named), progress)
     elsewhere = executor is not None or min(workers, len(named)) > 1
@@ -178,7 +178,7 @@ def smallest_kick(
         far_size, far_time, interrupted = np.nan, np.nan, True
 
     def physical(kick: Array) -> Array:
-        return np.asarray(S * np.tile(orbit.chain.rho, 2) * (basis @ kick))
+        return np.asarray(S * np.tile(orbit.model.rho, 2) * (basis @ kick))
 
     listed = tuple(LocalOptimum(n, physical(o.kick), S * o.norm, o.time, o) for n, o in (best, *optima))
     return SmallestKick(
@@ -203,8 +203,8 @@ def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:
     """Norm of a kick (2N,): Euclidean, or "energy", sqrt(|eta'|^2 + eta L eta) of its image eta in the gauge."""
     if norm == "physical":
         return float(np.linalg.norm(kick))
-    e = kick / np.tile(orbit.chain.rho, 2)
-    n = orbit.chain.sites
+    e = kick / np.tile(orbit.model.rho, 2)
+    n = orbit.model.sites
     return float(np.sqrt(e[:n] @ _stiffness(orbit) @ e[:n] + e[n:] @ e[n:]))
 
 
@@ -213,24 +213,24 @@ def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:
 
 def _far_end(orbit: Orbit) -> Array:
     """A unit displacement of the end opposite to the edge that the modes lean to, shape (2N,)."""
-    unit = np.zeros(2 * orbit.chain.sites)
-    unit[int(np.argmin(orbit.chain.log_rho))] = 1.0
+    unit = np.zeros(2 * orbit.model.sites)
+    unit[int(np.argmin(orbit.model.log_rho))] = 1.0
     return unit
 
 
 def _stiffness(orbit: Orbit) -> Array:
     """L of the gauge, shape (sites, sites)."""
-    chain = orbit.chain
+    chain = orbit.model
     off = np.full(chain.sites - 1, -chain.coupling)
     return np.diag(np.full(chain.sites, 2.0 + chain.alpha)) + np.diag(off, 1) + np.diag(off, -1)
 
 
 def _basis(orbit: Orbit, norm: str, sites: Indices) -> Array:
     """Kicks of the gauge, shape (2N, 2 sites), orthonormal in the norm asked for: a kick is `basis` times unknowns."""
-    n = orbit.chain.sites
+    n = orbit.model.sites
     moved = np.eye(n)[:, sites]
     if norm == "physical":
-        positions = velocities = moved / orbit.chain.rho[:, None]
+        positions = velocities = moved / orbit.model.rho[:, None]
     else:
         factor = np.linalg.cholesky(moved.T @ _stiffness(orbit) @ moved)
         positions, velocities = moved @ np.linalg.inv(factor).T, moved

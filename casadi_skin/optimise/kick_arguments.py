@@ -20,7 +20,7 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) ->
     """Raises TypeError or ValueError for arguments out of range or an orbit that is not linearly stable."""
     if not isinstance(orbit, Orbit):
         raise TypeError(f"orbit: given {short_repr(orbit)}; accepted: an Orbit, such as branch.at(S=0.2)")
-    chain = orbit.chain
+    chain = orbit.model
     if chain.infinite or abs(chain.gamma) == 1.0:
         raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
     if orbit.S <= 0:
@@ -47,7 +47,7 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) ->
 
 def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
     """Indices of the sites that may be kicked."""
-    count = orbit.chain.sites
+    count = orbit.model.sites
     if at is None:
         return np.arange(count)
     given = [at] if isinstance(at, int | np.integer) else list(at)

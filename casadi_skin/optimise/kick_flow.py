@@ -40,7 +40,7 @@ class PlainOrbit:
     @classmethod
     def of(cls, orbit: Orbit) -> PlainOrbit:
         """What is left of an orbit."""
-        return cls(orbit.chain, orbit.S, orbit.Omega, orbit.profile, orbit.coefficients(orbit.harmonics))
+        return cls(orbit.model, orbit.S, orbit.Omega, orbit.profile, orbit.coefficients(orbit.harmonics))
 
     @property
     def harmonics(self) -> int:
@@ -106,7 +106,7 @@ class KickedFlow:
     @classmethod
     def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
         """With as many steps as the fastest linear vibration asks for."""
-        fastest = float(np.sqrt(orbit.chain.alpha + 2.0 * (1.0 + orbit.chain.coupling)))
+        fastest = float(np.sqrt(orbit.model.alpha + 2.0 * (1.0 + orbit.model.coupling)))
         return cls(PlainOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
 
     def __reduce__(self) -> tuple[type[KickedFlow], tuple[PlainOrbit, float, int]]:
@@ -115,12 +115,12 @@ class KickedFlow:
     @property
     def size(self) -> int:
         """Number of components of the state, 2N."""
-        return 2 * self.orbit.chain.sites
+        return 2 * self.orbit.model.sites
 
     @cached_property
     def output_scale(self) -> Array:
         """Factors that make (y, y'/Omega)/sqrt(S) of a state, shape (2N,)."""
-        rho = self.orbit.chain.rho
+        rho = self.orbit.model.rho
         return np.concatenate([rho, rho / self.orbit.Omega])
 
     @cached_property
@@ -131,7 +131,7 @@ class KickedFlow:
     @cached_property
     def start(self) -> Array:
         """State of the orbit at phase zero, shape (2N,)."""
-        chain = self.orbit.chain
+        chain = self.orbit.model
         return np.concatenate([self.orbit.profile / (np.sqrt(self.orbit.S) * chain.rho), np.zeros(chain.sites)])
 
     @cached_property
@@ -140,8 +140,8 @@ class KickedFlow:
 
         h goes along unchanged, so that one input is all that a repetition has to repeat.
         """
-        model = self.orbit.chain.gauge_model()
-        kappa = self.orbit.chain.g * self.orbit.S
+        model = self.orbit.model.gauge_model()
+        kappa = self.orbit.model.g * self.orbit.S
         force = ca.Function("force", [model.state, model.parameters], [ca.densify(model.rhs)])
         drifts, kicks = srkn_coefficients()
         q, v, h = model.state, model.velocity, ca.SX.sym("h")
@@ -163,10 +163,10 @@ class KickedFlow:
         """Distance of states (..., 2N) from the orbit, shape (...), by `dynamics.distance_from_orbit`; inf for nan."""
         rows = states.reshape(-1, self.size)
         finite = np.all(np.abs(rows) < 1e100, axis=1)
-        found, sites, scale = np.full(len(rows), np.inf), self.orbit.chain.sites, np.sqrt(self.orbit.S)
-        y, v = (scale * self.orbit.chain.rho * rows[finite][:, part] for part in (slice(sites), slice(sites, None)))
+        found, sites, scale = np.full(len(rows), np.inf), self.orbit.model.sites, np.sqrt(self.orbit.S)
+        y, v = (scale * self.orbit.model.rho * rows[finite][:, part] for part in (slice(sites), slice(sites, None)))
         times = np.arange(len(y), dtype=float)
-        rows_as_times = Evolution(self.orbit.chain, times, y, v, "symplectic", 0.0, "gauge", 0)
+        rows_as_times = Evolution(self.orbit.model, times, y, v, "symplectic", 0.0, "gauge", 0)
         found[finite] = distance_from_orbit(self.orbit, rows_as_times)
         return found.reshape(states.shape[:-1])
 

@@ -179,7 +179,7 @@ class KickSearch:
         reached = np.nan
         try:
             for refinement in range(REFINEMENTS + 1):
-                kick = np.sqrt(orbit.S) * np.tile(orbit.chain.rho, 2) * (self.basis @ best.kick)
+                kick = np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2) * (self.basis @ best.kick)
                 reached = float(escape(orbit, kick, [best.time]).distance[-1])
                 if abs(reached - self.distance) <= FLOW_ERROR * self.distance or not best.solved:
                     return (name, best), reached, others

@@ -41,9 +41,9 @@ def escape(orbit: Orbit | PlainOrbit, kick: ArrayLike, t: ArrayLike, tolerance: 
 
     Where the state runs to infinity, as with g < 0, up to the last time before.
     """
-    z, sites = np.asarray(kick, dtype=float), orbit.chain.sites
+    z, sites = np.asarray(kick, dtype=float), orbit.model.sites
     try:
-        evolution = evolve(orbit.chain, orbit.profile + z[:sites], z[sites:], t, tolerance=tolerance)
+        evolution = evolve(orbit.model, orbit.profile + z[:sites], z[sites:], t, tolerance=tolerance)
     except EvolutionError as error:
         if error.evolution is None:
             raise
@@ -72,7 +72,7 @@ def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float)
     of the scan escapes.
     """
     flow = KickedFlow.up_to(orbit, time)
-    in_gauge = direction / (np.sqrt(orbit.S) * np.tile(orbit.chain.rho, 2))
+    in_gauge = direction / (np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2))
     near = distance / float(flow.linear_gains(in_gauge[:, None])[1].max())
     found = flow.first_to_escape(in_gauge, distance, near)
     if found is None:

@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.result import SearchStatus
 from casadi_skin.orbits.optimum import Optimum
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.orbits.orbit import Orbit
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class ModelOptimum:
     `starts` are the numbers of those that led here.
     """
 
-    orbit: PeriodicOrbit
-    plain: PeriodicOrbit
+    orbit: Orbit
+    plain: Orbit
     starts: tuple[int, ...]
 
     @property

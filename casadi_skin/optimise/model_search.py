@@ -19,8 +19,8 @@ from casadi_skin.optimise.processes import Interruption, gathered, pool
 from casadi_skin.optimise.result import SearchStatus
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.threads import one_thread
 
 SAME = 1e-5  # relative difference of free parameters, period and objective below which two optima are one
@@ -154,7 +154,7 @@ class _ModelSearch:
             return made | {"free": self.free, "bounds": self.bounds}
         return {name: value for name, value in made.items() if name not in ("objective", "running")}
 
-    def orbit(self, values: Mapping[str, float], t: Array, states: Array, minimised: bool) -> PeriodicOrbit:
+    def orbit(self, values: Mapping[str, float], t: Array, states: Array, minimised: bool) -> Orbit:
         """The orbit near states at times over a period: the plain one, or the optimum; raises BoundaryError."""
         period = None if self.model.forced else float(t[-1])
         return find_orbit(self.model, (t, states), period, parameters=values, **self.options(minimised))
@@ -253,7 +253,7 @@ class _ModelSearch:
         return all(abs(a - b) <= SAME * max(abs(a), abs(b), 1e-3) for a, b in pairs)
 
 
-def _over_period(orbit: PeriodicOrbit) -> tuple[Array, Array]:
+def _over_period(orbit: Orbit) -> tuple[Array, Array]:
     """Times over a period and the states there."""
     t = np.linspace(0.0, orbit.period, SAMPLES)
     return t, orbit.evaluate(t)

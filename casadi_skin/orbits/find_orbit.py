@@ -9,23 +9,23 @@ made regular by a multiple of a damping that comes back as zero (Sepulchre and M
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.arguments import number, short_repr
+from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import BoundaryValueProblem, Bounds, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundaryError, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.optimum import OptimalSolution
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.orbit import Orbit
 
-PERIOD, UNFOLDING = "period", "unfolding"
+UNFOLDING = "unfolding"
 SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
 HARMONICS = 12  # of the reference of the phase
@@ -46,7 +46,7 @@ def find_orbit(
     objective: Expression | str | None = None,
     running: Expression | None = None,
     **options: Any,
-) -> PeriodicOrbit:
+) -> Orbit:
     """The periodic orbit near a guess.
 
     `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
@@ -69,9 +69,9 @@ def find_orbit(
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
     solution = state_problem(asked, guess, symmetry).solve(guess, **options)
-    optimum = solution.optimum if isinstance(solution, OptimalSolution) else None
-    orbit = PeriodicOrbit(solution.statement, solution.method, solution.point, first, symmetry, optimum)
-    if abs(orbit.unfolding) > NOT_ZERO * max(orbit.method.tolerance, orbit.error):
+    space = replace(solution.space, periodic=Periodic(model, first, symmetry))
+    orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
+    if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         raise BoundaryError(f"{model.name}: {words}: the hamiltonian is not conserved, or the orbit is degenerate")
     return orbit

@@ -16,10 +16,10 @@ import numpy as np
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.files import replacing
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.stability.result import Floquet
 
@@ -87,7 +87,7 @@ def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
             f.mu.astype("<c16").tobytes(), f.mu_error.astype("<f8").tobytes(), f.trivial_deviation, f.power
         )
     return OrbitRecord(
-        mode=orbit.tools.request.mode,
+        mode=orbit.space.coordinates.mode_number,
         resolution=point.problem.resolution,
         z=point.z.astype("<f8").tobytes(),
         tangent=point.tangent.astype("<f8").tobytes(),
@@ -104,7 +104,7 @@ def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
     )
 
 
-def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
+def _orbit(record: OrbitRecord, tools: Family) -> Orbit:
     point = Point(
         problem=tools.levels.problem(record.resolution).with_constants(_doubles(record.constants)),
         z=_doubles(record.z),
@@ -184,14 +184,14 @@ def resumable(records: Sequence[Record]) -> list[Record]:
 
 
 def restore(
-    records: Sequence[Record], tools: FamilyTools, stability: bool, events: bool
-) -> FamilyContinuation | Branch:
+    records: Sequence[Record], tools: Family, stability: bool, events: bool
+) -> Following | Branch:
     """The finished branch of the family of `tools`, or the walk that goes on from what the records hold of it."""
     mode = tools.request.mode
     mine = [r for r in records if r.mode == mode]
     orbits = [_orbit(r, tools) for r in mine if isinstance(r, OrbitRecord)]
     changes = [r.change for r in mine if isinstance(r, ChangeRecord)]
-    walk = FamilyContinuation(tools, stability, events, orbits, changes)
+    walk = Following(tools, stability, events, orbits, changes)
     for record in mine:
         if isinstance(record, EndRecord):
             missed = (record.missed, record.missed_Omega, record.missed_period)

@@ -82,7 +82,7 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
     orbits = [orbit for branch in branches for orbit in branch.orbits]
     if not orbits:
         return
-    chain, sites = orbits[0].chain, orbits[0].output_sites
+    chain, sites = orbits[0].model, orbits[0].output_sites
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
         write_origin(file, chain, scene_text, title)
         file.createDimension("point", len(orbits))
@@ -104,13 +104,13 @@ def write_evolution(path: Path, evolution: Evolution, orbit: Orbit, scene_text: 
     from scipy.io import netcdf_file
 
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        write_origin(file, orbit.chain, scene_text, title)
+        write_origin(file, orbit.model, scene_text, title)
         how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
-        start = {"orbit_mode": orbit.tools.request.mode, "orbit_S": orbit.S, "orbit_Omega": orbit.Omega}
+        start = {"orbit_mode": orbit.space.coordinates.mode_number, "orbit_S": orbit.S, "orbit_Omega": orbit.Omega}
         for name, value in {**how, "step": evolution.step or 0.0, **start}.items():
             setattr(file, name, value)
         file.createDimension("time", evolution.t.size)
-        file.createDimension("site", orbit.chain.sites)
+        file.createDimension("site", orbit.model.sites)
         put(file, "t", ("time",), evolution.t, "time")
         put(file, "energy", ("time",), evolution.energy, "Hamiltonian of the gauge with rho = 1 at the favoured edge")
         put(file, "displacements", ("time", "site"), evolution.displacements, "displacements y_n")
@@ -133,7 +133,7 @@ def write_origin(file: netcdf_file, chain: Chain, scene_text: str, title: str) -
 def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     index = [i for _, i in _places(orbits)]
     columns = {
-        "mode": ([o.tools.request.mode for o in orbits], "linear mode j that the family grows from"),
+        "mode": ([o.space.coordinates.mode_number for o in orbits], "linear mode j that the family grows from"),
         "index": (index, "place along the family"),
         "requested": ([o.point.requested for o in orbits], "1 where S, Omega or the period was asked for"),
         "S": ([o.S for o in orbits], "total amplitude: sum of y_n^2 at t = 0"),
@@ -167,7 +167,7 @@ def _places(orbits: Sequence[Orbit]) -> list[tuple[int, int]]:
     seen: dict[int, int] = {}
     places = []
     for orbit in orbits:
-        mode = orbit.tools.request.mode
+        mode = orbit.space.coordinates.mode_number
         places.append((mode, seen.get(mode, 0)))
         seen[mode] = places[-1][1] + 1
     return places
@@ -198,7 +198,7 @@ def _write_vectors(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     if not places:
         return
     file.createDimension("requested_point", len(places))
-    file.createDimension("component", 2 * orbits[0].chain.sites)
+    file.createDimension("component", 2 * orbits[0].model.sites)
     put(file, "vectors_point", ("requested_point",), np.array(places), "place along `point`, from 0")
     vectors = np.stack([orbits[i].floquet_vectors() for i in places])
     dimensions = ("requested_point", "component", "multiplier")

@@ -23,7 +23,7 @@ EVENT_COLUMNS = ("mode", "S", "Omega", "kind", "stable_before", "stable_after", 
 def orbit_row(orbit: Orbit, index: int, with_stability: bool) -> dict[str, Cell]:
     """One row of family.csv; the stability columns are absent without stability."""
     row: dict[str, Cell] = {
-        "mode": orbit.tools.request.mode,
+        "mode": orbit.space.coordinates.mode_number,
         "point": index,
         "requested": int(orbit.point.requested),
         "S": orbit.S,

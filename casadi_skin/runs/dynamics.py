@@ -27,7 +27,7 @@ def scene_orbit(scene: Scene, branches: Sequence[Branch]) -> Orbit:
     Raises ValueError where the branch does not reach S, ArithmeticError where no orbit is found there.
     """
     dynamics = _table(scene)
-    found = [b for b in branches if dynamics.mode in (None, b.tools.request.mode)]
+    found = [b for b in branches if dynamics.mode in (None, b.space.coordinates.mode_number)]
     if not found:
         raise ValueError(f"mode {dynamics.mode}: its family was not computed")
     return found[0].at(dynamics.S)
@@ -72,10 +72,10 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
 
 def write_dynamics(scene: Scene, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
     """dynamics.csv, dynamics.nc and the space-time picture."""
-    write_csv(directory / "dynamics.csv", evolution_columns(orbit.chain.sites), evolution_rows(evolution))
+    write_csv(directory / "dynamics.csv", evolution_columns(orbit.model.sites), evolution_rows(evolution))
     write_evolution(directory / "dynamics.nc", evolution, orbit, scene_text, scene.title or "")
     dynamics = _table(scene)
-    title = f"$j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$"
+    title = f"$j = {orbit.space.coordinates.mode_number}$, $S = {number(orbit.S)}$"
     if dynamics.size is not None:
         title += f", perturbed by ${number(dynamics.size)}$" + (f" at site {dynamics.site}" if dynamics.site else "")
     figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site)

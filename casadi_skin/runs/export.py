@@ -39,7 +39,7 @@ def exported(scene: Scene, branches: Sequence[Branch]) -> Chain | Orbit:
     export = _table(scene)
     if export.S is None:
         return scene_chain(scene)
-    found = [branch for branch in branches if export.mode in (None, branch.tools.request.mode)]
+    found = [branch for branch in branches if export.mode in (None, branch.space.coordinates.mode_number)]
     if not found:
         raise ValueError(f"mode {export.mode}: its family was not computed")
     return found[0].at(export.S)

@@ -8,8 +8,8 @@ from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.full_chain import EdgeSite
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.runs.request import scene_requests
 from casadi_skin.scene import DynamicsTable, Scene
 from casadi_skin.solvers.levels import ErrorEstimate
@@ -53,7 +53,7 @@ def _dynamics(table: DynamicsTable, only_mode: int) -> str:
 
 
 def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str, str]]:
-    request, tools = requests[0], FamilyTools(requests[0])
+    request, tools = requests[0], Family(requests[0])
     modes = ", ".join(str(r.mode) for r in requests)
     wanted = (("S", request.at), ("Omega", request.at_Omega), ("period", request.at_period))
     exactly = [f"{name} = {', '.join(f'{value:g}' for value in values)}" for name, values in wanted if values]
@@ -66,10 +66,10 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
         ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
         ("symmetry", tools.symmetry.reason),
     ]
-    if isinstance(tools.layout, CoreWithTail):
-        words = f"{tools.core.sites} at the edge, where the cubic term is felt; the linear tail is eliminated exactly"
+    if isinstance(tools.coordinates, CoreWithTail):
+        words = f"{tools.coordinates.core.sites} at the edge, where the cubic term is felt; the linear tail is eliminated exactly"
         lines.append(("unknown sites", words))
-    elif isinstance(tools.layout, EdgeSite):
+    elif isinstance(tools.coordinates, EdgeSite):
         lines.append(("unknown sites", "the edge site alone: at |gamma| = 1 no other site moves in the gauge"))
     started = time.perf_counter()
     problem, error = _first_problem(tools)
@@ -81,7 +81,7 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
             f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it",
         ),
         ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
-        ("first error", f"{error.relative(tools.linear_frequency):.1e} estimated at the start"),
+        ("first error", f"{error.relative(tools.coordinates.frequency):.1e} estimated at the start"),
     ]
     built = f"model in the gauge, collocation equations, {request.corrector} corrector"
     if scene.stability is not None:
@@ -93,7 +93,7 @@ def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str
     return lines
 
 
-def _first_problem(tools: FamilyTools) -> tuple[Problem, ErrorEstimate]:
+def _first_problem(tools: Family) -> tuple[Problem, ErrorEstimate]:
     """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
     start = tools.start
     problem, z = start.problem, start.z + start.step * start.tangent
@@ -118,7 +118,7 @@ def _transcription(request: FamilyRequest, problem: Problem) -> str:
     return f"{words} with polynomials of degree {request.collocation_degree} at the start"
 
 
-def _cost(scene: Scene, tools: FamilyTools, problem: Problem, families: int, building: float) -> str:
+def _cost(scene: Scene, tools: Family, problem: Problem, families: int, building: float) -> str:
     """Cost from one measured solve (and one transition matrix), times the usual number of points."""
     start = tools.start
     z = start.problem.prolong(start.z + start.step * start.tangent, problem)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import casadi_skin.figures as figures
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import (
     ChangeRecord,
@@ -94,19 +94,19 @@ class Run:
         with Journal(path) as journal:
             for request in requests:
                 known = restore(
-                    records, FamilyTools(request), stability is not None, stability is not None and stability.events
+                    records, Family(request), stability is not None, stability is not None and stability.events
                 )
                 started = time.perf_counter()
                 self._keep(known.orbits)
-                if isinstance(known, FamilyContinuation):
+                if isinstance(known, Following):
                     self._follow(known, journal)
                 else:
                     self.branches.append(known)
                 self.seconds.append(time.perf_counter() - started)
 
-    def _follow(self, walk: FamilyContinuation, journal: Journal) -> None:
+    def _follow(self, walk: Following, journal: Journal) -> None:
         """Follow one family to its end; each result goes to the journal before anything else happens."""
-        request = walk.tools.request
+        request = walk.space.request
         self.progress.say(f"j = {request.mode}: building")
         try:
             for result in walk:
@@ -172,7 +172,7 @@ class Run:
     def _keep(self, orbits: Sequence[Orbit]) -> None:
         """Add rows to family.csv, which is replaced at most every TABLE_PERIOD."""
         for orbit in orbits:
-            index = sum(row["mode"] == orbit.tools.request.mode for row in self._rows)
+            index = sum(row["mode"] == orbit.space.coordinates.mode_number for row in self._rows)
             self._rows.append(orbit_row(orbit, index, self._with_stability))
         if self._rows and time.monotonic() - self._written > TABLE_PERIOD:
             self._write_family()
@@ -190,7 +190,7 @@ class Run:
         self._write_family()
         stability = self.scene.stability
         if stability is not None and stability.events:
-            events = [event_row(b.tools.request.mode, c) for b in self.branches for c in b.changes]
+            events = [event_row(b.space.coordinates.mode_number, c) for b in self.branches for c in b.changes]
             write_csv(self.directory / "events.csv", EVENT_COLUMNS, events)
         branches = [branch for branch in self.branches if len(branch)]
         vectors = stability is not None and stability.vectors
@@ -203,7 +203,7 @@ class Run:
         for branch in branches:
             multipliers = figures.multiplier_figure(branch)
             if multipliers is not None:
-                figures.save(multipliers, self.directory / f"multipliers_j{branch.tools.request.mode}")
+                figures.save(multipliers, self.directory / f"multipliers_j{branch.space.coordinates.mode_number}")
         if self.scene.family is not None and self.scene.family.film:
             self._write_films(branches)
 
@@ -212,7 +212,7 @@ class Run:
         from casadi_skin.animation import animate
 
         for branch in branches:
-            mode = branch.tools.request.mode
+            mode = branch.space.coordinates.mode_number
             self.progress.say(f"film of j = {mode}")
             asked = [orbit for orbit in branch.orbits if orbit.point.requested]
             animate((asked or branch.orbits)[-1], self.directory / f"film_j{mode}.gif")

@@ -7,9 +7,7 @@ inverse maps multiplied the other way round: of a product with entries near 1 th
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -21,8 +19,9 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.integrators import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import FullPeriodFloquet
 
-ComplexArray = NDArray[np.complex128]
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
 LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
 TIGHTEST = 1e-13
@@ -30,45 +29,9 @@ SMALL = 0.5  # modulus above which no multiplier has lost digits in a product wi
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
 
 
-class TrivialMultiplierWarning(UserWarning):
-    """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers in descending modulus, the trivial ones among them as they were computed.
-
-    `monodromy` is the matrix over the full period at phase zero. `trivial` counts multipliers that are 1 for every
-    orbit: one in an autonomous model, two in a conservative one, none in a forced one; `deviation` is how far these are
-    from 1 (of a pair, the root of the product of both: an error e splits it by the root of e).
-    """
-
-    values: ComplexArray
-    monodromy: Array
-    trivial: int
-    deviation: float
-    allowed: float
-
-    @property
-    def others(self) -> ComplexArray:
-        """Multipliers but the trivial ones, in descending modulus."""
-        return np.asarray(self.values[_others(self.values, self.trivial)])
-
-    @property
-    def stable(self) -> bool:
-        """Whether no multiplier but the trivial ones lies outside the unit circle, within what errors allow."""
-        return bool(np.all(np.abs(self.others) <= 1.0 + self.allowed))
-
-    def warn(self) -> None:
-        """Warn where the trivial multipliers have drifted."""
-        if self.deviation > self.allowed:
-            words = f"the trivial multiplier is off by {self.deviation:.1e}, more than {self.allowed:.1e}"
-            warnings.warn(f"{words}; try a smaller tolerance", TrivialMultiplierWarning, stacklevel=4)
-
-
-def multipliers_by_collocation(
+def by_collocation(
     problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, tolerance: float
-) -> Multipliers:
+) -> FullPeriodFloquet:
     """Multipliers from the interval maps of the linearised equations."""
     jacobians = stage_jacobians(problem, z)
     maps = interval_maps(problem, jacobians)
@@ -120,9 +83,7 @@ def _whole(maps: Array, model: OdeModel, symmetry: SymmetryClass) -> Array:
     return np.concatenate([there, np.array([half @ m @ half for m in there])])
 
 
-def multipliers_by_cvodes(
-    model: OdeModel, start: Array, parameters: Array, period: float, tolerance: float
-) -> Multipliers:
+def by_cvodes(model: OdeModel, start: Array, parameters: Array, period: float, tolerance: float) -> FullPeriodFloquet:
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
@@ -149,7 +110,7 @@ def multipliers_by_cvodes(
     return _multipliers(matrix[None], model, tolerance)
 
 
-def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> Multipliers:
+def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
@@ -158,9 +119,11 @@ def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: fl
     values = _eigenvalues(balanced, contraction)
     trivial = 0 if model.forced else 1 if model.hamiltonian is None else 2
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
-    near = values[~_others(values, trivial)]
+    is_other = _others(values, trivial)
+    near = values[~is_other]
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
-    return Multipliers(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
+    values = np.concatenate([near, values[is_other]])
+    return FullPeriodFloquet(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
 
 
 def _product(maps: Sequence[Array] | Array) -> Array:

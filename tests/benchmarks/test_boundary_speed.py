@@ -26,7 +26,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.solve import BoundaryError, Method, Sizes, build_levels, first_point, sampled
+from casadi_skin.orbits.boundary_space import BoundaryError, Method, Sizes, build_levels, first_point, sampled
 
 pytestmark = pytest.mark.benchmark
 

@@ -135,7 +135,7 @@ def splitting_in_casadi(chain: Chain) -> ca.Function:
 
 
 def in_casadi(orbit: Orbit) -> dict[str, Callable[[], object]]:
-    chain, problem = orbit.chain, orbit.point.problem
+    chain, problem = orbit.model, orbit.point.problem
     model, n = chain.tunable_model(), 2 * chain.sites
     J = ca.jacobian(model.full_rhs, model.full_state)
     results = [ca.densify(model.full_rhs), J, ca.densify(ca.jacobian(model.full_rhs, model.parameters))]
@@ -178,7 +178,7 @@ def square(orbit: Orbit, kind: str) -> tuple[ca.Function, np.ndarray, np.ndarray
 
 
 def in_numpy(orbit: Orbit) -> dict[str, Callable[[], object]]:
-    chain, problem, model = orbit.chain, orbit.point.problem, orbit.chain.gauge_model()
+    chain, problem, model = orbit.model, orbit.point.problem, orbit.model.gauge_model()
     N, n, H = chain.sites, 2 * chain.sites, problem.resolution
     x, V = np.sin(np.arange(n) + 1.0), np.eye(n)
     z, kappa, Omega = orbit.point.z, orbit.point.parameter, orbit.Omega

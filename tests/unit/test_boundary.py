@@ -16,7 +16,7 @@ from scipy.special import ellipk, mathieu_a
 
 from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 
 def second_order(name: str, rhs: Any, *parameters: ca.SX, time: ca.SX | None = None) -> tuple[OdeModel, ca.SX, ca.SX]:
@@ -285,7 +285,7 @@ def test_a_solution_as_guess_brings_its_mesh() -> None:
 
 def test_a_solution_reads_like_a_table() -> None:
     solution = bratu().solve([0.0, 0.0])
-    assert isinstance(solution, BoundarySolution)
+    assert isinstance(solution, Solution)
     assert solution.interval == (0.0, 1.0)
     assert solution["lambda"] == 1.0
     np.testing.assert_array_equal(solution["u"], solution.states[:, 0])

@@ -8,7 +8,7 @@ import pytest
 
 from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 
 def buckling() -> BoundaryValueProblem:
@@ -19,7 +19,7 @@ def buckling() -> BoundaryValueProblem:
 
 
 @pytest.fixture(scope="module")
-def cubic() -> BoundarySolution:
+def cubic() -> Solution:
     """x' = 0 with (x^3 - 3 x - a)(start) = 0: an S with folds at a = 2 and a = -2."""
     x, a = ca.SX.sym("x"), ca.SX.sym("a")
     model = OdeModel("cubic", x, ca.SX(0.0), a)
@@ -27,7 +27,7 @@ def cubic() -> BoundarySolution:
     return BoundaryValueProblem(model, [s**3 - 3 * s - a], parameters={"a": -4.0}).solve([-2.2], tolerance=1e-10)
 
 
-def test_an_s_is_followed_round_both_folds(cubic: BoundarySolution) -> None:
+def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0, 1.0])
     assert branch.complete
     assert branch.reason == ""
@@ -41,13 +41,13 @@ def test_an_s_is_followed_round_both_folds(cubic: BoundarySolution) -> None:
     assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_values_that_were_not_asked_for_are_refused(cubic: BoundarySolution) -> None:
+def test_values_that_were_not_asked_for_are_refused(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0])
     with pytest.raises(ValueError, match=r"at: given 0.0, passage 3; the branch has 3 solutions there"):
         branch.at(0.0, 3)
 
 
-def test_a_branch_ends_where_it_is_told_to(cubic: BoundarySolution) -> None:
+def test_a_branch_ends_where_it_is_told_to(cubic: Solution) -> None:
     seen: list[float] = []
     branch = cubic.follow("a", 4.0, until=lambda s: s.states[0, 0] > 0.5, progress=lambda s: seen.append(s["a"]))  # type: ignore[arg-type]
     assert branch.complete
@@ -55,7 +55,7 @@ def test_a_branch_ends_where_it_is_told_to(cubic: BoundarySolution) -> None:
     assert seen == list(branch.values)
 
 
-def test_too_few_points_are_told(cubic: BoundarySolution) -> None:
+def test_too_few_points_are_told(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, max_points=4)
     assert not branch.complete
     assert len(branch) <= 5
@@ -73,13 +73,13 @@ def test_a_branch_that_comes_back_says_so() -> None:
     assert len(branch.folds) == 1
 
 
-def test_followed_towards_smaller_values(cubic: BoundarySolution) -> None:
+def test_followed_towards_smaller_values(cubic: Solution) -> None:
     branch = cubic.follow("a", -5.0, at=[-4.5])
     x = branch.at(-4.5).states[0, 0]
     assert abs(x**3 - 3 * x + 4.5) < 1e-9
 
 
-def test_branches_follow_branches(cubic: BoundarySolution) -> None:
+def test_branches_follow_branches(cubic: Solution) -> None:
     middle = cubic.follow("a", -3.0).solutions[-1]
     assert middle.follow("a", 4.0).solutions[-1].states[0, 0] == pytest.approx(2.195823345445647, abs=1e-9)  # x^3-3x=4
 

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.optimise.model_result import ModelOptimum
 from casadi_skin.optimise.model_search import _Ended, _ModelSearch
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.simulation import simulate
 
 X, Y, Z, MU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu"))
@@ -50,7 +50,7 @@ def test_a_multiplier_beside_a_tiny_one_keeps_its_digits() -> None:
     end = solve_ivp(variations, (0.0, orbit.period), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     reference = sorted(np.linalg.eigvals(end[3:].reshape(3, 3)), key=abs)[1]
     assert reference == pytest.approx(-0.41873542, abs=1e-7)
-    assert orbit.multipliers().others[0].real == pytest.approx(reference, abs=1e-7)
+    assert orbit.floquet().others[0].real == pytest.approx(reference, abs=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,9 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -181,8 +181,8 @@ def test_a_refined_mesh_holds_the_polynomials_of_the_coarse_one(kind: type[Collo
 # Placement along a branch -------------------------------------------------------------------------------------------
 
 
-def followed(tools: FamilyTools) -> Branch:
-    walk = FamilyContinuation(tools)
+def followed(tools: Family) -> Branch:
+    walk = Following(tools)
     list(walk)
     return walk.branch()
 
@@ -199,9 +199,9 @@ def test_placing_saves_intervals_where_the_orbit_rests_for_long(
 ) -> None:
     """One softening site next to the top of its well, S = 3, where it stays for most of the period."""
     request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.9999999, (), 1e-8, kind, "newton", degree=8)
-    placed = followed(FamilyTools(request))
+    placed = followed(Family(request))
     never_placed(monkeypatch)
-    even = followed(FamilyTools(request))
+    even = followed(Family(request))
     assert placed.complete
     assert even.complete
     sizes = [branch.orbits[-1].point.problem.resolution for branch in (placed, even)]
@@ -214,9 +214,9 @@ def test_placing_saves_intervals_where_the_orbit_rests_for_long(
 
 def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
     request = FamilyRequest(Chain(4, 1.0, 0.4, 1.0), 2, 3.0, (), 1e-8, "gauss", "newton")
-    placed = followed(FamilyTools(request))
+    placed = followed(Family(request))
     never_placed(monkeypatch)
-    even = followed(FamilyTools(request))
+    even = followed(Family(request))
     assert len(placed) <= len(even) + 1
     totals = [sum(o.point.problem.resolution for o in branch.orbits) for branch in (placed, even)]
     assert totals[0] <= totals[1]
@@ -224,7 +224,7 @@ def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.99999, (), 1e-8, "gauss", "newton"))
+    tools = Family(family_request(Chain(1, 1.0, 0.0, -1.0), 1, 2.99999, (), 1e-8, "gauss", "newton"))
     point = followed(tools).orbits[-1].point
     problem = point.problem
     even = tools.levels.problem(problem.resolution)
@@ -240,7 +240,7 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
 
 def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off() -> None:
     request = FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.9999, (2.0,), 1e-8, "gauss", "newton")
-    whole = [o for o in FamilyContinuation(FamilyTools(request)) if isinstance(o, Orbit)]
+    whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
     records = [msgspec.msgpack.encode(orbit_record(o, with_stability=False)) for o in whole]
@@ -248,8 +248,8 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off()
         while not whole[kept - 1].point.walked:
             kept -= 1
         known = [msgspec.msgpack.decode(r, type=OrbitRecord) for r in records[:kept]]
-        walk = restore(known, FamilyTools(request), stability=False, events=False)
-        assert isinstance(walk, FamilyContinuation)
+        walk = restore(known, Family(request), stability=False, events=False)
+        assert isinstance(walk, Following)
         list(walk)
         again = walk.branch().orbits
         assert len(again) == len(whole)
@@ -264,7 +264,7 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off()
 @pytest.mark.parametrize("kind", ["gauss", "radau"])
 @pytest.mark.parametrize("degree", [2, 4, 11])
 def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
-    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, (), 1e-4, kind, "newton", degree=degree))
+    tools = Family(family_request(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, (), 1e-4, kind, "newton", degree=degree))
     branch = followed(tools)
     assert branch.complete
     problem = branch.orbits[-1].point.problem
@@ -277,9 +277,9 @@ def test_degrees_that_make_no_sense_are_refused() -> None:
     chain = Chain(1, 1.0, 0.0, -1.0)
     for degree in (1, 13, 2.5):
         with pytest.raises(ValueError, match=r"degree: given .*; accepted: a whole number from 2 to 12"):
-            FamilyRequest(chain, 1, 1.0, transcription="radau", degree=degree)  # type: ignore[arg-type]
+            family_request(chain, 1, 1.0, transcription="radau", degree=degree)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="degree: given 4; accepted: with gauss or radau only"):
-        FamilyRequest(chain, 1, 1.0, degree=4)
+        family_request(chain, 1, 1.0, degree=4)
 
 
 @pytest.mark.parametrize(("tolerance", "degree"), [(1e-2, 4), (1e-4, 5), (1e-8, 8), (1e-12, 11), (1e-13, 12)])
@@ -292,8 +292,8 @@ def test_the_degree_left_out_goes_with_the_tolerance(tolerance: float, degree: i
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 def test_radau_is_within_its_estimate_of_odd_cosines(tolerance: float) -> None:
     chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
-    branch = followed(FamilyTools(FamilyRequest(chain, 1, 1.5, at, tolerance, "radau", "newton")))
-    exact = followed(FamilyTools(FamilyRequest(chain, 1, 1.5, at, 1e-12, corrector="newton")))
+    branch = followed(Family(family_request(chain, 1, 1.5, at, tolerance, "radau", "newton")))
+    exact = followed(Family(family_request(chain, 1, 1.5, at, 1e-12, corrector="newton")))
     for S in at:
         assert abs(branch.at(S).Omega - exact.at(S).Omega) <= branch.at(S).Omega_error + exact.at(S).Omega_error
         assert branch.at(S).Omega_error <= tolerance * branch.at(S).Omega

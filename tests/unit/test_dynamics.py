@@ -91,8 +91,8 @@ def fine(orbit: Orbit) -> Array:
     """Gauge displacements after a kick at the left end, by a tiny fixed step, with the times in the first column."""
     t = np.linspace(0.0, 40.0, 201)
     positions, velocities = perturbed(orbit, KICK, site=1)
-    run = evolve(orbit.chain, positions, velocities, t, "symplectic", step=0.0125)
-    return np.column_stack([t, run.displacements / orbit.chain.rho])
+    run = evolve(orbit.model, positions, velocities, t, "symplectic", step=0.0125)
+    return np.column_stack([t, run.displacements / orbit.model.rho])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -101,7 +101,7 @@ def test_errors_are_proportional_to_the_tolerance(method: str, orbit: Orbit, fin
     errors = []
     for tolerance in tolerances:
         found = simulate_orbit(orbit, fine[:, 0], KICK, site=1, method=method, tolerance=tolerance)
-        errors.append(np.abs(found.displacements / orbit.chain.rho - fine[:, 1:]).max() / np.abs(fine[:, 1:]).max())
+        errors.append(np.abs(found.displacements / orbit.model.rho - fine[:, 1:]).max() / np.abs(fine[:, 1:]).max())
     ratios = np.array(errors) / tolerances
     assert np.all(ratios < (2.5 if method == "cvodes" else 30.0))
     assert np.all(ratios > 0.02)
@@ -226,7 +226,7 @@ def test_a_shift_of_phase_is_no_distance(orbit: Orbit) -> None:
     assert distance_from_orbit(orbit, moved).max() < 1e-11
     z = np.zeros(24)
     z[5] = 1e-7
-    nudged = evolve(orbit.chain, orbit.profile + z, None, [0.0])
+    nudged = evolve(orbit.model, orbit.profile + z, None, [0.0])
     assert distance_from_orbit(orbit, nudged)[0] == pytest.approx(1e-7 / np.sqrt(0.2), rel=1e-4)
 
 

@@ -17,10 +17,10 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits import follow
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.multipliers import accelerations, floquets_of
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
@@ -51,7 +51,7 @@ def state(orbit: Orbit) -> OrbitState:
 
 def variational(orbit: Orbit) -> Array:
     """Quarter-period transition matrix of the scaled gauge equations, typed out, by DOP853."""
-    chain, n, kappa = orbit.chain, orbit.chain.sites, orbit.chain.g * orbit.S
+    chain, n, kappa = orbit.model, orbit.model.sites, orbit.model.g * orbit.S
     w = ((1 + chain.gamma) / (1 - chain.gamma)) ** (np.arange(1, n + 1) - (n if chain.gamma >= 0 else 1))
     s = np.sqrt(1 - chain.gamma**2)
     L = (2 + chain.alpha) * np.eye(n) - s * (np.eye(n, k=1) + np.eye(n, k=-1))
@@ -154,8 +154,8 @@ def test_orders_of_convergence(
     kind: type[SteppedFlow], steps: int, order: int, chain: Chain, mode: int, S: float
 ) -> None:
     orbit = followed(chain, mode, S).at(S)
-    exact = SplittingFlow(orbit.tools.model, 1e-13).transition(orbit.point.problem, orbit.point.z).matrix
-    flow = kind(orbit.tools.model, 1e-8)
+    exact = SplittingFlow(orbit.space.model, 1e-13).transition(orbit.point.problem, orbit.point.z).matrix
+    flow = kind(orbit.space.model, 1e-8)
     errors = [np.linalg.norm(flow.matrices(n, [state(orbit)])[0] - exact) for n in (steps, 2 * steps)]
     assert errors[1] > 1e-12
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
@@ -165,10 +165,10 @@ def test_orders_of_convergence(
 @pytest.mark.parametrize(("chain", "mode", "S"), ORBITS)
 def test_gauss_is_symplectic_at_every_number_of_steps(chain: Chain, mode: int, S: float, steps: int) -> None:
     orbit, n = followed(chain, mode, S).at(S), chain.sites
-    (Phi,) = GaussFlow(orbit.tools.model, 1e-8).matrices(steps, [state(orbit)])
+    (Phi,) = GaussFlow(orbit.space.model, 1e-8).matrices(steps, [state(orbit)])
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
     np.testing.assert_allclose(Phi.T @ J @ Phi, J, rtol=0, atol=2e-13)
-    (other,) = RungeKuttaFlow(orbit.tools.model, 1e-8).matrices(8, [state(orbit)])
+    (other,) = RungeKuttaFlow(orbit.space.model, 1e-8).matrices(8, [state(orbit)])
     assert np.abs(other.T @ J @ other - J).max() > 1e-7  # this one is not
 
 
@@ -179,7 +179,7 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     chain: Chain, mode: int, S: float, tolerance: float, kind: type[SteppedFlow]
 ) -> None:
     orbit = followed(chain, mode, S).at(S)
-    transition = kind(orbit.tools.model, tolerance).transition(orbit.point.problem, orbit.point.z)
+    transition = kind(orbit.space.model, tolerance).transition(orbit.point.problem, orbit.point.z)
     assert transition.error <= tolerance + 1e-11
     assert np.linalg.norm(transition.matrix - variational(orbit)) <= transition.error + 2e-11
     assert transition.truncation is not None
@@ -234,9 +234,9 @@ def test_a_batch_is_its_members(kind: type[SteppedFlow] | type[CvodesFlow]) -> N
     branch = followed(Chain(5, 1.0, 0.3, -1.0), 1, 2.5)
     states = [state(branch.orbits[k]) for k in (0, len(branch) // 2, -1)]
     states[1] = replace(states[1], better=states[0])
-    together = kind(branch.tools.model, 1e-7).transitions(states)
+    together = kind(branch.space.model, 1e-7).transitions(states)
     for one, transition in zip(states, together, strict=True):
-        alone = kind(branch.tools.model, 1e-7).transition(one.problem, one.z)
+        alone = kind(branch.space.model, 1e-7).transition(one.problem, one.z)
         np.testing.assert_allclose(transition.matrix, alone.matrix, rtol=0, atol=alone.error + transition.error)
     assert together[0].pair is None
     assert together[1].pair is not None
@@ -261,7 +261,7 @@ def test_steps_go_up_and_down_with_the_orbits(kind: type[SteppedFlow], monkeypat
         return original(self, steps, orbits)
 
     monkeypatch.setattr(SteppedFlow, "matrices", counted)
-    flow, most = kind(branch.tools.model, 1e-8), []
+    flow, most = kind(branch.space.model, 1e-8), []
     for orbit in (easy, hard, easy, easy, easy, easy):
         used.clear()
         flow.transitions([orbit])
@@ -274,7 +274,7 @@ def test_rk4_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest
     monkeypatch.setattr(RungeKuttaFlow, "step_numbers", (6, 8, 12, 16))
     orbit = followed(*ORBITS[0]).at(1.5)
     with pytest.raises(FlowError, match=r"the Runge-Kutta method leaves .*e-0\d with 16 steps; asked: 1\.0e-10"):
-        RungeKuttaFlow(orbit.tools.model, 1e-10).transition(orbit.point.problem, orbit.point.z)
+        RungeKuttaFlow(orbit.space.model, 1e-10).transition(orbit.point.problem, orbit.point.z)
 
 
 def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -282,7 +282,7 @@ def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatc
     results = []
     for together in (8, 1):
         monkeypatch.setattr(follow, "STABILITY_BATCH", together)
-        walk = FamilyContinuation(FamilyTools(request), stability=True)
+        walk = Following(Family(request), stability=True)
         order = ["orbit" if isinstance(result, Orbit) else "change" for result in walk]
         results.append((order, walk.branch()))
     (order, a), (other, b) = results
@@ -305,7 +305,7 @@ def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: 
         return original(self, orbits, tolerance)
 
     monkeypatch.setattr(SplittingFlow, "transitions", limited)
-    walk = FamilyContinuation(FamilyTools(request), stability=True)
+    walk = Following(Family(request), stability=True)
     orbits = [result for result in walk if isinstance(result, Orbit)]
     whole = [S for S in follow_family(request.chain, 1, 3.0, corrector="newton").S if S <= 1.234]
     assert [orbit.S for orbit in orbits] == pytest.approx(whole)
@@ -322,14 +322,14 @@ def test_an_interruption_of_the_last_batch_is_not_the_end(monkeypatch: pytest.Mo
     count = len(follow_family(request.chain, 1, 3.0, corrector="newton"))
     calls: list[int] = []
 
-    def interrupted(tools: FamilyTools, points: Sequence[Point]) -> list[Floquet]:
+    def interrupted(tools: Family, points: Sequence[Point]) -> list[Floquet]:
         calls.append(len(points))
         if sum(calls) == count:
             raise KeyboardInterrupt
         return floquets_of(tools, points)
 
     monkeypatch.setattr(follow, "floquets_of", interrupted)
-    walk = FamilyContinuation(FamilyTools(request), stability=True)
+    walk = Following(Family(request), stability=True)
     with pytest.raises(KeyboardInterrupt):
         for _ in walk:
             pass
@@ -407,13 +407,13 @@ def test_the_error_of_the_multipliers_follows_from_that_of_mu(power: int) -> Non
 
 def exact_floquet(orbit: Orbit) -> Floquet:
     """The same orbit at twice its resolution, corrected to round-off, with a flow of many steps."""
-    tools, problem = orbit.tools, orbit.point.problem
+    tools, problem = orbit.space, orbit.point.problem
     fine = tools.levels.problem(next(r for r in tools.levels.resolutions if r >= max(2 * problem.resolution, 16)))
     z, row = problem.prolong(orbit.point.z, fine), fine.parameter_row()
     for _ in range(2):
         z = NewtonCorrector(fine, 1e-13).correct(z, row, float(row @ z)).z
     better = OrbitState(fine, z)
-    transition = SplittingFlow(tools.model, 1e-13).transition(fine, z)
+    transition = SplittingFlow(tools.coordinates.scaled, 1e-13).transition(fine, z)
     return floquet(transition, accelerations(tools, [better])[0])
 
 
@@ -462,7 +462,7 @@ def test_without_a_better_orbit_the_points_own_errors_count() -> None:
     """At a tolerance of 1e-3 the orbit's error is by far the larger part."""
     chain = Chain(6, 1.0, -0.3, 1.0)
     orbit = followed(chain, 6, 4.0, 1e-3).orbits[-1]
-    bare = Orbit(orbit.tools, replace(orbit.point, better=None))
+    bare = Orbit(orbit.space, replace(orbit.point, better=None))
     exact = exact_floquet(orbit)
     true = np.max(np.abs(bare.floquet().mu - exact.mu))
     assert true > 1e-9

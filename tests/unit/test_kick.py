@@ -39,9 +39,9 @@ def found(periods: float = 3.0, distance: float = 0.5, norm: str = "physical") -
 
 def farthest(orbit: Orbit, kick: Array, time: float) -> float:
     """Largest distance up to `time` by Dormand-Prince in physical coordinates."""
-    n = orbit.chain.sites
+    n = orbit.model.sites
     t = np.linspace(0.0, time, 1 + int(200 * time / orbit.period))
-    run = evolve(orbit.chain, orbit.profile + kick[:n], kick[n:], t, "dop853", 1e-12, "physical")
+    run = evolve(orbit.model, orbit.profile + kick[:n], kick[n:], t, "dop853", 1e-12, "physical")
     return float(distance_from_orbit(orbit, run).max())
 
 
@@ -103,7 +103,7 @@ def test_small_distances_are_reached_as_linear_growth_predicts() -> None:
     n, size = 6, 1e-5 / np.linalg.norm(kick.linear_kick)
     z = size * kick.linear_kick
     orbit = breather()
-    run = evolve(orbit.chain, orbit.profile + z[:n], z[n:], [kick.linear_time], "dop853", 1e-13)
+    run = evolve(orbit.model, orbit.profile + z[:n], z[n:], [kick.linear_time], "dop853", 1e-13)
     grown = float(distance_from_orbit(orbit, run)[0])
     assert grown / size == pytest.approx(0.01, rel=1e-3)
     cosine = kick.best.kick @ kick.linear_kick / (kick.norm * kick.linear_norm)
@@ -211,7 +211,7 @@ def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypa
 
 def test_what_is_kept_of_an_orbit_has_its_distances() -> None:
     orbit, plain = breather(), PlainOrbit.of(breather())
-    run = evolve(orbit.chain, 1.1 * orbit.profile, None, np.linspace(0.0, 9.0, 20))
+    run = evolve(orbit.model, 1.1 * orbit.profile, None, np.linspace(0.0, 9.0, 20))
     assert np.array_equal(distance_from_orbit(plain, run), distance_from_orbit(orbit, run))
     with pytest.raises(ValueError, match=f"harmonics: given 3; accepted: {orbit.harmonics}"):
         plain.coefficients(3)

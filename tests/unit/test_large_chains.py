@@ -26,12 +26,12 @@ def breather(sites: int, gamma: float, g: float, **options: str) -> Orbit:
 
 
 def far_to_near(orbit: Orbit, values: Array) -> Array:
-    return values if orbit.chain.gamma >= 0 else values[::-1]
+    return values if orbit.model.gamma >= 0 else values[::-1]
 
 
 def tail(orbit: Orbit) -> Array:
     """log10 of the fundamental of the linear tail but for a constant, from the far end on, by 2 s cosh(kappa)."""
-    chain, n = orbit.chain, np.arange(1, orbit.chain.sites + 1)
+    chain, n = orbit.model, np.arange(1, orbit.model.sites + 1)
     kappa = np.arccosh(abs(orbit.Omega**2 - 2.0 - chain.alpha) / (2.0 * chain.coupling))
     growth = kappa * n + np.log1p(-np.exp(-2.0 * kappa * n))
     return np.asarray((far_to_near(orbit, chain.log_rho) + growth) / np.log(10.0))

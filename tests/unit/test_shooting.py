@@ -32,10 +32,10 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.follow import FamilyContinuation, follow_family
+from casadi_skin.orbits.follow import Following, follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import DIGITS, FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.space import DIGITS, Family
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
 from casadi_skin.solvers.levels import Levels
@@ -213,9 +213,9 @@ def test_samples_at_the_segments_starts_are_the_unknowns_and_paths_join_them(sym
 
 def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> list[tuple[float, float]]:
     """Estimated and true error of an orbit, relative, by digits; truth from odd cosines."""
-    tools = FamilyTools(FamilyRequest(chain, mode, S, tolerance=1e-13, corrector="newton"))
+    tools = Family(family_request(chain, mode, S, tolerance=1e-13, corrector="newton"))
     orbit = follow_family(chain, mode, S, at=(S,), tolerance=1e-13, corrector="newton").orbits[-1]
-    exact, model = orbit.point, tools.model
+    exact, model = orbit.point, tools.coordinates.scaled
     levels = Levels(lambda d: ShootingProblem(model, d, QUARTER), corrector_of, digits)
     found = []
     for d in digits[:-1]:
@@ -392,7 +392,7 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
             Chain(4, 1.0, 0.2, -1.0), 1, 8.0, tolerance=1e-6, transcription=name, corrector="newton"
         )
         S: list[float] = []
-        for result in FamilyContinuation(FamilyTools(request)):
+        for result in Following(Family(request)):
             assert isinstance(result, Orbit)
             S.append(result.S)
             turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
@@ -424,12 +424,12 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
 
 
 def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
     assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = FamilyTools(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
+    newton = Family(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
     assert newton.resolutions == (12, 14, 15)
-    corrector = newton.corrector(ShootingProblem(tools.model, 9, QUARTER))
+    corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)
     assert corrector.tolerance == pytest.approx(1e-8)
 
@@ -441,7 +441,7 @@ def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryCla
         follow_family(chain, 2, 1.0, at=(1.0,), transcription="shooting", corrector="newton", symmetry=kind)
         for kind in (None, symmetry)
     ]
-    assert symmetry_class(branches[0].tools.model) is QUARTER
+    assert symmetry_class(branches[0].space.model) is QUARTER
     assert isinstance(branches[1].start.problem, ShootingProblem)
     assert branches[1].start.problem.symmetry is symmetry
     assert branches[1].at(1.0).Omega == pytest.approx(branches[0].at(1.0).Omega, rel=1e-8)

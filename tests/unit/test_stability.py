@@ -17,13 +17,13 @@ from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_fa
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.multipliers import Floquet, floquet
+from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def with_changes(chain: Chain, mode: int, amplitude_max: float, tolerance: float
 
 def gauge_transition(orbit: Orbit, fraction: float) -> Array:
     """Transition matrix of the scaled gauge equations, typed out, by DOP853 over a fraction of the period."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     r = (1 + chain.gamma) / (1 - chain.gamma)
     distance = (n - np.arange(1, n + 1)) if chain.gamma >= 0 else np.arange(n)
     w = r ** (-np.sign(chain.gamma) * distance) if chain.gamma else np.ones(n)
@@ -72,7 +72,7 @@ def gauge_transition(orbit: Orbit, fraction: float) -> Array:
 
 def physical_monodromy(orbit: Orbit) -> Array:
     """Monodromy matrix of Eq. (1) of arXiv:2512.17483 in physical coordinates, by DOP853 over the whole period."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     A = (
         np.diag(np.full(n, -(2 + chain.alpha)))
         + (1 + chain.gamma) * np.eye(n, k=-1)
@@ -118,7 +118,7 @@ def test_the_splitting_is_symmetric_and_consistent() -> None:
 
 def split(orbit: Orbit, steps: int) -> Array:
     state = OrbitState(orbit.point.problem, orbit.point.z)
-    return np.asarray(SplittingFlow(orbit.tools.model, 1e-8).matrices(steps, [state])[0])
+    return np.asarray(SplittingFlow(orbit.space.model, 1e-8).matrices(steps, [state])[0])
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_flow_maps_are_within_their_estimated_errors_of_an_independent_integrati
     chain: Chain, mode: int, S: float, tolerance: float, kind: type[SplittingFlow] | type[CvodesFlow]
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    flow: FlowMap = kind(orbit.tools.model, tolerance)
+    flow: FlowMap = kind(orbit.space.model, tolerance)
     transition = flow.transition(orbit.point.problem, orbit.point.z)
     exact = gauge_transition(orbit, 0.25)
     error = float(np.linalg.norm(transition.matrix - exact))
@@ -206,7 +206,7 @@ def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_man
     chain: Chain, mode: int, S: float, tolerance: float
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    transition = SplittingFlow(orbit.tools.model, tolerance).transition(orbit.point.problem, orbit.point.z)
+    transition = SplittingFlow(orbit.space.model, tolerance).transition(orbit.point.problem, orbit.point.z)
     assert transition.error <= tolerance + 1e-12
     assert np.linalg.norm(transition.matrix - split(orbit, 256)) <= transition.error + 1e-13
 
@@ -215,7 +215,7 @@ def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_man
 def test_splitting_and_cvodes_agree(chain: Chain, mode: int, S: float) -> None:
     branch = followed(chain, mode, S, 1e-9)
     other = followed(chain, mode, S, 1e-9, flow="cvodes")
-    assert isinstance(other.tools.flow, CvodesFlow)
+    assert isinstance(other.space.flow, CvodesFlow)
     split_, swum = branch.at(S).floquet(), other.at(S).floquet()
     assert np.all(np.abs(split_.mu - swum.mu) <= split_.mu_error + swum.mu_error + 1e-9)
     assert split_.stable == swum.stable
@@ -232,7 +232,7 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
         orbit = followed(chain, mode, S, 1e-12).at(S)
         problem, z = orbit.point.problem, orbit.point.z
         exact = orbit.floquet()
-        found = floquet(kind(orbit.tools.model, tolerance).transition(problem, z), orbit._transition()[1])
+        found = floquet(kind(orbit.space.model, tolerance).transition(problem, z), orbit._transition()[1])
         assert np.all(np.abs(found.mu - exact.mu) <= found.mu_error + exact.mu_error + 1e-12)
         assert found.mu_error.max() <= 100 * max(tolerance, 1e-7)
 
@@ -241,7 +241,7 @@ def test_the_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: p
     monkeypatch.setattr(SplittingFlow, "step_numbers", (3, 4, 6))
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     with pytest.raises(FlowError, match=r"with 6 steps; asked: 1\.0e-11"):
-        SplittingFlow(orbit.tools.model, 1e-11).transition(orbit.point.problem, orbit.point.z)
+        SplittingFlow(orbit.space.model, 1e-11).transition(orbit.point.problem, orbit.point.z)
     branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 5.0, tolerance=1e-11, corrector="newton", stability=True)
     assert branch.end is End.FLOW
     assert not branch.complete
@@ -253,7 +253,7 @@ def test_the_estimate_of_the_splitting_covers_the_error_where_the_stiffness_vani
     """One softening site at g S = -1 with alpha = 1: df/dq = -3 + 3 = 0 at phase zero."""
     for S in (0.999, 1.0, 1.001):
         orbit = followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, 1e-12).at(S)
-        transition = SplittingFlow(orbit.tools.model, 1e-12).transition(orbit.point.problem, orbit.point.z)
+        transition = SplittingFlow(orbit.space.model, 1e-12).transition(orbit.point.problem, orbit.point.z)
         assert np.linalg.norm(transition.matrix - split(orbit, 96)) <= transition.error + 1e-13
 
 
@@ -262,7 +262,7 @@ def test_half_a_period_gives_the_multipliers_of_a_quarter(sites: int) -> None:
     """The same chain with its half-period symmetry not declared, by both flow maps."""
     chain, S = Chain(sites, 1.0, 0.3, -1.0), 1.5
     orbit = followed(chain, 1, S, 1e-12).at(S)
-    model = replace(orbit.tools.model, half_period=None)
+    model = replace(orbit.space.model, half_period=None)
     for flow in (SplittingFlow(model, 1e-10), CvodesFlow(model, 1e-10)):
         transition = flow.transition(orbit.point.problem, orbit.point.z)
         assert transition.fraction == 0.5
@@ -485,7 +485,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     z = orbit.point.z.copy()
     z[orbit.point.problem.Omega_index] *= 1 + 1e-5
-    wrong = floquet(orbit.tools.flow.transition(orbit.point.problem, z), orbit._transition()[1])
+    wrong = floquet(orbit.space.flow.transition(orbit.point.problem, z), orbit._transition()[1])
     assert orbit.floquet().trivial_deviation < 1e-11
     assert wrong.trivial_deviation > 1e-6
 
@@ -495,7 +495,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
 
 def energy(orbit: Orbit) -> float:
     """Hamiltonian of the gauge, typed out, from the physical displacements at t = 0."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     r = (1 + chain.gamma) / (1 - chain.gamma)
     rho = r ** ((np.arange(1, n + 1) - n) / 2)
     eta = orbit.profile / rho
@@ -563,13 +563,13 @@ def test_complex_instabilities_are_born_where_two_mu_meet() -> None:
 
 
 def test_without_stability_nothing_of_it_is_built() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0))
     assert "flow" not in vars(tools)
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton")
-    assert "flow" not in vars(branch.tools)
+    assert "flow" not in vars(branch.space)
     assert (branch.changes, branch.with_stability) == ((), False)
     assert branch.stable.all()  # computed when asked
-    assert "flow" in vars(branch.tools)
+    assert "flow" in vars(branch.space)
 
 
 def test_points_without_events_have_no_changes() -> None:

@@ -20,9 +20,9 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.continuation.series import SeriesContinuation
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.results.journal import EndRecord, orbit_record, restore
 from casadi_skin.solvers.bordered import Solve
 from casadi_skin.solvers.levels import ErrorEstimate, Levels
@@ -285,10 +285,10 @@ def test_a_family_of_exactly_as_many_points_is_complete() -> None:
 
 @WALKERS
 def test_points_before_an_interruption_count(walker: str) -> None:
-    request = FamilyRequest(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
-    whole = list(FamilyContinuation(FamilyTools(request)))
+    request = family_request(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
+    whole = list(Following(Family(request)))
     cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
-    again = FamilyContinuation(FamilyTools(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    again = Following(Family(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
     list(again)
     assert len(again.orbits) == 60
     assert again.branch().end is End.POINTS
@@ -302,10 +302,10 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
         Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
-    whole = [o for o in FamilyContinuation(FamilyTools(request)) if isinstance(o, Orbit)]
+    whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
-    walk = restore([orbit_record(o, False) for o in whole[: cut + 1]], FamilyTools(request), False, False)
-    assert isinstance(walk, FamilyContinuation)
+    walk = restore([orbit_record(o, False) for o in whole[: cut + 1]], Family(request), False, False)
+    assert isinstance(walk, Following)
     list(walk)
     again = walk.branch()
     assert again.complete
@@ -315,7 +315,7 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
 
 
 def test_what_was_missed_is_kept_in_the_journal() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
     restored = restore([EndRecord(1, End.REACHED, "", (), (9.0,), (100.0,))], tools, False, False)
     assert isinstance(restored, Branch)
     assert (restored.missed, restored.missed_Omega, restored.missed_period) == ((), (9.0,), (100.0,))

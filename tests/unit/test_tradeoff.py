@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.work_precision.cases import measure, timed
 from casadi_skin.studies.work_precision.figure import tradeoff_figure
@@ -261,7 +261,7 @@ def reference() -> Reference:
 def test_reference_and_the_methods_that_confirm_it_agree(reference: Reference) -> None:
     assert max(asdict(reference.agreement).values()) < 1e-13
     assert [row["S"] for row in reference.rows()] == [0.2, 0.4]
-    found = requested_orbits(walked(FamilyTools(replace(REQUEST, tolerance=1e-6, corrector="newton"))))
+    found = requested_orbits(walked(Family(replace(REQUEST, tolerance=1e-6, corrector="newton"))))
     assert found[-1].Omega == pytest.approx(reference.orbits[-1].Omega, rel=1e-6)
     assert reference.harmonics > max(orbit.point.problem.resolution for orbit in found)
     with pytest.raises(ArithmeticError, match="1 points"):

@@ -9,10 +9,10 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.calibration.reference import (
     PI,
@@ -191,7 +191,7 @@ def measure(case: Case) -> Outcome:
 
 def find(case: Case) -> tuple[Orbit, int]:
     """The orbit of a case, and the number of points of the family that were computed; raises ArithmeticError."""
-    walk = FamilyContinuation(FamilyTools(case.request()))
+    walk = Following(Family(case.request()))
     orbits: list[Orbit] = []
     for orbit in walk:
         assert isinstance(orbit, Orbit)
@@ -211,7 +211,7 @@ def reference_of(orbit: Orbit) -> ReferenceOrbit:
     def sample(theta: Array) -> Array:
         return point.problem.sample(point.z, theta)
 
-    reference = reference_orbit(orbit.chain, point.parameter, point.Omega, sample)
+    reference = reference_orbit(orbit.model, point.parameter, point.Omega, sample)
     theta = PI / 2 * np.arange(PHASES) / (PHASES - 1)
     q = reference.positions(theta)
     distance = float(np.max(np.abs(q - sample(theta.astype(float)))) / np.max(np.abs(q)))

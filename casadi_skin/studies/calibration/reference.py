@@ -152,8 +152,8 @@ def reference_mu(orbit: ReferenceOrbit) -> tuple[ExtendedComplex, float]:
 
     B and C are blocks of the transition matrix over a quarter of the period.
     """
-    lattice = _Lattice(orbit.chain)
-    stiffest = 4 + orbit.chain.alpha + 3 * abs(orbit.kappa) * float(np.max(lattice.rho * _peaks(orbit))) ** 2
+    lattice = _Lattice(orbit.model)
+    stiffest = 4 + orbit.model.alpha + 3 * abs(orbit.kappa) * float(np.max(lattice.rho * _peaks(orbit))) ** 2
     steps = int(np.ceil(0.5 * np.pi * np.sqrt(stiffest) / float(orbit.Omega))) + 2
     mu, difference = _mu(orbit, steps), np.inf
     for _ in range(REFINEMENTS):
@@ -177,7 +177,7 @@ def paired(values: ExtendedComplex, others: ExtendedComplex) -> ExtendedComplex:
 def _mu(orbit: ReferenceOrbit, steps: int) -> ExtendedComplex:
     """Eigenvalues without the trivial one, of left eigenvector q''(0), which a reflection takes out."""
     matrix, q = _half_cosines(orbit, steps), orbit.positions(np.zeros(1, np.longdouble))[0]
-    lattice = _Lattice(orbit.chain)
+    lattice = _Lattice(orbit.model)
     u = lattice.linear(q) + orbit.kappa * lattice.rho**2 * q**3
     u = u / np.sqrt(u @ u)
     u[0] += np.copysign(np.longdouble(1), u[0])
@@ -194,12 +194,12 @@ def _peaks(orbit: ReferenceOrbit) -> Array:
 
 def _half_cosines(orbit: ReferenceOrbit, steps: int) -> Extended:
     """B^T C in `steps` equal steps of the phase, each by Stoermer's rule in 1 .. COLUMNS parts, extrapolated."""
-    n, h = orbit.chain.sites, PI / 2 / steps
+    n, h = orbit.model.sites, PI / 2 / steps
     parts = np.arange(1, COLUMNS + 1)
     weights = [np.prod([p**2 / np.longdouble(p**2 - r**2) for r in parts if r != p]) for p in parts]
     x, v = np.zeros((n, 2 * n), np.longdouble), np.zeros((n, 2 * n), np.longdouble)
     x[:, :n] = v[:, n:] = np.eye(n)
-    lattice, squared = _Lattice(orbit.chain), orbit.Omega**2
+    lattice, squared = _Lattice(orbit.model), orbit.Omega**2
     cubic = 3 * orbit.kappa * lattice.rho**2
     fractions = np.unique(np.concatenate([np.arange(p + 1) * 840 // p for p in parts]))  # 840: all parts divide it
     for step in range(steps):

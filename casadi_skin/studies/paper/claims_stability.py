@@ -80,7 +80,7 @@ def _quadruples(orbit: Orbit) -> float:
     """How far 1/lambda and conj(lambda) are from the eigenvalues of the full-period matrix by DOP853 in the gauge."""
     from scipy.integrate import solve_ivp
 
-    chain = orbit.chain
+    chain = orbit.model
     stiffness = -np.array(chain.variational_matrix("gauge")(np.zeros(SITES), 1.0).full())[SITES:, :SITES]
 
     def rate(t: float, x: Array) -> Array:

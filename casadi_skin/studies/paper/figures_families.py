@@ -54,7 +54,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     """Omega against S, stable solid and unstable dashed, over the grey band; one orbit marked."""
     branches = list(families.values())
     paths = [family_path(branch, False) for branch in branches]
-    draw_band(axes, branches[0].tools.request.chain)
+    draw_band(axes, branches[0].space.model)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         for stable, piece in stability_pieces(branch, path, False):
             axes.plot(*piece.T, color=colour, lw=2.0, ls="-" if stable else DASHED, zorder=3)
@@ -74,7 +74,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
 
 def _draw_profile(axes: Axes, orbit: Orbit) -> None:
     """The profile over the linear mode of the same norm."""
-    mode = linear_mode(orbit.chain, orbit.tools.request.mode) * np.sqrt(orbit.S)
+    mode = linear_mode(orbit.model, orbit.space.coordinates.mode_number) * np.sqrt(orbit.S)
     n = np.arange(1, SITES + 1)
     sign = np.sign(mode @ orbit.profile)
     axes.axhline(0.0, color="0.45", lw=0.5, zorder=0)
@@ -95,7 +95,7 @@ def families_figure(data: PaperData) -> Drawn:
         panels = figure.subplot_mosaic("abc;def", width_ratios=(1.25, 0.9, 1.2))
         for g, letters, marker in ((1.0, "abc", "*"), (-1.0, "def", "o")):
             orbit = orbits[g]
-            mode, evolution = orbit.tools.request.mode, data.evolution(orbit)
+            mode, evolution = orbit.space.coordinates.mode_number, data.evolution(orbit)
             left, middle, right = (panels[name] for name in letters)
             _draw_families(left, families[g], orbit, marker)
             letter(left, letters[0], rf"$g = {g:+g}$ ({'hardening' if g > 0 else 'softening'})")
@@ -117,7 +117,7 @@ def families_figure(data: PaperData) -> Drawn:
 
 
 def _theory(branch: Branch, S: Array) -> Array:
-    chain, mode = branch.tools.request.chain, branch.tools.request.mode
+    chain, mode = branch.space.model, branch.space.coordinates.mode_number
     return multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, S)
 
 
@@ -135,8 +135,8 @@ def theory_figure(data: PaperData) -> Drawn:
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)
             shifts = np.array([orbit.Omega_shift for orbit in branch.orbits])
             ratio = (theory[1:] - branch.start.Omega) / shifts
-            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.tools.request.mode}$")
-            columns = {"mode": np.full(len(branch), branch.tools.request.mode), "S": branch.S, "Omega": branch.Omega}
+            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.space.coordinates.mode_number}$")
+            columns = {"mode": np.full(len(branch), branch.space.coordinates.mode_number), "S": branch.S, "Omega": branch.Omega}
             rows.append(table(**columns, Omega_theory=theory[1:], shift=shifts, shift_theory_over_shift=ratio))
             paths.append(path)
         left.plot([], [], color="0.65", lw=3.5, label="continuation")

@@ -114,7 +114,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
-        figure.suptitle(f"family $j = 1$; {title(branch.tools.request.chain)}")
+        figure.suptitle(f"family $j = 1$; {title(branch.space.model)}")
         finished(figure, panels.values(), 5)
     families = {-1.0: {1: branch}}
     return figure, {
@@ -163,7 +163,7 @@ def kick_figure(data: PaperData) -> Drawn:
         axes.set(yscale="log", xlim=(0.0, KICK_TIME), xlabel="time $t$")
         axes.set_ylabel(r"gain $\Vert z(t)\Vert\,/\,\Vert z(0)\Vert$")
         letter(axes, "c", "transient growth of perturbations")
-        figure.suptitle(f"$j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$; {title(orbit.chain)}")
+        figure.suptitle(f"$j = {orbit.space.coordinates.mode_number}$, $S = {number(orbit.S)}$; {title(orbit.model)}")
         finished(figure, (axes,), 5)
     quarter = {"t": growth.t[shown], "optimal": optimal, "optimal_without_trivial_pair": bounded}
     return figure, {

@@ -65,7 +65,7 @@ def orbit_words(orbit: Orbit) -> str:
 
 def _allowed(orbit: Orbit) -> float:
     """The tolerance, or, where the result says that round-off stands in the way, its estimated error."""
-    tolerance = orbit.tools.request.tolerance
+    tolerance = orbit.space.request.tolerance
     if not orbit.at_round_off:
         return tolerance
     return max(tolerance, orbit.profile_error, orbit.Omega_error / orbit.Omega)
@@ -90,7 +90,7 @@ def against_digits(orbit: Orbit) -> Finding:
 def shift_against_digits(orbit: Orbit) -> Finding:
     """Omega_shift against the difference of 50 digits."""
     _finite(orbit)
-    exact, omega = exact_orbit(orbit), exact_linear_frequency(orbit.chain, orbit.tools.request.mode)
+    exact, omega = exact_orbit(orbit), exact_linear_frequency(orbit.model, orbit.space.coordinates.mode_number)
     with many_digits():
         shift = float(exact.Omega - omega)
     by_subtraction = orbit.Omega - float(omega)
@@ -101,7 +101,7 @@ def shift_against_digits(orbit: Orbit) -> Finding:
 def against_duffing(orbit: Orbit) -> Finding:
     """Omega of one site that moves by itself against the elliptic integral."""
     _finite(orbit)
-    chain = orbit.chain
+    chain = orbit.model
     exact = exact_duffing(2 + Decimal(chain.alpha), chain.g, orbit.S)
     return Finding(orbit_words(orbit), relative(orbit.Omega, float(exact)), _allowed(orbit))
 
@@ -127,7 +127,7 @@ def scaled(chain: Chain, mode: int, S: float) -> Finding:
 def against_first_order(orbit: Orbit, allowed: float) -> Finding:
     """Omega_shift against the multiple-scale slope: the orbit belongs to the mode asked for, and to no neighbour."""
     _finite(orbit)
-    chain, mode = orbit.chain, orbit.tools.request.mode
+    chain, mode = orbit.model, orbit.space.coordinates.mode_number
     shift = frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, mode) * orbit.S
     return Finding(f"Omega - omega_j = {orbit.Omega_shift:.12g}", relative(orbit.Omega_shift, shift), allowed)
 

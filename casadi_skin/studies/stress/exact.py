@@ -224,7 +224,7 @@ def _solved(equations: _Equations, c: Exact, Omega: Decimal) -> tuple[Exact, Dec
 
 def exact_orbit(orbit: Orbit) -> ExactOrbit:
     """The orbit that Newton's method finds from `orbit` at its S; |gamma| < 1. Raises NotSolvedError."""
-    chain, S, harmonics = orbit.chain, orbit.S, max(12, orbit.harmonics)
+    chain, S, harmonics = orbit.model, orbit.S, max(12, orbit.harmonics)
     with many_digits():
         equations = _Equations(chain, S, harmonics)
         c = exactly(orbit.coefficients(harmonics).T) / equations.scale[:, None]

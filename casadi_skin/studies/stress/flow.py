@@ -36,7 +36,7 @@ def return_error(orbit: Orbit) -> float:
     """Largest difference of positions and velocities over Omega after one period, relative to the largest position."""
     from scipy.integrate import solve_ivp
 
-    chain, n, y0 = orbit.chain, orbit.chain.sites, orbit.profile
+    chain, n, y0 = orbit.model, orbit.model.sites, orbit.profile
     largest = float(np.max(np.abs(y0)))
 
     def rates(_: float, x: Array) -> Array:
@@ -53,7 +53,7 @@ def physical_multipliers(orbit: Orbit) -> ComplexArray:
     """Eigenvalues of the full-period monodromy matrix in physical coordinates, shape (2N,), largest modulus first."""
     from scipy.integrate import solve_ivp
 
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
 
     def rates(_: float, x: Array) -> Array:
         y, v = x[:n], x[n : 2 * n]

@@ -115,7 +115,7 @@ def _off_the_circle(orbit: Orbit, equations: _Equations) -> float:
     """Distance of the largest |multiplier| from 1, which it is for a stable orbit; the two nearest 1 left out."""
     from scipy.integrate import solve_ivp
 
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
 
     def rates(t: float, flat: Array) -> Array:
         x, v = flat.reshape(2, n, 2 * n)
@@ -137,7 +137,7 @@ def _off_the_circle(orbit: Orbit, equations: _Equations) -> float:
 def _orbit_error(orbit: Orbit, equations: _Equations) -> float:
     """Relative error of Omega of the orbit that Newton's method finds, in steps of S from the computed linear mode."""
     values, vectors = np.linalg.eig(equations.matrix)
-    place = int(np.argsort(values.real)[orbit.tools.request.mode - 1])
+    place = int(np.argsort(values.real)[orbit.space.coordinates.mode_number - 1])
     mode = np.real(vectors[:, place])
     mode = mode / np.linalg.norm(equations.scale * mode)
     V = cosine_matrix(HARMONICS)

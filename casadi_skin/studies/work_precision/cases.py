@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.family import Family
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.work_precision.measured import SMALLEST, Kind, Measured, Setting
 from casadi_skin.studies.work_precision.memory import memory_of
@@ -74,16 +74,16 @@ def timed(act: Callable[[], Result], repeats: int) -> tuple[Result, Times]:
 def _family(setting: Setting, reference: Reference, repeats: int) -> Measured:
     """A family without multipliers, whose mu are then computed along its orbits; or a whole run, with its own."""
     stability = setting.kind is Kind.PRESET
-    tools = FamilyTools(setting.request)
+    tools = Family(setting.request)
 
-    def act() -> FamilyContinuation:
+    def act() -> Following:
         walk = walked(tools, stability)
         requested_orbits(walk)  # a family that ends early is not walked again
         return walk
 
     walk, times = timed(act, repeats)
     orbits = requested_orbits(walk)
-    if stability and tools.core.sites > 1:
+    if stability and tools.coordinates.core.sites > 1:
         found = [orbit.floquet() for orbit in orbits]
     else:
         found = floquets_along(tools, reference.flow, [orbit.point for orbit in orbits], TIGHTEST_FLOW)
@@ -96,11 +96,11 @@ def _family(setting: Setting, reference: Reference, repeats: int) -> Measured:
 
 def _flow(setting: Setting, reference: Reference, repeats: int) -> Measured:
     """Multipliers along the orbits of the reference."""
-    tools = FamilyTools(setting.request)
+    tools = Family(setting.request)
     points = [orbit.point for orbit in reference.orbits]
     found, times = timed(lambda: floquets_along(tools, tools.flow, points, setting.tolerance), repeats)
     distances = [mu_distance(truth.mu, f.mu) for truth, f in zip(reference.truths, found, strict=True)]
-    told, unknowns = any(_over(f, setting) for f in found), tools.model.full_size**2
+    told, unknowns = any(_over(f, setting) for f in found), tools.coordinates.scaled.full_size**2
     measured = Measured(setting, *times, unknowns=unknowns, points=len(points), told=told)
     return _judged(measured, Errors(nan, nan, max(distances)), reference)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from math import nan
 
-from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.request import family_request
 from casadi_skin.results.tables import Cell
 from casadi_skin.scene import CORRECTORS, FLOWS, PRESET_TOLERANCES, TRANSCRIPTIONS, WALKERS
 
@@ -174,4 +174,4 @@ def preset_settings(request: FamilyRequest) -> list[Setting]:
 
 def _setting(kind: Kind, request: FamilyRequest, tolerance: float, **methods: str | None) -> Setting:
     chain, mode, amplitude_max, at = request.chain, request.mode, request.amplitude_max, request.at
-    return Setting(kind, FamilyRequest(chain, mode, amplitude_max, at, tolerance, **methods))  # type: ignore[arg-type]
+    return Setting(kind, family_request(chain, mode, amplitude_max, at, tolerance, **methods))  # type: ignore[arg-type]

@@ -10,8 +10,8 @@ from math import nan
 from pathlib import Path
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.studies.work_precision.measured import Kind, Setting
 
 MEGABYTE = 1e6
@@ -65,7 +65,7 @@ def main(words: str) -> None:
         fields = asked["request"]
         fields |= {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
         fields["chain"] = Chain(**fields["chain"])
-        walked(FamilyTools(FamilyRequest(**fields)), asked["stability"])
+        walked(Family(family_request(**fields)), asked["stability"])
     print(peak_memory())
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.multipliers import accelerations
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.results.tables import Cell
 from casadi_skin.stability.flow import FlowMap, OrbitState
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
@@ -87,18 +87,18 @@ def seen(orbit: Orbit, mu: ComplexArray) -> Truth:
     return Truth(orbit.S, orbit.Omega, orbit.evaluate(PHASES / orbit.Omega), mu)
 
 
-def floquets_along(tools: FamilyTools, flow: FlowMap, points: Sequence[Point], tolerance: float) -> list[Floquet]:
+def floquets_along(tools: Family, flow: FlowMap, points: Sequence[Point], tolerance: float) -> list[Floquet]:
     """Stability of points of a family by a flow, nothing done about the errors of the points.
 
     No mu at |gamma| = 1, where one site moves. Raises FlowError.
     """
-    if tools.core.sites == 1:
+    if tools.coordinates.core.sites == 1:
         return [Floquet(np.zeros(0, complex), np.zeros(0), 0.0, 2) for _ in points]
     states = [OrbitState(point.problem, point.z) for point in points]
     return floquets(flow, states, lambda orbits: accelerations(tools, orbits), tolerance)
 
 
-def requested_orbits(walk: FamilyContinuation) -> list[Orbit]:
+def requested_orbits(walk: Following) -> list[Orbit]:
     """Orbits at the S that were asked for; raises ArithmeticError with the reason where the family has not all."""
     branch = walk.branch()
     if not branch.complete:
@@ -106,9 +106,9 @@ def requested_orbits(walk: FamilyContinuation) -> list[Orbit]:
     return [orbit for orbit in branch.orbits if orbit.point.requested]
 
 
-def walked(tools: FamilyTools, stability: bool = False) -> FamilyContinuation:
+def walked(tools: Family, stability: bool = False) -> Following:
     """A walk to its end."""
-    walk = FamilyContinuation(tools, stability)
+    walk = Following(tools, stability)
     for _ in walk:
         pass
     return walk
@@ -123,19 +123,19 @@ class Reference:
 
     def __init__(self, request: FamilyRequest) -> None:
         chain, mode, amplitude_max, at = request.chain, request.mode, request.amplitude_max, request.at
-        tight = FamilyRequest(chain, mode, amplitude_max, at, TIGHTEST, "trigonometric", "newton")
-        self.tools = FamilyTools(tight)
-        found = requested_orbits(walked(self.tools))
+        tight = family_request(chain, mode, amplitude_max, at, TIGHTEST, "trigonometric", "newton")
+        self.space = Family(tight)
+        found = requested_orbits(walked(self.space))
         self.orbits = [self._finer(orbit) for orbit in found]
         self.truths = [seen(o, mu) for o, mu in zip(self.orbits, self._mu(self.flow), strict=True)]
-        collocated = requested_orbits(walked(FamilyTools(replace(tight, transcription="gauss"))))
-        mus = self._mu(SplittingFlow(self.tools.model, TIGHTEST_FLOW))
+        collocated = requested_orbits(walked(Family(replace(tight, transcription="gauss"))))
+        mus = self._mu(SplittingFlow(self.space.model, TIGHTEST_FLOW))
         self.second = [seen(orbit, mu) for orbit, mu in zip(collocated, mus, strict=True)]
 
     @cached_property
     def flow(self) -> TightFlow:
         """The flow of order 16."""
-        return TightFlow(self.tools.model, TIGHTEST_FLOW)
+        return TightFlow(self.space.model, TIGHTEST_FLOW)
 
     @cached_property
     def agreement(self) -> Errors:
@@ -167,11 +167,11 @@ class Reference:
 
     def _mu(self, flow: FlowMap) -> list[ComplexArray]:
         points = [orbit.point for orbit in self.orbits]
-        return [f.mu for f in floquets_along(self.tools, flow, points, TIGHTEST_FLOW)]
+        return [f.mu for f in floquets_along(self.space, flow, points, TIGHTEST_FLOW)]
 
     def _finer(self, orbit: Orbit) -> Orbit:
         """The orbit with more harmonics, corrected to round-off at its value of the parameter."""
-        point, levels, point_solver = orbit.point, self.tools.levels, self.tools.point_solver
+        point, levels, point_solver = orbit.point, self.space.levels, self.space.point_solver
         problem, z = point.problem, point.z
         for _ in range(MORE_RUNGS):
             finer = levels.finer(problem)
@@ -182,7 +182,7 @@ class Reference:
         for _ in range(POLISHING):
             z = z - point_solver.factor(problem, z, row)(np.append(problem.evaluate(z)[0], 0.0))
         z[problem.parameter_index] = point.parameter
-        return Orbit(self.tools, replace(point, problem=problem, z=z, better=None), asked_S=orbit.S)
+        return Orbit(self.space, replace(point, problem=problem, z=z, better=None), asked_S=orbit.S)
 
 
 REFERENCE_COLUMNS = ("S", "Omega", "harmonics", "Omega_difference", "profile_difference", "mu_difference")

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 
 # Name in the table: keywords of FamilyRequest. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
@@ -25,10 +25,10 @@ def our_walk(
     case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool
 ) -> Callable[[], tuple[Orbit, ...]]:
     """A walk over the family; the tools, once built, serve every call."""
-    tools = FamilyTools(FamilyRequest(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
+    tools = Family(family_request(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
 
     def follow() -> tuple[Orbit, ...]:
-        walk = FamilyContinuation(tools, stability, events=False)
+        walk = Following(tools, stability, events=False)
         for _ in walk:
             pass
         branch = walk.branch()
