@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.statement import named_values
-from casadi_skin.integrators import IntegrationError, Trajectory
+from casadi_skin.integrators.trajectory import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.dynamics import Evolution, distance_from_orbit
+from casadi_skin.integrators.splitting import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.splitting import srkn_coefficients
 from casadi_skin.theory.linear import Array
 
 STEP = (

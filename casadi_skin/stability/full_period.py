@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.integrators import IntegrationError, Trajectory
+from casadi_skin.integrators.trajectory import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 

@@ -10,20 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.integrators.splitting import srkn_coefficients
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.stepping import StepMap, SteppedFlow
 
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
-
-
-def srkn_coefficients() -> tuple[Array, Array]:
-    """Drifts a, shape (11,), and kicks b, shape (12,), of the method called SRKN11b by Blanes and Moan (2002)."""
-    b = [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879]
-    a = [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928]
-    b.append(0.5 - sum(b))
-    a.append(1.0 - 2.0 * sum(a))
-    return np.array(a + a[-2::-1]), np.array(b + b[::-1])
 
 
 class SplittingMap:

@@ -23,8 +23,8 @@ from casadi_skin.export.build import build_c
 from casadi_skin.export.codegen import CodegenError, c_name, c_source
 from casadi_skin.export.compiler import CompilerError
 from casadi_skin.export.subject import WHAT
+from casadi_skin.integrators.splitting import srkn_coefficients
 from casadi_skin.scene import C_PARTS
-from casadi_skin.stability.splitting import srkn_coefficients
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there (CI has it)")
 SOFT = Chain(24, 1.0, 0.25, -1.0)

@@ -17,6 +17,7 @@ from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_fa
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
+from casadi_skin.integrators.splitting import srkn_coefficients
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -24,7 +25,7 @@ from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import Floquet, floquet
-from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
+from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
