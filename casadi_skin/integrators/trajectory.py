@@ -27,9 +27,9 @@ class Trajectory:
 class IntegrationError(ArithmeticError):
     """An integrator gave up: the message tells where and why in one line, `trajectory` holds the states before that."""
 
-    def __init__(self, method: str, reason: str, trajectory: Trajectory, t: Array) -> None:
+    def __init__(self, method: str, reason: str, trajectory: Trajectory, t: Array, origin: float = 0.0) -> None:
         count = len(trajectory.states)
-        reached = t[count - 1] if count else 0.0
+        reached = t[count - 1] if count else origin
         super().__init__(f"{method}: the state was followed to t = {reached:.6g} of {t[-1]:.6g}: {reason}")
         self.trajectory = trajectory
 
@@ -37,13 +37,13 @@ class IntegrationError(ArithmeticError):
 Integrator = Callable[[OdeModel, Array, Array, Array, float], Trajectory]
 
 
-def finite_trajectory(method: str, trajectory: Trajectory, t: Array) -> Trajectory:
+def finite_trajectory(method: str, trajectory: Trajectory, t: Array, origin: float = 0.0) -> Trajectory:
     """The trajectory; raises IntegrationError where a state is missing or not finite."""
     finite = np.append(np.all(np.isfinite(trajectory.states), axis=1), False)
     count = int(np.argmin(finite))
     if count < t.size:
         whole = Trajectory(trajectory.states[:count], trajectory.evaluations, trajectory.step)
-        raise IntegrationError(method, NOT_FINITE, whole, t)
+        raise IntegrationError(method, NOT_FINITE, whole, t, origin)
     return trajectory
 
 
@@ -65,4 +65,5 @@ def fastest_frequency(model: OdeModel, parameters: Array, start: Array, end: flo
 
 
 def size_of(start: Array) -> float:
+    """Largest component, to which tolerances are relative; 1 at rest."""
     return float(np.abs(start).max()) or 1.0
