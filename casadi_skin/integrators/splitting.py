@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_skin.integrators.srkn import ORDER, KicksAndDrifts, srkn_step
 from casadi_skin.integrators.trajectory import (
     NOT_FINITE,
     IntegrationError,
@@ -16,18 +17,8 @@ from casadi_skin.integrators.trajectory import (
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.linear import Array
 
-SPLITTING_ORDER = 6
 LONGEST_FOLD = 4096  # steps in one call, so that an interruption is heard
 RETRIES = 6
-
-
-def srkn_coefficients() -> tuple[Array, Array]:
-    """Drifts a, shape (11,), and kicks b, shape (12,), of the method called SRKN11b by Blanes and Moan (2002)."""
-    b = [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879]
-    a = [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928]
-    b.append(0.5 - sum(b))
-    a.append(1.0 - 2.0 * sum(a))
-    return np.array(a + a[-2::-1]), np.array(b + b[::-1])
 
 
 def symplectic(
@@ -69,14 +60,9 @@ class _Splitting:
         if model.order != 2:
             raise ValueError(f"{model.name}: the splitting needs a model of second order; use cvodes or dop853")
         self.size, self.parameters = model.full_size, parameters
-        drifts, kicks = srkn_coefficients()
-        self.stages = kicks.size
+        self.stages = KicksAndDrifts.of(1).kicks.size
         q, v, h, p = model.state, model.velocity, ca.SX.sym("h"), model.parameters
-        force = ca.Function("force", [q, p], [ca.densify(model.rhs)])
-        x, u = q, v + kicks[0] * h * force(q, p)
-        for drift, kick in zip(drifts, kicks[1:], strict=True):
-            x = x + drift * h * u
-            u = u + kick * h * force(x, p)
+        x, u = srkn_step(model, h, p)
         # h and the parameters go along unchanged, so that one input is all that a fold has to repeat.
         self._step = ca.Function("step", [ca.vertcat(q, v, h, p)], [ca.vertcat(x, u, h, p)])
         self._folds: dict[int, ca.Function] = {1: self._step}
@@ -127,7 +113,7 @@ class _Splitting:
     @staticmethod
     def shrink(tolerance: float, error: float) -> float:
         """Factor of the step that brings its error below the tolerance."""
-        return float(max(0.1, 0.95 * (tolerance / error) ** (1.0 / (SPLITTING_ORDER + 1))))
+        return float(max(0.1, 0.95 * (tolerance / error) ** (1.0 / (ORDER + 1))))
 
     def fitting_step(self, start: Array, step: float, tolerance: float) -> float:
         """A step that meets the tolerance over the first 50 steps from the start."""

@@ -17,7 +17,7 @@ from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_fa
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.integrators.splitting import srkn_coefficients
+from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.newton import NewtonCorrector
