@@ -14,8 +14,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin import integrators
-from casadi_skin.integrators import IntegrationError, Integrator, Trajectory
+from casadi_skin.integrators.cvodes import cvodes
+from casadi_skin.integrators.dop853 import dop853
+from casadi_skin.integrators.splitting import symplectic
+from casadi_skin.integrators.trajectory import IntegrationError, Integrator, Trajectory
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
@@ -291,5 +293,5 @@ def _to_gauge(chain: Chain, x: Array, name: str) -> Array:
 
 def _integrator(method: str, step: float | None) -> Integrator:
     if method == "symplectic":
-        return partial(integrators.symplectic, step=step)
-    return integrators.cvodes if method == "cvodes" else integrators.dop853
+        return partial(symplectic, step=step)
+    return cvodes if method == "cvodes" else dop853

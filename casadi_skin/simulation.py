@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.statement import named_values
-from casadi_skin.integrators import IntegrationError, Trajectory
-from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.integrators.cvodes import CvodesOptions, followed_by_cvodes
+from casadi_skin.integrators.trajectory import size_of
 from casadi_skin.models.ode import OdeModel
 
 Array = NDArray[np.float64]
@@ -116,22 +115,7 @@ def _integrated(model: OdeModel, p: Array, start: Array, times: Array, tolerance
     kind = type(model.state)
     t, x, parameters = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", p.size)
     local = max(LOCAL * tolerance, 1e-15)
-    options = {
-        "reltol": local,
-        "abstol": local * (float(np.max(np.abs(start))) or 1.0),
-        "max_num_steps": STEPS,
-        "disable_internal_warnings": True,
-        "show_eval_warnings": False,
-    }
+    options = CvodesOptions(local, local * size_of(start), STEPS, stiff=True)
     dae = {"t": t, "x": x, "p": parameters, "ode": model.vector_field(t, x, parameters)}
-    nothing = Trajectory(np.empty((0, start.size)), 0)
-    integrator = ca.integrator("simulation", "cvodes", dae, float(times[0]), list(times[1:]), options)
-    try:
-        with interrupts_deferred(end_solver=True):
-            states = np.array(integrator(x0=start, p=p)["xf"]).T
-    except RuntimeError as error:
-        reason = str(error).rpartition("CVode returned ")[2].partition(".")[0].strip('"') or "an error"
-        raise IntegrationError("cvodes", f"it returned {reason}", nothing, times) from error
-    if not np.all(np.isfinite(states)):
-        raise IntegrationError("cvodes", "the state is not finite", nothing, times)
-    return np.vstack([start[None], states])
+    later = followed_by_cvodes(dae, p, start, times[1:], options, float(times[0]))
+    return np.vstack([start[None], later.states])

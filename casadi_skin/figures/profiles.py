@@ -115,7 +115,9 @@ def _draw_profiles(
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
         chain = branch.space.model
         mode_logs = (
-            np.log10(np.abs(mode)) if isinstance(layout, CoreWithTail) else _log_mode(chain, branch.space.coordinates.mode_number)
+            np.log10(np.abs(mode))
+            if isinstance(layout, CoreWithTail)
+            else _log_mode(chain, branch.space.coordinates.mode_number)
         )
         deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)

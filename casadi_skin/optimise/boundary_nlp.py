@@ -26,15 +26,8 @@ from casadi_skin.orbits.optimum import Optimality, Optimum
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import packed, space_of
 from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
+from casadi_skin.solvers.nlp import SOLVED, nlp_reason, nlp_solver
 
-WORDS = {
-    "Infeasible_Problem_Detected": "no point near the guess satisfies conditions and bounds",
-    "Restoration_Failed": "no point near the guess satisfies conditions and bounds",
-    "Diverging_Iterates": "the objective is unbounded below, or the iteration diverges",
-    "Maximum_Iterations_Exceeded": "the iteration did not converge in the steps allowed",
-    "Search_Direction_Becomes_Too_Small": "no way on: conditions and bounds leave hardly a point, or degenerate there",
-    "Invalid_Number_Detected": "an expression has no finite value or derivative on the way",
-}
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
 FACTOR = 3  # iterations allowed, times those of a problem without objective
 BARRIER = 1e-3  # at first: from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
@@ -116,16 +109,7 @@ class _BoundaryNlp:
         self._residual, jacobian, value = substituted
         self._tolerance = float(np.clip(1e-2 * tolerance, 1e-11, 1e-6))
         options: dict[str, Any] = {
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": self._tolerance,
-            "ipopt.constr_viol_tol": self._tolerance,
-            "ipopt.acceptable_iter": 0,
             "ipopt.max_iter": FACTOR * ITERATIONS,
-            "ipopt.bound_relax_factor": 0.0,
             "ipopt.mu_init": BARRIER,
             "ipopt.theta_max_fact": FUNNEL,
         }
@@ -134,7 +118,8 @@ class _BoundaryNlp:
             options["ipopt.hessian_approximation"] = "limited-memory"
             constraints = [self._residual, jacobian]
             options["jac_g"] = ca.Function("jac_g", [z, ca.MX(0, 1)], constraints, ["x", "p"], ["g", "jac_g_x"])
-        self._solver = ca.nlpsol("programme", "ipopt", {"x": z, "f": value, "g": self._residual}, options)
+        nlp = {"x": z, "f": value, "g": self._residual}
+        self._solver = nlp_solver("programme", nlp, self._tolerance, options)
         self._derivatives = ca.Function("derivatives", [z], [self._residual, jacobian, ca.gradient(value, z)])
         self.lower, self.upper = self._bounds()
 
@@ -159,8 +144,8 @@ class _BoundaryNlp:
             result = self._solver(x0=start, lbx=self.lower, ubx=self.upper, lbg=zero, ubg=zero)
         stats = self._solver.stats()
         status, z = str(stats["return_status"]), np.array(result["x"]).ravel()
-        if status != "Solve_Succeeded":
-            raise BoundaryError(f"{self.statement.model.name}: {WORDS.get(status, status)}; {self._worst(z)}")
+        if status != SOLVED:
+            raise BoundaryError(f"{self.statement.model.name}: {nlp_reason(status)}; {self._worst(z)}")
         backwards = self.problem.backwards(z)
         if backwards:
             raise BoundaryError(f"{self.statement.model.name}: {backwards}; bound it from below")

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.dynamics import Evolution, distance_from_orbit
+from casadi_skin.integrators.srkn import srkn_step
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.splitting import srkn_coefficients
 from casadi_skin.theory.linear import Array
 
 STEP = (
@@ -140,15 +140,9 @@ class KickedFlow:
 
         h goes along unchanged, so that one input is all that a repetition has to repeat.
         """
-        model = self.orbit.model.gauge_model()
-        kappa = self.orbit.model.g * self.orbit.S
-        force = ca.Function("force", [model.state, model.parameters], [ca.densify(model.rhs)])
-        drifts, kicks = srkn_coefficients()
-        q, v, h = model.state, model.velocity, ca.SX.sym("h")
-        x, u = q, v + kicks[0] * h * force(q, kappa)
-        for drift, kick in zip(drifts, kicks[1:], strict=True):
-            x = x + drift * h * u
-            u = u + kick * h * force(x, kappa)
+        model, h = self.orbit.model.gauge_model(), ca.SX.sym("h")
+        q, v = model.state, model.velocity
+        x, u = srkn_step(model, h, self.orbit.model.g * self.orbit.S)
         return ca.Function("step", [ca.vertcat(q, v, h)], [ca.vertcat(x, u, h)])
 
     def run(self, kicks: Array) -> Array:

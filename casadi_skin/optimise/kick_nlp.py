@@ -21,12 +21,12 @@ import numpy as np
 
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.optimise.kick_flow import KickedFlow
+from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 from casadi_skin.theory.linear import Array
 
 SEGMENT = 8  # steps in a segment, about half a period of the slowest vibration
 TOLERANCE = 1e-9
 ITERATIONS = 200
-SOLVED = "Solve_Succeeded"
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,23 +113,14 @@ class KickProgramme:
         self._lower, self._upper = np.full(self._last, -np.inf), np.full(self._last, np.inf)
         self._lower[-2], self._upper[-2] = 0.0, 1.0
         options = {
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,  # a trial step that runs away is shortened
             "iteration_callback": self._heard,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": TOLERANCE,
-            "ipopt.constr_viol_tol": TOLERANCE,
-            "ipopt.acceptable_iter": 0,
             "ipopt.max_iter": ITERATIONS,
             "ipopt.nlp_scaling_method": "none",  # unknowns and constraints are of order one
-            "ipopt.bound_relax_factor": 0.0,
             "ipopt.bound_push": 1e-4,  # starts are feasible, some at the end of the time: left there
             "ipopt.bound_frac": 1e-4,
             "ipopt.mu_init": 1e-4,
         }
-        self._solver = ca.nlpsol("smallest_kick", "ipopt", programme, options)
+        self._solver = nlp_solver("smallest_kick", programme, TOLERANCE, options)
         gradient, jacobian = ca.gradient(programme["f"], z), ca.jacobian(constraints, z)
         self._conditions = ca.Function("conditions", [z], [gradient, jacobian, constraints])
 

@@ -11,6 +11,7 @@ import numpy as np
 from casadi_skin.optimise.kick_flow import KickedFlow
 from casadi_skin.optimise.kick_nlp import KickProgramme, Optimum
 from casadi_skin.optimise.kick_verify import escape
+from casadi_skin.solvers.nlp import nlp_reason
 from casadi_skin.theory.linear import Array
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
@@ -211,7 +212,7 @@ def _distinct(ended: Sequence[Ended]) -> list[tuple[str, Optimum]]:
 
 def _smallest(starts: Sequence[tuple[str, Optimum]], ended: Sequence[Ended]) -> tuple[str, Optimum]:
     """The start of least norm, with what Ipopt said in place of an optimum."""
-    failures = {one.found.words for one in ended if one.found is not None and not one.found.solved}
+    failures = {nlp_reason(one.found.words) for one in ended if one.found is not None and not one.found.solved}
     words = f"Ipopt: {', '.join(sorted(failures))}" if failures else "Ipopt was not done"
     name, start = min(starts, key=lambda item: item[1].norm)
     return name, replace(start, words=words)

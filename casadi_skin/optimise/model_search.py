@@ -17,10 +17,10 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.model_result import ModelOptimum, ModelSearchResult, ModelStart
 from casadi_skin.optimise.processes import Interruption, gathered, pool
 from casadi_skin.optimise.result import SearchStatus
+from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.threads import one_thread
 
 SAME = 1e-5  # relative difference of free parameters, period and objective below which two optima are one

@@ -18,6 +18,7 @@ import numpy as np
 from casadi_skin.optimise.iteration_callback import Monitor, Watch
 from casadi_skin.optimise.layout import SearchLayout
 from casadi_skin.optimise.request import SearchRequest
+from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 from casadi_skin.theory.linear import Array
 
 MAX_ITERATIONS = 200
@@ -180,18 +181,9 @@ class SearchNlp(SearchLayout):
             g, p = ca.vertcat(g, ca.sum1(shift**2).T), ca.vertcat(p, ca.vec(centres))
         watch = Watch(self._x.numel(), g.numel(), p.numel(), self._sign)
         options = {
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,
             "iteration_callback": watch,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": 1e-10,
-            "ipopt.constr_viol_tol": 1e-10,
             "ipopt.compl_inf_tol": 1e-9,
-            "ipopt.acceptable_iter": 0,
             "ipopt.max_iter": MAX_ITERATIONS,
-            "ipopt.bound_relax_factor": 0.0,  # bounds of |gamma| < 1 and S > 0 are meant
             "ipopt.mumps_pivtol": 1e-6,
             "ipopt.diverging_iterates_tol": DIVERGED,
         }
@@ -200,7 +192,7 @@ class SearchNlp(SearchLayout):
         if polish:
             options |= {"ipopt.mu_init": 1e-9, "ipopt.bound_push": 1e-12, "ipopt.bound_frac": 1e-12,
                         "ipopt.slack_bound_push": 1e-12, "ipopt.slack_bound_frac": 1e-12}  # fmt: skip
-        return ca.nlpsol("search", "ipopt", {"x": self._x, "p": p, "f": self._f, "g": g}, options), watch
+        return nlp_solver("search", {"x": self._x, "p": p, "f": self._f, "g": g}, 1e-10, options), watch
 
     def solve(
         self, x: Array, monitor: Monitor | None = None, known: tuple[Array, ...] = (), polish: bool = False
@@ -231,11 +223,9 @@ class SearchNlp(SearchLayout):
         rows = self._g.numel() - self.equations
         met = ca.SX.sym("met", rows)
         off = self._g[self.equations :] - met
-        options = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0,
-                   "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.max_iter": MAX_ITERATIONS,
-                   "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 1e-6}  # fmt: skip
+        options = {"ipopt.max_iter": MAX_ITERATIONS, "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 1e-6}
         parts = {"x": ca.vertcat(self._x, met), "p": self._p, "f": ca.sumsqr(off), "g": self._g[: self.equations]}
-        return ca.nlpsol("elastic", "ipopt", parts, options)
+        return nlp_solver("elastic", parts, 1e-9, options, exact=False)
 
     def nearest(self, x: Array) -> Solution | None:
         """The orbit, found from x, that misses the conditions least; None where Ipopt finds no orbit."""
@@ -248,7 +238,7 @@ class SearchNlp(SearchLayout):
         )  # fmt: skip
         stats = solver.stats()
         found, zero = np.array(result["x"]).ravel()[: self.size], np.zeros(self._g.numel())
-        if stats["return_status"] != "Solve_Succeeded":
+        if stats["return_status"] != SOLVED:
             return None
         value = float(self._objective(found, self.p))
         return Solution(found, zero, np.zeros(self.size), self._sign * value, "nearest", int(stats["iter_count"]))

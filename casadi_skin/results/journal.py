@@ -16,10 +16,10 @@ import numpy as np
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.files import replacing
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.stability.result import Floquet
 
@@ -183,9 +183,7 @@ def resumable(records: Sequence[Record]) -> list[Record]:
     return list(records[:last])
 
 
-def restore(
-    records: Sequence[Record], tools: Family, stability: bool, events: bool
-) -> Following | Branch:
+def restore(records: Sequence[Record], tools: Family, stability: bool, events: bool) -> Following | Branch:
     """The finished branch of the family of `tools`, or the walk that goes on from what the records hold of it."""
     mode = tools.request.mode
     mine = [r for r in records if r.mode == mode]

@@ -8,7 +8,6 @@ from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.full_chain import EdgeSite
-from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
 from casadi_skin.runs.request import scene_requests
 from casadi_skin.scene import DynamicsTable, Scene

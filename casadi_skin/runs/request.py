@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.request import family_request
 from casadi_skin.scene import Scene
 
 

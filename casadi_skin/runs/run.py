@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import casadi_skin.figures as figures
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.family import Family
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import (
     ChangeRecord,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.integrators import IntegrationError, Trajectory
-from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.integrators.cvodes import CvodesError, CvodesOptions, run_cvodes
+from casadi_skin.integrators.trajectory import IntegrationError, Trajectory, size_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FullPeriodFloquet
@@ -25,6 +25,7 @@ from casadi_skin.stability.result import FullPeriodFloquet
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
 LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
 TIGHTEST = 1e-13
+MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
 
@@ -89,24 +90,12 @@ def by_cvodes(model: OdeModel, start: Array, parameters: Array, period: float, t
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
     dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
     local = max(LOCAL * tolerance, TIGHTEST)
-    scale = float(np.max(np.abs(start))) or 1.0
-    options = {
-        "reltol": local,
-        "abstol": local * scale,
-        "fsens_err_con": True,
-        "max_num_steps": 200_000,
-        "disable_internal_warnings": True,
-        "show_eval_warnings": False,
-    }
-    integrator = ca.integrator("flow", "cvodes", dae, 0.0, 1.0, options)
-    sensitivity = integrator.factory("monodromy", ["x0", "p"], ["xf", "jac:xf:x0"])
+    options = CvodesOptions(local, local * size_of(start), MAX_STEPS, stiff=True, sensitivity_errors=True)
     try:
-        with interrupts_deferred():
-            matrix = np.array(sensitivity(start, parameters)[1])
-    except RuntimeError as error:
-        reason = str(error).rpartition(" returned ")[2].partition(".")[0].strip('"') or "it failed"
+        matrix = np.array(run_cvodes(options.transition("monodromy", dae), start, parameters)["jac_xf_x0"])
+    except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
-        raise IntegrationError("cvodes", f"it returned {reason}", empty, np.array([period])) from error
+        raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
     return _multipliers(matrix[None], model, tolerance)
 
 

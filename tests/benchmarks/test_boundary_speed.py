@@ -25,8 +25,8 @@ from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.boundary_space import BoundaryError, Method, Sizes, build_levels, first_point, sampled
+from casadi_skin.orbits.find_orbit import find_orbit
 
 pytestmark = pytest.mark.benchmark
 

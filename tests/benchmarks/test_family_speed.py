@@ -20,9 +20,9 @@ from casadi_skin import Chain
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
 from casadi_skin.orbits import multipliers
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.levels import Levels

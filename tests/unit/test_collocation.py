@@ -8,19 +8,19 @@ import mpmath as mp
 import msgspec
 import numpy as np
 import pytest
+from casadi_skin.bvp.gauss import GaussProblem
+from casadi_skin.bvp.radau import RadauProblem
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.bvp.butcher import gauss_table, radau_table
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.radau import RadauProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector

@@ -15,9 +15,9 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.hermite import LocalCurve, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency

@@ -9,6 +9,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from casadi_skin.orbits.multipliers import accelerations, floquets_of
 from numpy.typing import NDArray
 from scipy.integrate import OdeSolution, solve_ivp
 from scipy.linalg import expm
@@ -17,10 +18,8 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits import follow
-from casadi_skin.orbits.follow import Following
-from casadi_skin.orbits.multipliers import accelerations, floquets_of
-from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition

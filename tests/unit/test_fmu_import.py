@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_orbit, follow_family, simulate
 from casadi_skin.dynamics import evolve
 from casadi_skin.export.fmu import export_fmu
-from casadi_skin.integrators import cvodes, dop853
+from casadi_skin.integrators.cvodes import cvodes
+from casadi_skin.integrators.dop853 import dop853
 from casadi_skin.models import fmu_archive
 from casadi_skin.models.fmu import FmuModel
 

@@ -298,7 +298,7 @@ def test_without_an_optimum_the_best_start_is_kept_and_told(monkeypatch: pytest.
     monkeypatch.setattr("casadi_skin.optimise.kick_nlp.ITERATIONS", 2)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=3)
     assert not kick.converged
-    assert "no optimum (Ipopt: Maximum_Iterations_Exceeded)" in kick.status
+    assert "no optimum (Ipopt: the iteration did not converge in the steps allowed)" in kick.status
     assert least < kick.norm < 1.1 * least
     assert farthest(breather(), kick.best.kick, kick.time) >= 0.4999
 

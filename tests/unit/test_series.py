@@ -13,9 +13,9 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.continuation.taylor import Stretch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.theory.duffing import duffing_frequency
 
 SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # N = 24, j = 1, g = -1
@@ -49,7 +49,9 @@ def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tup
     solve = tools.levels.solver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     unit = np.zeros(problem.size)
     unit[-1] = 1.0
-    return tools, TaylorRecursion(problem, PolynomialForm.of(tools.coordinates.scaled), orders).series(z, solve(unit), solve)
+    return tools, TaylorRecursion(problem, PolynomialForm.of(tools.coordinates.scaled), orders).series(
+        z, solve(unit), solve
+    )
 
 
 def test_one_site_has_the_series_of_the_exact_frequency() -> None:

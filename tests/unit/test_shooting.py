@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from casadi_skin.bvp.gauss import GaussProblem
 from numpy.typing import NDArray
 from orbit_problems import (
     CORRECTORS,
@@ -25,7 +26,6 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem

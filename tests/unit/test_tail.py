@@ -15,8 +15,8 @@ from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.lattice.threshold import threshold
-from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 
 GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
 AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)

@@ -20,9 +20,9 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.continuation.series import SeriesContinuation
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.results.journal import EndRecord, orbit_record, restore
 from casadi_skin.solvers.bordered import Solve
 from casadi_skin.solvers.levels import ErrorEstimate, Levels

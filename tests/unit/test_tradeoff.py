@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
 from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.work_precision.cases import measure, timed

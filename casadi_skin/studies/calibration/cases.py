@@ -9,10 +9,9 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.calibration.reference import (
     PI,

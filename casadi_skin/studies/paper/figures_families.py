@@ -135,8 +135,14 @@ def theory_figure(data: PaperData) -> Drawn:
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)
             shifts = np.array([orbit.Omega_shift for orbit in branch.orbits])
             ratio = (theory[1:] - branch.start.Omega) / shifts
-            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.space.coordinates.mode_number}$")
-            columns = {"mode": np.full(len(branch), branch.space.coordinates.mode_number), "S": branch.S, "Omega": branch.Omega}
+            right.plot(
+                branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.space.coordinates.mode_number}$"
+            )
+            columns = {
+                "mode": np.full(len(branch), branch.space.coordinates.mode_number),
+                "S": branch.S,
+                "Omega": branch.Omega,
+            }
             rows.append(table(**columns, Omega_theory=theory[1:], shift=shifts, shift_theory_over_shift=ratio))
             paths.append(path)
         left.plot([], [], color="0.65", lw=3.5, label="continuation")

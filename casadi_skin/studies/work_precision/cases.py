@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
 from casadi_skin.stability.result import Floquet
 from casadi_skin.studies.work_precision.measured import SMALLEST, Kind, Measured, Setting
 from casadi_skin.studies.work_precision.memory import memory_of

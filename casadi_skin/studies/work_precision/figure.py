@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.figures.style import blank, colours, finished, style, title
-from casadi_skin.orbits.request import family_request
 from casadi_skin.scene import FLOWS, TRANSCRIPTIONS
 from casadi_skin.studies.paper.panels import letter
 from casadi_skin.studies.work_precision.measured import Kind, Measured, front_of

@@ -10,8 +10,8 @@ from math import nan
 from pathlib import Path
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 from casadi_skin.studies.work_precision.measured import Kind, Setting
 
 MEGABYTE = 1e6

@@ -10,11 +10,11 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.multipliers import accelerations
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.results.tables import Cell
 from casadi_skin.stability.flow import FlowMap, OrbitState
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from casadi_skin.files import replacing
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.request import family_request
 from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.work_precision.cases import measure
 from casadi_skin.studies.work_precision.measured import (

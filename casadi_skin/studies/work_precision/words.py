@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 
-from casadi_skin.orbits.request import family_request
 from casadi_skin.studies.work_precision.measured import (
     SHOOTING_SITES,
     SMALLEST,

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 
 # Name in the table: keywords of FamilyRequest. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
