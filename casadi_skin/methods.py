@@ -62,8 +62,8 @@ FULL_PERIOD_FLOWS = _registry(
     cvodes=("SUNDIALS CVODES with sensitivities", "stability.full_period:by_cvodes"),
 )
 INTEGRATORS = _registry(
-    cvodes=("SUNDIALS CVODES", "integrators:cvodes"),
-    dop853=("Dormand-Prince of order 8", "integrators:dop853"),
-    symplectic=("symplectic splitting of order 6", "integrators:symplectic"),
+    cvodes=("SUNDIALS CVODES", "integrators.cvodes:cvodes"),
+    dop853=("Dormand-Prince of order 8", "integrators.dop853:dop853"),
+    symplectic=("symplectic splitting of order 6", "integrators.splitting:symplectic"),
 )
 TAILS = ("eliminated", "full")

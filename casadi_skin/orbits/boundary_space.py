@@ -19,6 +19,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
@@ -58,7 +59,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What makes a solution an orbit: the model as given, the same of first order, the part of the period solved for."""
+    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for."""
 
     given: OdeModel
     model: OdeModel
@@ -254,8 +255,6 @@ class BoundarySpace:
 
         Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
         """
-        from casadi_skin.integrators import IntegrationError
-
         name = by or str(self.method.flow)
         if name not in methods.FULL_PERIOD_FLOWS:
             raise ValueError(f"by: given {name!r}; accepted: {', '.join(methods.FULL_PERIOD_FLOWS)}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from casadi_skin.bvp.statement import BoundaryValueProblem, Bounds, check_expres
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundaryError, Periodic
+from casadi_skin.orbits.boundary_space import BoundaryError, BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
 
@@ -69,7 +69,7 @@ def find_orbit(
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
     solution = state_problem(asked, guess, symmetry).solve(guess, **options)
-    space = replace(solution.space, periodic=Periodic(model, first, symmetry))
+    space = replace(cast(BoundarySpace, solution.space), periodic=Periodic(model, first, symmetry))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
     if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
