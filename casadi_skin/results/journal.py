@@ -21,7 +21,7 @@ from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.solvers.levels import ErrorEstimate
-from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.result import Floquet
 
 
 class FloquetRecord(msgspec.Struct, frozen=True, tag="floquet"):
@@ -119,8 +119,8 @@ def _orbit(record: OrbitRecord, tools: Family) -> Orbit:
     f = record.floquet
     known = None
     if f is not None:
-        known = ReversibleFloquet(_doubles(f.mu, "<c16"), _doubles(f.mu_error), f.trivial_deviation, f.power)
-    return Orbit(tools, point, known_floquet=known)
+        known = Floquet(_doubles(f.mu, "<c16"), _doubles(f.mu_error), f.trivial_deviation, f.power)
+    return Orbit(tools, point, known)
 
 
 class Journal:
@@ -192,6 +192,6 @@ def restore(records: Sequence[Record], tools: Family, stability: bool, events: b
     walk = Following(tools, stability, events, orbits, changes)
     for record in mine:
         if isinstance(record, EndRecord):
-            missed = {"S": record.missed, "Omega": record.missed_Omega, "period": record.missed_period}
+            missed = (record.missed, record.missed_Omega, record.missed_period)
             return walk.finished(record.end, record.detail, missed)
     return walk
