@@ -59,7 +59,7 @@ def test_a_multiplier_beside_a_tiny_one_keeps_its_digits() -> None:
 )
 def test_stability_does_not_depend_on_units(x: float, y: float, by: str) -> None:
     orbit = find_orbit(van_der_pol(x, y, -1.0), turning(2 * x, -2 * y), 6.3, parameters={"mu": 0.1})
-    found = orbit.multipliers(by)
+    found = orbit.floquet(by)
     assert found.others[0].real == pytest.approx(1.87592885, abs=1e-6)
     assert not found.stable
     assert found.allowed < 1e-4
