@@ -110,6 +110,7 @@ class BoundarySpace:
                 raise ValueError(f"{name}: given for a boundary-value problem; accepted: for families alone")
         if method.walker not in (None, "arclength"):
             raise ValueError(f"walker: given {method.walker}; accepted for boundary-value problems: arclength")
+        method.check_degree(1)
         degree, intervals = method.degree or DEGREE, method.intervals or FIRST
         chosen = replace(method, transcription=transcription, flow=flow, degree=degree, intervals=intervals)
         object.__setattr__(self, "method", chosen)

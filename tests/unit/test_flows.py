@@ -277,7 +277,7 @@ def test_rk4_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest
 
 
 def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    request = FamilyRequest(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, (0.5, 2.0), 1e-8, corrector="newton")
+    request = family_request(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, at=(0.5, 2.0), tolerance=1e-8, corrector="newton")
     results = []
     for together in (8, 1):
         monkeypatch.setattr(follow, "STABILITY_BATCH", together)
@@ -294,7 +294,7 @@ def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, (), 1e-8, corrector="newton")
+    request = family_request(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, tolerance=1e-8, corrector="newton")
     original = SplittingFlow.transitions
 
     def limited(self: SplittingFlow, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
@@ -317,7 +317,7 @@ def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: 
 
 
 def test_an_interruption_of_the_last_batch_is_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, (), 1e-8, corrector="newton")
+    request = family_request(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, tolerance=1e-8, corrector="newton")
     count = len(follow_family(request.chain, 1, 3.0, corrector="newton"))
     calls: list[int] = []
 

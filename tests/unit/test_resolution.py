@@ -85,7 +85,9 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
 
 
 def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
-    request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 3, 1.0, (), 1e-4, "gauss", "newton", degree=2)
+    request = family_request(
+        Chain(3, 1.0, 0.3, 1.0), 3, 1.0, tolerance=1e-4, transcription="gauss", corrector="newton", degree=2
+    )
     tools = Family(request)
     start = tools.start
     assert start.problem.resolution > tools.levels.resolutions[0]

@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from casadi_skin.bvp.gauss import GaussProblem
 from numpy.typing import NDArray
 from orbit_problems import (
     CORRECTORS,
@@ -20,6 +19,7 @@ from orbit_problems import (
     corrector_of,
     dense_jacobian,
     differences,
+    gauss_problem,
     moved,
     predator_and_prey,
     solved,
@@ -175,7 +175,7 @@ def test_an_orbit_that_is_not_odd_is_found_on_half_and_full_period() -> None:
 
 def test_a_model_of_first_order_without_reversal_is_found_on_the_full_period() -> None:
     model = predator_and_prey()
-    problem, reference = ShootingProblem(model, 13, FULL), GaussProblem(model, 24, FULL, degree=6)
+    problem, reference = ShootingProblem(model, 13, FULL), gauss_problem(model, 24, FULL, degree=6)
     guesses = []
     for p in (problem, reference):
         theta = 2 * np.pi * np.arange(17) / 16 if isinstance(p, ShootingProblem) else reference._phases()
@@ -388,7 +388,7 @@ def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -
 def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     folds = []
     for name in ("shooting", "trigonometric"):
-        request = FamilyRequest(
+        request = family_request(
             Chain(4, 1.0, 0.2, -1.0), 1, 8.0, tolerance=1e-6, transcription=name, corrector="newton"
         )
         S: list[float] = []

@@ -9,8 +9,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from casadi_skin.bvp.gauss import GaussProblem
 from numpy.typing import NDArray
+from orbit_problems import gauss_problem
 from scipy.integrate import solve_ivp
 from scipy.optimize import linear_sum_assignment
 
@@ -283,7 +283,7 @@ def test_a_reversible_orbit_that_is_not_odd_has_the_multipliers_of_its_monodromy
     K = np.array([[2.0, -0.6], [-0.6, 3.1]])
     force = -ca.DM(K) @ q - p * ca.vertcat(q[0] ** 2 + q[0] * q[1], 0.5 * q[0] ** 2 - q[1] ** 2)
     model = OdeModel("quadratic", q, force, p, 2, v, reversal=(1, 1, -1, -1), normalisation=ca.dot(q, q) - 0.25)
-    problem = GaussProblem(model, 16, SymmetryClass.HALF, degree=6)
+    problem = gauss_problem(model, 16, SymmetryClass.HALF, degree=6)
     squares, modes = np.linalg.eigh(K)
     corrector, z = NewtonCorrector(problem), problem.pack(0.5 * modes[:, 1], float(np.sqrt(squares[1])), 0.0)
     for value in np.linspace(0.0, 0.8, 9):

@@ -240,10 +240,10 @@ def test_what_has_no_linear_tail_is_refused(chain: Chain, mode: int | str, more:
 
 
 def test_elimination_is_used_by_itself_where_it_pays() -> None:
-    assert FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).tailed
-    assert not FamilyRequest(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).tailed
-    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").tailed
-    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).tailed
+    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).tailed
+    assert not family_request(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).tailed
+    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").tailed
+    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).tailed
     tools = Family(family_request(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
     with pytest.raises(ValueError, match="stability is that of all sites"):
         _ = tools.whole

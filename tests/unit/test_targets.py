@@ -256,7 +256,7 @@ def test_at_refuses_what_it_cannot_mean(given: dict[str, float], message: str) -
 )
 def test_requests_out_of_range_are_refused_by_name(given: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, **given)  # type: ignore[arg-type]
+        family_request(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, **given)  # type: ignore[arg-type]
 
 
 # The limit on points ------------------------------------------------------------------------------------------------
@@ -298,7 +298,7 @@ def test_points_before_an_interruption_count(walker: str) -> None:
 @WALKERS
 def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:
     period = 2 * np.pi / 0.13
-    request = FamilyRequest(
+    request = family_request(
         Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
