@@ -14,7 +14,7 @@ from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.orbits.coordinates import normalised
 from casadi_skin.theory import multiple_scales
 
@@ -62,6 +62,16 @@ class CoreWithTail(ChainCoordinates):
         theta = (np.arange(problem.resolution) + 0.5) * np.pi / (2 * problem.resolution)
         positions = self.positions(problem, z, theta)
         return np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
+
+    @property
+    def description(self) -> str:
+        sites = f"{self.core.sites} sites at the edge, where the cubic term is felt"
+        return f"the gauge; unknown are {sites}, and the linear tail is eliminated exactly"
+
+    def regime(self, point: Point) -> Regime:
+        """Whether Omega, or three times it, is pinned to the band."""
+        assert isinstance(point.problem, CoreWithTailProblem)
+        return point.problem.regime(point.z)
 
     @cached_property
     def threshold(self) -> float:

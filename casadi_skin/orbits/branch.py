@@ -316,9 +316,9 @@ class Branch:
 
         Raises ImportError where xarray is not installed.
         """
-        from casadi_skin.results.quantities import to_xarray
+        from casadi_skin.results.quantities import branch_to_xarray
 
-        return to_xarray(self)
+        return branch_to_xarray(self)
 
 
 def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:
