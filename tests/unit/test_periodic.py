@@ -185,13 +185,13 @@ def test_an_orbit_is_a_guess_of_an_orbit() -> None:
 
 
 def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
-    """The trivial multiplier tells that the others are not to be trusted, and so does `deviation`."""
+    """The trivial multiplier tells that the others are not to be trusted, and so does `trivial_deviation`."""
     coarse = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-2, degree=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = coarse.floquet()
     assert 1e-8 < found.trivial_deviation < found.allowed
-    judged = replace(coarse, method=replace(coarse.method, tolerance=1e-12))
+    judged = replace(coarse, space=replace(coarse.space, tolerance=1e-12))  # type: ignore[type-var]
     with pytest.warns(TrivialMultiplierWarning, match="the trivial multiplier is off by .*; try a smaller tolerance"):
         judged.floquet()
 
@@ -336,7 +336,8 @@ def test_a_pendulum_has_its_period(symmetric: bool) -> None:
     )  # fmt: skip
     exact = 4 * ellipk(np.sin(1.0) ** 2)
     assert abs(orbit.period - exact) <= max(orbit.period_error, 1e-13)
-    assert orbit.interval[1] == pytest.approx(exact / 4 if symmetric else exact)
+    assert orbit.mesh[-1] == pytest.approx(exact / 4 if symmetric else exact)
+    assert orbit.interval == (0.0, orbit.period)
     assert orbit.floquet().trivial == 2
     assert orbit.floquet().stable
     assert abs(np.linalg.det(orbit.floquet().monodromy) - 1) < 1e-9
