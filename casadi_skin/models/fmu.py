@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -17,7 +16,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import nearest, number, short_repr
 from casadi_skin.models.fmu_archive import unpack
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
@@ -235,8 +234,8 @@ def _nearest(name: str, names: list[str]) -> str:
     """The names that there are, the nearest first, few of many."""
     if not names:
         return "none, the FMU has no such variables"
-    near = get_close_matches(name, names, n=1, cutoff=0.5)
-    listed = near + [other for other in names if other not in near]
+    near = nearest(name, names)
+    listed = sorted(names, key=lambda other: other != near)
     return ", ".join(listed[:8]) + (f" and {len(listed) - 8} more" if len(listed) > 8 else "")
 
 
