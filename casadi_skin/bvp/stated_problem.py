@@ -13,7 +13,7 @@ from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar
 from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.declared import Expression, is_comparison
+from casadi_skin.models.expressions import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 
 from casadi_skin.files import replacing
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 
 if TYPE_CHECKING:
     from casadi_skin.models.ode import OdeModel
