@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import copyreg
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.models.expressions import Expression, names_of
-
-if TYPE_CHECKING:
-    from casadi_skin.models.fmu import FmuModel
 
 Array = NDArray[np.float64]
 Signs = tuple[int, ...]
@@ -177,45 +174,9 @@ class OdeModel:
         """
         check_symmetries(self, trials, seed)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the model to a file that `OdeModel.read` takes; raises ValueError for one that needs a program."""
-        from casadi_skin.models.saved import save
-
-        return save(self, path)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as it is saved, so that processes can share it; raises ValueError where it cannot be saved."""
-        from casadi_skin.models.saved import dumps, loads
-
-        return loads, (dumps(self),)
-
-    @staticmethod
-    def read(path: str | Path) -> OdeModel:
-        """The model that `save` wrote; raises ValueError for any other file, in one line."""
-        from casadi_skin.models.saved import read
-
-        return read(path)
-
-    @staticmethod
-    def from_fmu(
-        path: str | Path,
-        states: Sequence[str] | None = None,
-        parameters: Sequence[str] = (),
-        *,
-        forcing_period: float | None = None,
-    ) -> FmuModel:
-        """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
-
-        `states` are all of the FMU's continuous states in the wanted order, by default in its own; `parameters` its
-        real parameters and inputs that become those of the model, the others keep their values. A model that depends
-        on time needs its `forcing_period`. Jacobians are the FMU's where it offers them and they agree with
-        differences, else by differences, whose estimated error is the model's `noise`. Raises ValueError, in one line,
-        for an unknown name, an FMU that is damaged, hostile, of another platform, or without Model Exchange, and
-        where fmpy (the extra "fmu") is not installed.
-        """
-        from casadi_skin.models.fmu import from_fmu
-
-        return from_fmu(path, states, parameters, forcing_period=forcing_period)
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""
+        return copyreg.dispatch_table[OdeModel](self)
 
 
 # Shapes and symbols ---------------------------------------------------------------------------------------------------
