@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.declared import Expression, is_comparison
+from casadi_skin.models.expressions import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
@@ -223,14 +222,6 @@ def _count(expressions: Iterable[Expression]) -> int:
 
 def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
     return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
-
-
-def check_name(label: str, name: object, known: Sequence[str]) -> None:
-    """Raises ValueError, with the nearest known name, for an unknown one."""
-    if name not in known:
-        near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
-        hint = f"did you mean {near}? " if near else ""
-        raise ValueError(f"{label}: given {short_repr(name)}; {hint}accepted: {', '.join(known) or 'none'}")
 
 
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:

@@ -19,7 +19,7 @@ from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import BoundaryValueProblem, Bounds, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundaryError, BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled

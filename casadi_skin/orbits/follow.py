@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import check_name, number, numbers, short_repr
 from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.statement import check_name
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel

@@ -8,9 +8,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import BoundaryValueProblem, check_name
+from casadi_skin.bvp.statement import BoundaryValueProblem
 
 
 @runtime_checkable
