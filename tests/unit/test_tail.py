@@ -149,8 +149,8 @@ def test_multipliers_are_those_of_all_sites() -> None:
 def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     tailed, whole = (family(200, 0.25, -1.0, tail, 3.2, 1e-9) for tail in ("eliminated", "full"))
     assert abs(tailed.at(3.2).Omega - whole.at(3.2).Omega) < 1e-9
-    regimes = [orbit.point.problem.regime(orbit.point.z) for orbit in tailed.orbits]
-    assert whole.threshold is None
+    regimes = [tailed.space.coordinates.regime(orbit.point) for orbit in tailed.orbits]
+    assert whole.space.coordinates.regime(whole.orbits[0].point) is whole.threshold is None
     assert tailed.threshold == pytest.approx(0.366992903607, abs=1e-11)
     assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
 
