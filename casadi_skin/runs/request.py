@@ -10,7 +10,7 @@ from typing import Any
 
 from casadi_skin.bvp.statement import BoundaryValueProblem
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.follow import for_stability
 from casadi_skin.orbits.guesses import Guess
