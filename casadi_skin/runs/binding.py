@@ -11,11 +11,12 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.bvp.statement import BoundaryValueProblem, named_values
+from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import read_model
+from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.runs.request import Request, chain_of
