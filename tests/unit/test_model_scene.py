@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from casadi_skin.results.branch import BranchPoint, extremes
+from casadi_skin.runs.model_request import bind
+from casadi_skin.runs.model_solution import cycle, first_solution
 
 from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import save_model
-from casadi_skin.results.branch import BranchPoint, extremes
-from casadi_skin.runs.model_request import bind
-from casadi_skin.runs.model_solution import cycle, first_solution
 from casadi_skin.scene import ModelScene, Scene, SceneError, parse_any_scene, parse_scene, scene_schema
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'
