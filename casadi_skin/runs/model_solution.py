@@ -15,7 +15,7 @@ from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
 from casadi_skin.orbits.solution import BoundarySolution
 from casadi_skin.runs.model_request import ModelRequest
 from casadi_skin.scene.model_tables import SELECTED
-from casadi_skin.simulation import Cycle, Simulation, simulate
+from casadi_skin.dynamics.simulation import Cycle, Simulation, simulate
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
