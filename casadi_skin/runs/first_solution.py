@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin.dynamics.simulation import Cycle, Simulation, simulate
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
@@ -16,7 +17,6 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import SELECTED
-from casadi_skin.simulation import Cycle, Simulation, simulate
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
