@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
-    from casadi_skin.simulation import simulate
+    from casadi_skin.dynamics.simulation import simulate
 
 __all__ = [
     "BoundaryValueProblem",
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
         "export_fmu": "export.fmu.archive",
         "find_orbit": "orbits.find_orbit",
         "follow_family": "orbits.follow",
-        "simulate": "simulation",
+        "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick",
     }

@@ -16,7 +16,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import SELECTED
-from casadi_skin.simulation import Cycle, Simulation, simulate
+from casadi_skin.dynamics.simulation import Cycle, Simulation, simulate
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before

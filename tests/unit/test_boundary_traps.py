@@ -18,7 +18,7 @@ from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.optimise.model_result import ModelOptimum
 from casadi_skin.optimise.model_search import _Ended, _ModelSearch
 from casadi_skin.orbits.boundary_space import BoundaryError
-from casadi_skin.simulation import simulate
+from casadi_skin.dynamics.simulation import simulate
 
 X, Y, Z, MU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu"))
 
