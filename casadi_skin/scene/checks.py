@@ -58,12 +58,13 @@ def _check_subject(scene: Scene) -> None:
 
 
 def _check_method(scene: Scene) -> None:
-    method = scene.method
-    transcription = method.transcription or (TRIGONOMETRIC if scene.chain is not None and scene.family else None)
+    method, transcription = scene.method, scene.methods.transcription
     if method.degree is not None and transcription in (TRIGONOMETRIC, SHOOTING):
         given = f'{method.degree} with transcription = "{transcription}"'
         accepted = " or ".join(f'"{name}"' for name in COLLOCATION_TABLES)
         raise refusal("[method] degree", given, f"with transcription = {accepted} only")
+    if method.degree is not None and method.degree < 2 and scene.family is not None:
+        raise refusal("[method] degree", toml_repr(method.degree), "with a [family] a whole number >= 2 and <= 12")
     if method.walker == "series" and transcription not in (None, TRIGONOMETRIC):
         given = f'"series" with transcription = "{transcription}"'
         raise refusal("[method] walker", given, '"arclength", or transcription = "trigonometric"')
