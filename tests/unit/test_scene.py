@@ -330,7 +330,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             "[stability]",
-            "[stability]: given without [family]; accepted: beside a [family], whose stability it asks for",
+            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], whose stability "
+            "it asks for",
         ),
         (
             '[accuracy]\npreset = "standart"',
@@ -466,9 +467,9 @@ def test_wrong_dynamics(changes: dict[str, str], message: str) -> None:
     assert fault_of(CHAIN + family(mode="[1, 2]") + dynamics(**({"mode": "1"} | changes))) == message
 
 
-def test_dynamics_needs_a_family() -> None:
-    message = "[dynamics]: given without [family]; accepted: beside a [family], one of whose orbits it follows in time"
-    assert fault_of(CHAIN + dynamics()) == message
+def test_dynamics_needs_a_family_or_an_orbit() -> None:
+    message = "[dynamics]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], which it follows"
+    assert fault_of(CHAIN + dynamics()) == f"{message} in time"
 
 
 @pytest.mark.parametrize("kick", [{"site": "23"}, {"seed": "1"}, {"vector": str([0] * 22 + [1] * 2)}])
