@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import check_name, number, numbers, short_repr
 from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.statement import check_name
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
@@ -338,5 +337,5 @@ def following_space(
     sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
     return BoundarySpace(
         statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
-        tuple(float(np.float64(v)) for v in at), solution, settings,
+        tuple(float(np.float64(v)) for v in at), solution.point, settings,
     )  # fmt: skip

@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from casadi_skin import methods
-from casadi_skin.arguments import number, numbers, short_repr
-from casadi_skin.bvp.statement import check_name
+from casadi_skin.arguments import check_name, number, numbers, short_repr
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
 

@@ -11,16 +11,17 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.bvp.statement import BoundaryValueProblem, named_values
+from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import read as read_model
+from casadi_skin.models.saved import read_model
+from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.runs.request import Request, chain_of
 from casadi_skin.scene import OrbitTable, Scene, SceneError
-from casadi_skin.scene.faults import did_you_mean, nearest, refusal, toml_repr
+from casadi_skin.scene.faults import check_known, refusal, toml_repr
 from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelTable
 
 KINDS = (OdeModel, BoundaryValueProblem)
@@ -82,7 +83,7 @@ def _placed(message: str) -> str:
 
 def _values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
     for name in given:
-        _check_known("[model] parameters", name, model.parameter_names)
+        check_known("[model] parameters", name, model.parameter_names)
     if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
         return dict(given)
     try:
@@ -128,7 +129,7 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
         _check_state(place, given, states)
         return state_of(given, states)
     functions = [name for name, value in names.items() if callable(value) and not isinstance(value, type)]
-    _check_known(place, given, [name for name in functions if not name.startswith("__")])
+    check_known(place, given, [name for name in functions if not name.startswith("__")])
 
     def guess(t: float) -> Array:
         try:
@@ -169,14 +170,14 @@ def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
     names = (*model.state_names, *model.outputs)
     if orbit.select is not None:
         conserved = () if model.hamiltonian is None else (CONSERVED,)
-        _check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
+        check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
         if not family:
             raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
     elif family:
         why = "symmetric" if orbit.symmetric else "conservative"
         raise SceneError(f"[orbit] select: missing; accepted: a table with one number: {why} orbits come in families")
     if orbit.section is not None:
-        _check_known("[orbit] section", next(iter(orbit.section)), names)
+        check_known("[orbit] section", next(iter(orbit.section)), names)
     if orbit.symmetric:
         _check_symmetric(model, orbit)
 
@@ -206,7 +207,7 @@ def _check_continuation(request: Request) -> None:
     if SELECTED not in values and request.scene.orbit is not None and request.scene.orbit.select is not None:
         values[SELECTED] = next(iter(request.scene.orbit.select.values()))
     free = () if problem is None else problem.free
-    _check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+    check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.to == values[table.parameter]:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
     low, high = sorted((values[table.parameter], table.to))
@@ -226,13 +227,6 @@ def state_of(given: Numbers, names: Sequence[str]) -> Array:
 def _check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
     if isinstance(given, Mapping):
         for name in given:
-            _check_known(place, name, names)
+            check_known(place, name, names)
     elif len(given) != len(names):
         raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
-
-
-def _check_known(place: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        near = nearest(name, known)
-        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
-        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.orbit import Orbit

@@ -9,16 +9,14 @@ from typing import Any
 
 import msgspec
 
+from casadi_skin.arguments import LONGEST, cut, nearest
 from casadi_skin.scene.checks import check_scene
 from casadi_skin.scene.faults import (
-    LONGEST,
     SceneError,
     accepted_words,
-    cut,
     did_you_mean,
     inline,
     is_table,
-    nearest,
     refusal,
     toml_repr,
     with_kind,

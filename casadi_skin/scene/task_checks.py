@@ -3,7 +3,7 @@
 import math
 
 from casadi_skin.optimise.names import FREE, NAMED
-from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, toml_repr
+from casadi_skin.scene.faults import SceneError, check_known, refusal, toml_repr
 from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import ChainTable, FamilyTable
 from casadi_skin.scene.task_tables import DynamicsTable
@@ -128,24 +128,18 @@ def check_search(scene: Scene) -> None:
         raise refusal(
             "[search] mode", toml_repr(search.mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
         )
-    _check_known("[search] objective", search.objective, tuple(NAMED))
+    check_known("[search] objective", search.objective, tuple(NAMED))
     for name in search.free:
-        _check_known("[search] free", name, tuple(FREE))
+        check_known("[search] free", name, tuple(FREE))
     for name, (lower, upper) in search.bounds.items():
-        _check_known("[search] bounds", name, tuple({**FREE, **NAMED}))
+        check_known("[search] bounds", name, tuple({**FREE, **NAMED}))
         if not lower <= upper:
             raise refusal(
                 f"[search] bounds {name}", toml_repr([lower, upper]), "a list [lower, upper] with lower <= upper"
             )
     for item, held in enumerate(search.constraints, start=1):
         place = f"[search] constraints, item {item}"
-        _check_known(place, held.quantity, tuple(NAMED))
+        check_known(place, held.quantity, tuple(NAMED))
         if (held.equal is None) == (held.lower is None and held.upper is None):
             given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
             raise refusal(place, given, "equal, or lower and upper or one of these")
-
-
-def _check_known(place: str, name: str, known: tuple[str, ...]) -> None:
-    if name not in known:
-        near = nearest(name, known)
-        raise SceneError(f"{place}: given {toml_repr(name)}{did_you_mean(near and toml_repr(near), ', '.join(known))}")

@@ -12,6 +12,7 @@ import pytest
 
 from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.saved import save_model
 from casadi_skin.results.extremes import extremes
 from casadi_skin.results.quantities import Place
 from casadi_skin.runs.binding import bind
@@ -328,7 +329,7 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
 
 def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
     made = bind(parsed(scene_of("makes", ORBIT, "mu = 1")), folder / "scene.toml").model
-    made.save(folder / "saved.json")
+    save_model(made, folder / "saved.json")
     text = '[model]\nfile = "saved.json"\nparameters = { mu = 1.0 }\n' + ORBIT
     request = bind(parsed(text), folder / "scene.toml")
     assert isinstance(request.model, OdeModel)
