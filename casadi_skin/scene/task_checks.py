@@ -16,9 +16,8 @@ def check_dynamics(scene: Scene) -> None:
     if dynamics is None:
         return
     if scene.family is None and scene.orbit is None:
-        what = "a [family]" if scene.chain is not None else "a [family] or an [orbit]"
-        given = f"without {what.split(maxsplit=1)[1]}"
-        raise refusal("[dynamics]", given, f"beside {what}, one of whose orbits it follows in time")
+        accepted = "beside a [family] or an [orbit], which it follows in time"
+        raise refusal("[dynamics]", "without [family] or [orbit]", accepted)
     if scene.family is None:
         for name in ("S", "mode"):
             if getattr(dynamics, name) is not None:

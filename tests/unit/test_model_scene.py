@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from casadi_skin.results.branch import BranchPoint, extremes
-from casadi_skin.runs.model_request import bind
-from casadi_skin.runs.model_solution import cycle, first_solution
 
 from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import save_model
-from casadi_skin.scene import ModelScene, Scene, SceneError, parse_any_scene, parse_scene, scene_schema
+from casadi_skin.results.extremes import extremes
+from casadi_skin.results.quantities import Place
+from casadi_skin.runs.binding import bind
+from casadi_skin.runs.first_solution import cycle, first_solution
+from casadi_skin.scene import Scene, SceneError, parse_scene, scene_schema
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'
 MODELS = """
@@ -71,16 +72,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def parsed(text: str) -> ModelScene:
-    scene = parse_any_scene(text, "scene.toml")
-    assert isinstance(scene, ModelScene)
-    return scene
+def parsed(text: str) -> Scene:
+    return parse_scene(text, "scene.toml")
 
 
 def _read(text: str, folder: Path | None) -> None:
-    scene = parse_any_scene(text, "scene.toml")
+    scene = parsed(text)
     assert folder is not None
-    assert isinstance(scene, ModelScene)
     bind(scene, folder / "scene.toml")
 
 
@@ -104,24 +102,26 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
     assert scene.orbit.start == (2.0, 0.0)
     assert (scene.solution, scene.continuation, scene.stability) == (None, None, None)
     assert scene.accuracy.relative_tolerance == 1e-8
-    chain = parse_any_scene("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n")
-    assert isinstance(chain, Scene)
+    chain = parsed("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n")
+    assert (chain.sites, scene.sites) == (3, None)
+    assert (chain.model, scene.chain) == (None, None)
     assert not chain.same_request(scene)
     assert not scene.same_request(chain)
     assert scene.same_request(parsed('title = "another"\n' + scene_of("van_der_pol", ORBIT, "mu = 1.0")))
-    with pytest.raises(SceneError, match="where a scene of a chain is read"):
-        parse_scene(scene_of("van_der_pol"))
+    named = '[method]\ntranscription = "gauss"\nflow = "collocation"\n'
+    assert scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named, "mu = 1")))
+    assert not scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named.replace("gauss", "radau"), "mu = 1")))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
-        ("[orbit]\nstart = [1]\n", "[orbit]: given without [model]; accepted: beside [model]"),
+        ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model]"),
         ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain] or [model] in one scene"),
-        ("[model]\n[family]\n", "[family]: given beside [model]; accepted: beside [chain]"),
+        (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites, "),
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
-        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [model], [orbit], "),
+        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [chain], [model], "),
         ("[model]\nfiles = 'a.py'\n", "[model] files: unknown key; did you mean 'file'? (accepted: file, name, "),
         ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by save_model"),
         ('[model]\nfile = "a.py"\n', "[model] name: missing; accepted: with a Python file the name of the model in it"),
@@ -138,30 +138,33 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         (scene_of("a", ORBIT + "select = { x = 1, y = 2 }"), "[orbit] select: given {x = 1, y = 2}; accepted: "),
         (scene_of("a", SYMMETRIC + "section = { y = 0 }"), "[orbit] section: given with symmetric = true; accepted: "),
         (scene_of("a", ORBIT + "[solution]\nguess = [0]\n"), "[solution]: given beside [orbit]; accepted: [orbit] or "),
-        (scene_of("a", "[stability]\n"), "[stability]: given without [orbit]; accepted: beside an [orbit], whose "),
-        (scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"), "[continuation]: given without what it follows; "),
+        (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a [family] "),
+        (
+            scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"),
+            "[continuation]: given without [orbit] or [solution]; accepted: beside an [orbit] or a [solution], from ",
+        ),
         (
             scene_of("a", ORBIT + "[continuation]\nparameter = 'b'\nto = 3\nat = [2, 2]\n"),
             "[continuation] at: given 2.0 as item 2 again; accepted: each number once",
         ),
-        (scene_of("a", "[method]\ntranscription = 'trigonometric'\n"), "[method] transcription: given "),
+        (scene_of("a", ORBIT + "[method]\ntranscription = 'trigonometric'\n"), "[method] transcription: given "),
     ],
 )
 def test_faults_that_show_without_the_model(text: str, message: str) -> None:
     assert fault_of(text).startswith(message)
 
 
-def test_the_schema_has_both_kinds_of_scene() -> None:
+def test_the_schema_has_one_scene_of_a_chain_or_a_model() -> None:
     schema = json.loads(json.dumps(scene_schema()))
-    assert schema["anyOf"] == [{"$ref": "#/$defs/Scene"}, {"$ref": "#/$defs/ModelScene"}]
-    assert schema["$defs"]["ModelScene"]["required"] == ["model"]
+    assert schema["$ref"] == "#/$defs/Scene"
+    assert schema["$defs"]["Scene"]["anyOf"] == [{"required": ["chain"]}, {"required": ["model"]}]
     assert not schema["$defs"]["OrbitTable"]["additionalProperties"]
 
 
 def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
     code = (
-        "import sys; from casadi_skin.scene import parse_any_scene; "
-        f"parse_any_scene({scene_of('a', ORBIT)!r}); "
+        "import sys; from casadi_skin.scene import parse_scene; "
+        f"parse_scene({scene_of('a', ORBIT)!r}); "
         "assert not {'casadi', 'numpy', 'scipy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -340,6 +343,6 @@ def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
 def test_a_solution_from_a_guess_in_the_file(folder: Path) -> None:
     request = bind(parsed(scene_of("bounded", "[solution]\nguess = 'guess'\n")), folder / "scene.toml")
     solution = first_solution(request)
-    point = BranchPoint(solution, None)
+    point = Place(solution, 0)
     assert point.extremes[1][0] == pytest.approx(0.14053921440047, abs=1e-9)  # at the middle, by symmetry
     assert point.extremes[1][1] == pytest.approx(solution.evaluate(0.0)[0, 1])  # of u' at the start
