@@ -221,6 +221,7 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
     assert "asks for nothing to compute" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 60\nmax_step = 0.02\n"
     scene, out = write_scene(tmp_path, "van_der_pol", rest), tmp_path / "out"

@@ -194,6 +194,7 @@ def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: 
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0  # nothing left to do
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_writes_what_it_has(tmp_path: Path, number: signal.Signals) -> None:
     scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]

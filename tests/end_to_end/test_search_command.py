@@ -123,6 +123,7 @@ def test_a_search_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "beside [family]" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path: Path) -> None:
