@@ -1,11 +1,23 @@
-"""What every test may rely on."""
+"""What every test may rely on: one thread a process, no window, signals as in a terminal."""
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 
 import pytest
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # before numpy is imported: each core has a worker of its own
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """One worker a core; none for a single file, which ends sooner without, and for benchmarks, which take times."""
+    files = {argument.split("::")[0] for argument in config.args}
+    alone = len(files) == 1 and files.pop().endswith(".py")
+    return 0 if alone or config.option.markexpr == "benchmark" else None
 
 
 @pytest.fixture
