@@ -118,7 +118,7 @@ class KickedFlow:
         return 2 * self.orbit.chain.sites
 
     @cached_property
-    def shown(self) -> Array:
+    def output_scale(self) -> Array:
         """Factors that make (y, y'/Omega)/sqrt(S) of a state, shape (2N,)."""
         rho = self.orbit.chain.rho
         return np.concatenate([rho, rho / self.orbit.Omega])
@@ -174,7 +174,7 @@ class KickedFlow:
         """Phase of the orbit nearest to a state (2N,), among PHASES."""
         theta = 2.0 * np.pi * np.arange(PHASES) / PHASES
         points, _ = self.loop.points(theta)
-        return float(theta[np.argmin(np.linalg.norm(points - self.shown * state, axis=1))])
+        return float(theta[np.argmin(np.linalg.norm(points - self.output_scale * state, axis=1))])
 
     def first_to_escape(self, direction: Array, distance: float, near: float) -> tuple[float, int, Array] | None:
         """Smallest multiple of a direction (2N,) that comes to the distance, the step at which, and its states.
@@ -210,7 +210,7 @@ class KickedFlow:
         t = np.linspace(0.0, self.time, self.steps + 1)
         tangents = self.loop.points(self.orbit.Omega * t)[1]
         tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-        seen = self.shown[:, None] * self.linear_images(directions)
+        seen = self.output_scale[:, None] * self.linear_images(directions)
         normal = seen - tangents[:, :, None] * (tangents[:, None] @ seen)
         _, values, right = np.linalg.svd(normal, full_matrices=False)
         return t, np.asarray(values[:, :2]), np.asarray(right[:, :2])

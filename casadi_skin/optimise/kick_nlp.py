@@ -105,7 +105,7 @@ class KickProgramme:
         before = ca.horzcat(flow.start + ca.DM(scale * basis) @ kick, nodes[:, :-1])
         gaps = ca.vec((self._segments(before, h) - nodes) / units)
         point, tangent = flow.loop.symbols(phase)
-        away = (flow.shown * nodes[:, -1] - point) / distance
+        away = (flow.output_scale * nodes[:, -1] - point) / distance
         constraints = ca.vertcat(gaps, ca.sumsqr(away) - 1.0, ca.dot(away, tangent))
         programme = {"x": z, "f": ca.sumsqr(kick), "g": constraints}
         self._heard = _Iterations(z.numel(), constraints.numel(), say)

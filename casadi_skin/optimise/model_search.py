@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import BoundaryValueProblem, check_expression, named_values
 from casadi_skin.models.ode import OdeModel
@@ -57,9 +57,9 @@ def search_model(
         raise ValueError(f"free: given none; accepted: one or more of {', '.join(model.parameter_names)}")
     for name, value, least in (("starts", starts, 1), ("seed", seed, 0), ("workers", workers, 1)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"{name}: given {shown(value)}; accepted: a whole number >= {least}")
+            raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number >= {least}")
     if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
-        raise TypeError(f"executor: given {shown(executor)}; accepted: a concurrent.futures.Executor of processes")
+        raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor of processes")
     search = _stated(model, guess, period, tuple(free), dict(bounds or {}), dict(parameters or {}), options)
     if workers > 1 or executor is not None:
         search.model.__reduce__()  # raises ValueError for what cannot be sent to a process
@@ -92,7 +92,7 @@ def _stated(
     if model.forced:
         length = int(options.get("cycles", 1)) * first.forcing_period_at(list(values.values()))
     if not length or not length > 0:
-        raise ValueError(f"period: given {shown(period)}; accepted: a number > 0")
+        raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
     t = np.linspace(0.0, float(length), SAMPLES)
     statement = BoundaryValueProblem(first, [first.end(first.state) - first.start(first.state)], parameters=values)
     return _ModelSearch(
@@ -133,11 +133,11 @@ class _ModelSearch:
         values = named_values(self.model.first_order(), self.parameters)
         for name in self.free:
             if name not in values:
-                raise ValueError(f"free: given {shown(name)}; accepted: {', '.join(values)}")
+                raise ValueError(f"free: given {short_repr(name)}; accepted: {', '.join(values)}")
             low, high = self.bounds.get(name, (-np.inf, np.inf))
             if not low < high:
                 raise ValueError(
-                    f"bounds: given {shown((low, high))} for {name}; accepted: (lower, upper), lower < upper"
+                    f"bounds: given {short_repr((low, high))} for {name}; accepted: (lower, upper), lower < upper"
                 )
             if count > 1 and not np.all(np.isfinite((low, high))):
                 raise ValueError(f"bounds: given no finite bounds of {name}; accepted: finite ones, or starts = 1")

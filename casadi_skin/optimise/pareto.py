@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.names import NAMED, nearest_name
 from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
@@ -47,9 +47,9 @@ def pareto_front(chain: Chain, first: str, second: str, *, points: int = 10, **o
     """
     for name in (first, second):
         if name not in NAMED:
-            raise ValueError(f"quantity: given {shown(name)}; {nearest_name(str(name), NAMED)}")
+            raise ValueError(f"quantity: given {short_repr(name)}; {nearest_name(str(name), NAMED)}")
     if isinstance(points, bool) or not isinstance(points, int) or points < 2:
-        raise ValueError(f"points: given {shown(points)}; accepted: a whole number >= 2")
+        raise ValueError(f"points: given {short_repr(points)}; accepted: a whole number >= 2")
     constraints = tuple(options.pop("constraints", ()))
 
     def search(objective: str, *more: tuple[str, None, float], near: Optimum | None = None) -> SearchResult:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import casadi as ca
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.declared import is_comparison
 from casadi_skin.optimise.names import FREE, NAMED, SHARED, nearest_name
@@ -114,13 +114,13 @@ def search_request(
 ) -> SearchRequest:
     """The request made of the arguments of `search_chain`, which see; raises ValueError or TypeError."""
     if not isinstance(chain, Chain):
-        raise TypeError(f"chain: given {shown(chain)}; accepted: a Chain")
+        raise TypeError(f"chain: given {short_repr(chain)}; accepted: a Chain")
     if chain.infinite:
         raise ValueError("chain: given an infinite chain; accepted: a whole number of sites")
     several = not (isinstance(S, int | float) or hasattr(S, "__float__"))
     amplitudes = numbers("S", S) if several else (number("S", S, "a finite number > 0"),)
     if not amplitudes or min(amplitudes) <= 0:
-        raise ValueError(f"S: given {shown(S)}; accepted: a finite number > 0, or a list of such numbers")
+        raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
     names = _free_names(chain, free, several)
     limits, more = _limits(chain, names, bounds)
     _check_gamma(chain, names, limits)
@@ -143,10 +143,12 @@ def _free_names(chain: Chain, free: Sequence[str], several: bool) -> tuple[str, 
         free = (free,)
     for name in free:
         if name not in FREE:
-            raise ValueError(f"free: given {shown(name)}; {nearest_name(str(name), FREE)}")
+            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(str(name), FREE)}")
     names = tuple(free)
     if not names or len(set(names)) < len(names):
-        raise ValueError(f"free: given {shown(list(names))}; accepted: one or more of {', '.join(FREE)}, each once")
+        raise ValueError(
+            f"free: given {short_repr(list(names))}; accepted: one or more of {', '.join(FREE)}, each once"
+        )
     if "alpha" in names and "alpha_n" in names:
         raise ValueError("free: given alpha and alpha_n; accepted: one of them")
     if several and "S" in names:
@@ -161,13 +163,13 @@ def _pair(place: str, given: object) -> tuple[float, float]:
     except TypeError:
         pair = ()
     if len(pair) != 2 or isinstance(given, str):
-        raise TypeError(f"{place}: given {shown(given)}; accepted: {accepted}")
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
     ends = []
     for value, absent in zip(pair, (-math.inf, math.inf), strict=True):
         infinite = value is None or (isinstance(value, float) and value == absent)
         ends.append(absent if infinite else number(place, value, accepted))
     if ends[0] > ends[1]:
-        raise ValueError(f"{place}: given {shown(given)}; accepted: a lower bound <= the upper one")
+        raise ValueError(f"{place}: given {short_repr(given)}; accepted: a lower bound <= the upper one")
     return ends[0], ends[1]
 
 
@@ -176,7 +178,7 @@ def _limits(
 ) -> tuple[tuple[tuple[float, float], ...], tuple[Condition, ...]]:
     """Bounds of the free names, and conditions made of the bounds on other quantities."""
     if not isinstance(bounds, Mapping):
-        raise TypeError(f"bounds: given {shown(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
+        raise TypeError(f"bounds: given {short_repr(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
     side = 1.0 if chain.gamma >= 0 else -1.0
     ends = sorted((0.0, side * STEEPEST))
     natural = {"gamma": (ends[0], ends[1]), "S": (FAINTEST, math.inf)}
@@ -186,17 +188,19 @@ def _limits(
         place = f"bounds[{name}]"
         known = {**FREE, **NAMED}
         if name not in known:
-            raise ValueError(f"bounds: given {shown(name)}; {nearest_name(str(name), tuple(known))}")
+            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(str(name), tuple(known))}")
         lower, upper = _pair(place, given)
         if name in names:
             if lower == upper:
-                raise ValueError(f"{place}: given {shown(given)}; accepted: different bounds, or {name} not free")
+                raise ValueError(f"{place}: given {short_repr(given)}; accepted: different bounds, or {name} not free")
             least, most = natural.get(name, (-math.inf, math.inf))
             low, high = (lower if lower > -math.inf else least), (upper if upper < math.inf else most)
             if name in ("S", "g") and (low < least or high > most):
                 least = 0.0 if name == "S" else least
                 if low < least or high > most or high <= 0 < most:
-                    raise ValueError(f"{place}: given {shown(given)}; accepted: bounds within {least:g} to {most:g}")
+                    raise ValueError(
+                        f"{place}: given {short_repr(given)}; accepted: bounds within {least:g} to {most:g}"
+                    )
             limits[name] = (max(low, FAINTEST) if name == "S" else low, high)
         elif name in FREE and name != "alpha_n":
             raise ValueError(f"{place}: given a bound on {name}, which is not free; accepted: {', '.join(names)}, "
@@ -211,16 +215,18 @@ def _limits(
 def _check_gamma(chain: Chain, names: tuple[str, ...], limits: tuple[tuple[float, float], ...]) -> None:
     lower, upper = limits[names.index("gamma")] if "gamma" in names else (chain.gamma, chain.gamma)
     if max(abs(lower), abs(upper)) >= 1:
-        raise ValueError(f"gamma: given {shown([lower, upper])}; accepted in a search: |gamma| < 1")
+        raise ValueError(f"gamma: given {short_repr([lower, upper])}; accepted in a search: |gamma| < 1")
     if lower < 0 < upper:
         reason = "a chain mirrored has -gamma, and its gauge is another"
-        raise ValueError(f"bounds[gamma]: given {shown([lower, upper])}; accepted: bounds on one side of 0 ({reason})")
+        raise ValueError(
+            f"bounds[gamma]: given {short_repr([lower, upper])}; accepted: bounds on one side of 0 ({reason})"
+        )
 
 
 def _conditions(constraints: Sequence[object]) -> tuple[Condition, ...]:
     accepted = "a function, which is to vanish, or (name or function, lower, upper)"
     if callable(constraints) or isinstance(constraints, str | Mapping):
-        raise TypeError(f"constraints: given {shown(constraints)}; accepted: a list of items, each {accepted}")
+        raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
     found = []
     for item, given in enumerate(constraints, start=1):
         place = f"constraints, item {item}"
@@ -229,11 +235,11 @@ def _conditions(constraints: Sequence[object]) -> tuple[Condition, ...]:
             lower = upper = 0.0
         else:
             if not isinstance(given, tuple | list) or len(given) != 3:
-                raise TypeError(f"{place}: given {shown(given)}; accepted: {accepted}")
+                raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
             quantity = given[0]
             lower, upper = _pair(place, given[1:])
         if not (callable(quantity) or isinstance(quantity, str)):
-            raise TypeError(f"{place}: given {shown(quantity)}; accepted: {accepted}")
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: {accepted}")
         name = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "")
         found.append(Condition(quantity, lower, upper, name if name and name != "<lambda>" else f"constraint {item}"))
     return tuple(found)
@@ -259,11 +265,13 @@ def _check_expressions(request: SearchRequest) -> None:
 def _expression(place: str, request: SearchRequest, quantity: Quantity, orbits: tuple[Observables, ...]) -> ca.SX:
     if isinstance(quantity, str):
         if quantity not in NAMED:
-            raise ValueError(f"{place}: given {shown(quantity)}; {nearest_name(quantity, NAMED)}")
+            raise ValueError(f"{place}: given {short_repr(quantity)}; {nearest_name(quantity, NAMED)}")
         if request.several and quantity not in SHARED:
-            raise ValueError(f"{place}: given {shown(quantity)} with a list of S; accepted: a function of the orbits")
+            raise ValueError(
+                f"{place}: given {short_repr(quantity)} with a list of S; accepted: a function of the orbits"
+            )
     elif not callable(quantity):
-        raise TypeError(f"{place}: given {shown(quantity)}; accepted: a name or a function of the observables")
+        raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: a name or a function of the observables")
     try:
         made = request.evaluated(quantity, orbits)
     except AttributeError as error:
@@ -273,10 +281,10 @@ def _expression(place: str, request: SearchRequest, quantity: Quantity, orbits: 
         words = " ".join(str(error).split())[:200]
         raise TypeError(f"{place}: the function given fails: {words}") from None
     if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
-        raise TypeError(f"{place}: given a function that returns {shown(made)}; accepted: a CasADi expression")
+        raise TypeError(f"{place}: given a function that returns {short_repr(made)}; accepted: a CasADi expression")
     expression = ca.SX(made)
     if is_comparison(expression):
-        raise ValueError(f"{place}: given a comparison, {shown(made)}; accepted: a difference, x - 1 for x == 1")
+        raise ValueError(f"{place}: given a comparison, {short_repr(made)}; accepted: a difference, x - 1 for x == 1")
     if not (expression.is_column() and expression.numel() > 0):
         raise ValueError(f"{place}: given an expression of shape {expression.shape}; accepted: a scalar or a column")
     return expression

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.optimise.processes import POLL, Interruption, Shared, gathered, ignore_interrupts, pool, sharing
 from casadi_skin.optimise.request import SearchRequest
 from casadi_skin.optimise.starts import Outcome, Start, run_start
@@ -49,12 +49,12 @@ class Job:
 def check_executor(executor: object, workers: object, request: SearchRequest) -> None:
     """Raises TypeError or ValueError for an executor or a number of workers that cannot be used."""
     if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor: given {shown(executor)}; accepted: a concurrent.futures.Executor of processes")
+        raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor of processes")
     if isinstance(executor, ThreadPoolExecutor):
         raise TypeError("executor: given a ThreadPoolExecutor; accepted: one of processes (CasADi shares no function "
                         "between threads)")  # fmt: skip
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise ValueError(f"workers: given {shown(workers)}; accepted: a whole number >= 1")
+        raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
     if executor is not None or workers > 1:
         try:
             pickle.dumps(request)

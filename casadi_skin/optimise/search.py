@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.polish import finished
 from casadi_skin.optimise.processes import Interruption
@@ -74,7 +74,7 @@ def search_chain(
     )
     for name, value, least in (("starts", starts, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"{name}: given {shown(value)}; accepted: a whole number >= {least}")
+            raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number >= {least}")
     check_executor(executor, workers, request)
     search = Search(request, sample_starts(request, int(starts), int(seed)), deflate)
     return search.run(progress, workers, executor)

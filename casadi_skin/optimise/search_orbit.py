@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, overload
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.model_result import ModelSearchResult
@@ -31,4 +31,4 @@ def search_orbit(chain_or_model: Chain | OdeModel, **asked: Any) -> SearchResult
         return search_chain(chain_or_model, **asked)
     if isinstance(chain_or_model, OdeModel):
         return search_model(chain_or_model, **asked)
-    raise TypeError(f"chain_or_model: given {shown(chain_or_model)}; accepted: a Chain or an OdeModel")
+    raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")
