@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,3 +30,21 @@ def interruptible() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
+@pytest.fixture(params=["blank", pytest.param("drawn", marks=pytest.mark.slow)])
+def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty files in place of pictures in quick tests of something else: drawing takes nine tenths of a small run."""
+    if request.param == "blank":
+        blank_pictures(monkeypatch)
+
+
+def blank_pictures(patch: pytest.MonkeyPatch) -> None:
+    def write(drawn: Any, path: object, **__: object) -> None:
+        if isinstance(path, (str, Path)):
+            Path(path).touch()
+        drawn._draw_was_started = True  # a film that was not drawn warns
+
+    patch.setattr("matplotlib.figure.Figure.savefig", write)
+    patch.setattr("matplotlib.animation.Animation.save", write)
+    patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)

@@ -13,6 +13,8 @@ import pytest
 from casadi_skin.cli import main
 from casadi_skin.export.build import build_c
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 CHAIN = "[chain]\nsites = 6\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-11\n"
 ORBIT = '[export]\nc = "all"\nS = 0.4\nmode = 1\n'

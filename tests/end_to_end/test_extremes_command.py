@@ -14,6 +14,8 @@ from casadi_skin.studies.stress import threshold as extremes_threshold
 from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
 from casadi_skin.studies.stress.study import COLUMNS, all_cases
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 FILES = {
     *("extremes.csv", "extremes.png", "extremes.svg"),
     *(f"{name}.{kind}" for name in ("physical_against_gauge", "threshold") for kind in ("csv", "png", "svg")),

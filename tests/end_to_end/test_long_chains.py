@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import csv
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from endings import ended
 from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
-from casadi_skin.results.journal import Journal
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 SCENE = """
 [chain]
@@ -32,21 +35,6 @@ def written(path: Path, **values: object) -> Path:
     filled = {"sites": "inf", "alpha": 1.0, "g": 1.0, "mode": '"last"', "rest": ""} | values
     path.write_text(SCENE.format(**filled), encoding="utf-8")
     return path
-
-
-def interrupted(scene: Path, out: Path, points: int) -> int:
-    """Exit status of a run that Ctrl-C ends after some points."""
-    counted = iter(range(points))
-    append = Journal.append
-
-    def stop(self: Journal, record: object) -> None:
-        append(self, record)  # type: ignore[arg-type]
-        if next(counted, None) is None:
-            raise KeyboardInterrupt
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Journal, "append", stop)
-        return main(["run", str(scene), "--out", str(out), "--quiet"])
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -72,11 +60,12 @@ def test_the_example_of_an_infinite_chain(tmp_path: Path, capsys: pytest.Capture
         np.testing.assert_allclose(np.linalg.norm(profile, axis=1) ** 2, file.variables["S"].data, rtol=1e-7)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
     scene = written(tmp_path / "million.toml", sites=1_000_000)
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
-    assert interrupted(scene, broken, 12) == 130
+    assert ended(signal.SIGINT, 13, scene, broken) == 130
     assert 1 < len(rows(broken / "family.csv")) < len(rows(whole / "family.csv"))
     assert main(["run", str(scene), "--out", str(broken), "--quiet", "--resume"]) == 0
     assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()

@@ -15,6 +15,8 @@ import pytest
 
 from casadi_skin.cli import main
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = """
 import casadi as ca

@@ -16,6 +16,8 @@ from casadi_skin.studies.paper.paper_data import PaperData
 from casadi_skin.studies.paper.reproduce import FIGURES, reproduce
 from casadi_skin.theory import multiple_scales
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 
 def read(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", newline="") as file:

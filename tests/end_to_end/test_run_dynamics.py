@@ -16,6 +16,8 @@ from casadi_skin.cli import main
 from casadi_skin.runs.dynamics import sample_times
 from casadi_skin.scene import DynamicsTable
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = {mode}\namplitude_max = 0.5\n"
 KICK = "[dynamics]\nmode = 1\nS = 0.2\nduration = 10.0\nsite = 6\nsize = 0.01\n"

@@ -15,6 +15,8 @@ from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """[chain]
 sites = 6

@@ -13,6 +13,8 @@ from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.cli import main
 from casadi_skin.continuation.points import End
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 ROOT = Path(__file__).parents[2]
 SLOWER = (2.0, 5.0, 10.0, 20.0, 30.0)  # times the linear period
 DIGITS = 60  # omega^2 - |g| S is 1e-28 at thirty times the period, and 1 - m with it

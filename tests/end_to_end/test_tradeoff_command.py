@@ -12,6 +12,8 @@ from casadi_skin.studies.work_precision import measured as tradeoff_measured
 from casadi_skin.studies.work_precision import study as tradeoff
 from casadi_skin.studies.work_precision.measured import Measured
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 TINY = """
 [chain]
 sites = 2
