@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
+from drawing import blank_pictures
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
-    os.environ.setdefault(_name, "1")  # before numpy is imported: each core has a worker of its own
+    os.environ.setdefault(_name, "1")  # each core has a worker of its own
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+from casadi_skin.orbits import tools  # noqa: E402  numpy is imported with it, which reads them
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -34,17 +35,14 @@ def interruptible() -> Iterator[None]:
 
 @pytest.fixture(params=["blank", pytest.param("drawn", marks=pytest.mark.slow)])
 def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Empty files in place of pictures in quick tests of something else: drawing takes nine tenths of a small run."""
+    """Blank in the quick run of a test that is of something else, drawn in the slow run."""
     if request.param == "blank":
         blank_pictures(monkeypatch)
 
 
-def blank_pictures(patch: pytest.MonkeyPatch) -> None:
-    def write(drawn: Any, path: object, **__: object) -> None:
-        if isinstance(path, (str, Path)):
-            Path(path).touch()
-        drawn._draw_was_started = True  # a film that was not drawn warns
-
-    patch.setattr("matplotlib.figure.Figure.savefig", write)
-    patch.setattr("matplotlib.animation.Animation.save", write)
-    patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+@pytest.fixture(params=["few", pytest.param("all", marks=pytest.mark.slow)])
+def harmonics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In quick tests at most 48 harmonics: families of which the period grows without bound run out of them soon."""
+    if request.param == "few":
+        monkeypatch.setattr(tools, "HARMONICS", tuple(count for count in tools.HARMONICS if count <= 48))
+        monkeypatch.setattr(tools, "MANY_HARMONICS", ())

@@ -37,6 +37,13 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.25, 0.5))
 
 
+@pytest.fixture
+def fewest(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with one chain and one threshold."""
+    monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4,))
+    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.5,))
+
+
 def test_every_case_has_a_name_of_its_own() -> None:
     cases = all_cases()
     assert len({(case.theme, case.name, case.check) for case in cases}) == len(cases)
@@ -69,7 +76,7 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = Case("theme", "a wrong one", "asked", "check", lambda: Finding("it", 1e-3, 1e-6), quick=True)
     monkeypatch.setattr(study_module, "all_cases", lambda: [wrong])
@@ -79,7 +86,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from endings import ended
+from apart import ended
 from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
 pytestmark = pytest.mark.usefixtures("pictures")
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """
 [chain]
 sites = {sites}
@@ -42,16 +43,25 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_the_example_of_an_infinite_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    assert main(["run", "examples/infinite_chain.toml", "--out", str(out), "--quiet"]) == 0
+@pytest.mark.parametrize(
+    ("end", "regime"),
+    [("3.0", "bound"), pytest.param("3.2", "third", marks=pytest.mark.slow)],  # of the third harmonic, slow to follow
+)
+def test_the_example_of_an_infinite_chain(
+    tmp_path: Path, end: str, regime: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    text = (EXAMPLES / "infinite_chain.toml").read_text(encoding="utf-8")
+    assert "amplitude_max = 3.2" in text
+    scene.write_text(text.replace("amplitude_max = 3.2", f"amplitude_max = {end}"), encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
     assert "end breather of the infinite chain born at S_c = 0.3669929036" in capsys.readouterr().out
     points = rows(out / "family.csv")
     asked = {float(row["S"]): row for row in points if row["requested"] == "1"}
     assert float(asked[3.0]["Omega"]) == pytest.approx(0.7659589000207, abs=1e-8)
     assert asked[0.2]["energy"] == ""
     assert float(asked[0.2]["Omega_shift"]) == 0.0
-    assert [points[0]["regime"], asked[1.0]["regime"], points[-1]["regime"]] == ["pinned", "bound", "third"]
+    assert [points[0]["regime"], asked[1.0]["regime"], points[-1]["regime"]] == ["pinned", "bound", regime]
     with netcdf_file(out / "family.nc", mmap=False) as file:
         assert np.isinf(file.sites)
         sites, profile = file.variables["site"].data, file.variables["profile"].data

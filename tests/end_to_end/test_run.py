@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from endings import ended, killed
+from apart import ended, killed
 
 from casadi_skin.cli import main
 
