@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 from drawing import blank_pictures
+from hypothesis import settings
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_name, "1")  # each core has a worker of its own
@@ -21,6 +22,24 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     files = {argument.split("::")[0] for argument in config.args}
     alone = len(files) == 1 and files.pop().endswith(".py")
     return 0 if alone or config.option.markexpr == "benchmark" else None
+
+
+def slow_run(config: pytest.Config) -> bool:
+    return "slow" in config.option.markexpr.replace("not slow", "")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.register_profile("quick", max_examples=20, deadline=None, derandomize=True, database=None)
+    settings.register_profile("slow", max_examples=100, deadline=None)
+    settings.load_profile("slow" if slow_run(config) else "quick")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Properties are tried in quick runs on a few examples, the same every time, and in slow runs on more."""
+    for item in items:
+        if slow_run(config) and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            item.add_marker("slow")
 
 
 @pytest.fixture
