@@ -10,7 +10,9 @@ import pytest
 from casadi_skin.cli import main
 from casadi_skin.studies.work_precision import measured as tradeoff_measured
 from casadi_skin.studies.work_precision import study as tradeoff
-from casadi_skin.studies.work_precision.measured import Measured
+from casadi_skin.studies.work_precision.measured import Measured, flow_settings, orbit_settings
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 TINY = """
 [chain]
@@ -74,10 +76,18 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
     assert max(differences) < 1e-13
 
 
+@pytest.mark.parametrize(("methods", "flows"), [(2, 1), pytest.param(8, 4, marks=pytest.mark.slow)])
 def test_a_few_settings_and_what_an_interruption_leaves(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: Path,
+    tmp_path: Path,
+    methods: int,
+    flows: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     few(monkeypatch)
+    monkeypatch.setattr(tradeoff, "orbit_settings", lambda *asked: orbit_settings(*asked)[:methods])
+    monkeypatch.setattr(tradeoff, "flow_settings", lambda *asked: flow_settings(*asked)[:flows])
     real, count = tradeoff.measure, 0
 
     def interrupted(*arguments: object, **named: object) -> Measured:
@@ -98,7 +108,8 @@ def test_a_few_settings_and_what_an_interruption_leaves(
     monkeypatch.setattr(tradeoff, "measure", real)
     assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
-    assert len(read(out / "tradeoff.csv")) == 11
+    assert len(read(out / "tradeoff.csv")) == 3 + methods
+    assert len(read(out / "flows.csv")) == flows
     assert {row["memory_MB"] for row in read(out / "flows.csv")} == {"50"}
 
 
