@@ -73,7 +73,7 @@ def _write_figure(name: str, data: PaperData, made: Reproduction) -> None:
     from casadi_skin.figures import save
 
     module, function = FIGURES[name]
-    figure, tables = getattr(import_module(f"casadi_skin.studies.{module}"), function)(data)
+    figure, tables = getattr(import_module(f"casadi_skin.studies.paper.{module}"), function)(data)
     for stem, (columns, rows) in tables.items():
         path = made.directory / f"{stem}.csv"
         write_csv(path, columns, rows)
