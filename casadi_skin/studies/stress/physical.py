@@ -88,7 +88,7 @@ def _off_the_circle(orbit: Orbit, gauge: bool) -> float:
 
 def _orbit_error(orbit: Orbit, mode: int, D: Array, gauge: bool) -> float:
     """Relative error of Omega of the orbit that Newton's method finds, in steps of S from the computed linear mode."""
-    chain, scale = orbit.chain, orbit.chain.rho if gauge else np.ones(orbit.chain.sites)
+    chain, scale = orbit.model, orbit.model.rho if gauge else np.ones(orbit.model.sites)
     values, vectors = np.linalg.eig(D)
     place = int(np.argsort(values.real)[mode - 1])
     shape, Omega = np.real(vectors[:, place]), math.sqrt(abs(values[place].real))

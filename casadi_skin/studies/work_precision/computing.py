@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.multipliers import accelerations
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import Floquet
@@ -32,11 +32,11 @@ class Computation:
     def __init__(self, setting: Setting) -> None:
         family = setting.family
         request = FamilyRequest(family.chain, family.mode, family.amplitude_max, family.at, **setting.methods)
-        self.tools = FamilyTools(request)
+        self.space = Family(request)
 
     def follow(self, stability: bool = False) -> Branch:
         """The family to its end."""
-        continuation = FamilyContinuation(self.tools, stability)
+        continuation = Following(self.space, stability)
         for _ in continuation:
             pass
         return continuation.branch()
@@ -46,11 +46,11 @@ class Computation:
 
         The errors of the orbits count for nothing. No mu at |gamma| = 1, where one site moves. Raises FlowError.
         """
-        if self.tools.core.sites == 1:
+        if self.space.coordinates.core.sites == 1:
             return [Floquet(np.zeros(0, complex), np.zeros(0), 0.0, 2) for _ in orbits]
         states = [OrbitState(orbit.point.problem, orbit.point.z) for orbit in orbits]
-        tolerance = self.tools.request.tolerance
-        return floquets(self.tools.flow, states, lambda found: accelerations(self.tools, found), tolerance)
+        tolerance = self.space.request.tolerance
+        return floquets(self.space.flow, states, lambda found: accelerations(self.space, found), tolerance)
 
 
 def requested_orbits(branch: Branch) -> list[Orbit]:
