@@ -16,7 +16,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.boundary_space import DEGREE, FIRST
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.find_orbit import UNFOLDING
-from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
 from casadi_skin.solvers.levels import ErrorEstimate

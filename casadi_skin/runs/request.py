@@ -15,7 +15,7 @@ from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.follow import for_stability
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.method import Method, Targets
-from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.scene import OrbitTable, Scene
 from casadi_skin.scene.model_tables import CONSERVED
 
