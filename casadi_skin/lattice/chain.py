@@ -20,6 +20,7 @@ from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
 
 if TYPE_CHECKING:
+    from casadi_skin.dynamics.equations import EquationsOfMotion
     from casadi_skin.orbits.coordinates import Coordinates
     from casadi_skin.orbits.method import Method
 
@@ -147,6 +148,12 @@ class Chain:
         from casadi_skin.lattice.chain_coordinates import chain_coordinates
 
         return chain_coordinates(self, mode, amplitude_max, method)
+
+    def equations_of_motion(self) -> EquationsOfMotion:
+        """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
+        from casadi_skin.lattice.chain_equations import ChainEquations
+
+        return ChainEquations(self)
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 
