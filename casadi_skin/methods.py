@@ -66,4 +66,12 @@ INTEGRATORS = _registry(
     dop853=("Dormand-Prince of order 8", "integrators.dop853:dop853"),
     symplectic=("symplectic splitting of order 6", "integrators.splitting:symplectic"),
 )
+TASKS = _registry(  # what an object's method does where the object stands below what is done
+    optimise=("the optimum of a boundary-value problem", "optimise.boundary_nlp:optimise"),
+    follow=("the branch through a solution", "orbits.follow:follow"),
+    to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
+    chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
+    chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
+    threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
+)
 TAILS = ("eliminated", "full")

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import casadi as ca
 import numpy as np
 
-from casadi_skin import OdeModel, find_orbit
+from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.fmu.build import compiler, headers
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 from casadi_skin.orbits.branch import Branch
@@ -44,7 +44,7 @@ def made_elsewhere(folder: Path) -> Path:
 
 def main(picture: Path | None = None) -> Branch:
     with TemporaryDirectory() as folder:
-        model = OdeModel.from_fmu(made_elsewhere(Path(folder)), parameters=["mu"])
+        model = import_fmu(made_elsewhere(Path(folder)), parameters=["mu"])
     print(f"states {', '.join(model.state_names)}, derivatives by the FMU: {model.derivatives}")
     cycle = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.5, corrector="newton")
     print(f"mu = 1: period {cycle.period:.10f}, multipliers {cycle.floquet().multipliers.real}")

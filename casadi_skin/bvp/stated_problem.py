@@ -7,14 +7,15 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import cut
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar
-from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.models.declared import Expression
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.models.expressions import Expression
 
-SHOWN = 40  # characters of a condition in a message
+LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
 SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
@@ -29,7 +30,7 @@ class BoundaryProblem(CollocationEquations):
 
     def __init__(
         self,
-        statement: BoundaryValueProblem,
+        statement: Statement,
         formulation: Formulation,
         intervals: int,
         table: CollocationTable,
@@ -158,4 +159,4 @@ def _entry(expressions: Sequence[Expression], index: int) -> str:
     entries = [entry for expression in expressions for entry in ca.vertsplit(ca.vec(expression))]
     text = str(entries[index])
     words = text[1:-1] if text[:1] == "(" and text[-1:] == ")" else text
-    return words if len(words) <= SHOWN else f"{words[: SHOWN - 3]}..."
+    return cut(words, LONGEST_CONDITION)

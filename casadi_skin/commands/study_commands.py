@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from casadi_skin.arguments import accepted_names, short_repr
 from casadi_skin.commands.scene_commands import read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.runs.directory import prepare_study
@@ -19,9 +19,7 @@ def reproduce_paper(arguments: argparse.Namespace) -> int:
 
     for name in arguments.targets:
         if name not in TARGETS:
-            near = next(iter(difflib.get_close_matches(name[:40].lower(), TARGETS, n=1)), None)
-            hint = f"did you mean {near}? " if near else ""
-            raise InputError(f"reproduce: given {name[:40]!r}; {hint}accepted: {', '.join(TARGETS)}")
+            raise InputError(f"reproduce: given {short_repr(name)}; {accepted_names(name, TARGETS)}")
     directory = arguments.out or Path("results") / "paper"
     prepare_study(directory, arguments.overwrite)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
@@ -142,10 +141,7 @@ def wanted(subject: Subject, what: Collection[str] | None) -> list[str]:
         raise ValueError(f"what: given an empty list; accepted: some of {', '.join(WHAT)}")
     chosen: set[str] = set()
     for name in what:
-        if not isinstance(name, str) or name not in WHAT:
-            near = get_close_matches(str(name).lower(), list(WHAT), n=1)
-            hint = f"did you mean {near[0]}? (accepted: {', '.join(WHAT)})" if near else f"accepted: {', '.join(WHAT)}"
-            raise ValueError(f"what: given {short_repr(name)}; {hint}")
+        check_name("what", name, WHAT)
         reason = subject.refusal(name)
         if reason is not None:
             can = ", ".join(other for other in WHAT if subject.refusal(other) is None)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
@@ -145,15 +146,13 @@ class Chain:
 
     def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
         """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
-        from casadi_skin.lattice.chain_coordinates import chain_coordinates
-
-        return chain_coordinates(self, mode, amplitude_max, method)
+        coordinates: Coordinates = methods.TASKS["chain_coordinates"].load()(self, mode, amplitude_max, method)
+        return coordinates
 
     def equations_of_motion(self) -> EquationsOfMotion:
         """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
-        from casadi_skin.lattice.chain_equations import ChainEquations
-
-        return ChainEquations(self)
+        equations: EquationsOfMotion = methods.TASKS["chain_equations"].load()(self)
+        return equations
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
@@ -14,7 +15,7 @@ from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.orbits.coordinates import normalised
 from casadi_skin.theory import multiple_scales
 
@@ -63,12 +64,20 @@ class CoreWithTail(ChainCoordinates):
         positions = self.positions(problem, z, theta)
         return np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
 
+    @property
+    def description(self) -> str:
+        sites = f"{self.core.sites} sites at the edge, where the cubic term is felt"
+        return f"the gauge; unknown are {sites}, and the linear tail is eliminated exactly"
+
+    def regime(self, point: Point) -> Regime:
+        """Whether Omega, or three times it, is pinned to the band."""
+        assert isinstance(point.problem, CoreWithTailProblem)
+        return point.problem.regime(point.z)
+
     @cached_property
     def threshold(self) -> float:
         """S at which the end breather of the infinite chain is born."""
-        from casadi_skin.lattice.threshold import threshold
-
-        return threshold(self.chain)
+        return float(methods.TASKS["threshold"].load()(self.chain))
 
     @cached_property
     def _signs(self) -> Array:

@@ -47,6 +47,14 @@ class ChainCoordinates(Coordinates):
         return {"alpha": self.chain.alpha, "gamma": self.chain.gamma, "g": self.chain.g}
 
     @property
+    def description(self) -> str:
+        return "the gauge, in which the chain is symmetric; every site is an unknown"
+
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        return {"sites": self.chain.sites, **self.parameters}
+
+    @property
     def labels(self) -> tuple[tuple[str, float], ...]:
         chain = self.chain
         return ("N", chain.sites), (r"\alpha", chain.alpha), (r"\gamma", chain.gamma), ("g", chain.g)
@@ -132,6 +140,10 @@ class EdgeSite(ChainCoordinates):
     @property
     def output_sites(self) -> Indices:
         return np.arange(1, self.chain.sites + 1)
+
+    @property
+    def description(self) -> str:
+        return "the edge site alone: at |gamma| = 1 no other site moves in the gauge"
 
     @property
     def edge(self) -> int:

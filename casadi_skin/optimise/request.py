@@ -11,7 +11,7 @@ import casadi as ca
 
 from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.declared import is_comparison
+from casadi_skin.models.expressions import is_comparison
 from casadi_skin.optimise.names import FREE, NAMED, SHARED, nearest_name
 from casadi_skin.optimise.observables import ChainSymbols, Observables
 

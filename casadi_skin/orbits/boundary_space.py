@@ -6,15 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin import methods
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
@@ -23,6 +24,7 @@ from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
+from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -30,16 +32,24 @@ from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
-if TYPE_CHECKING:
-    from casadi_skin.orbits.solution import Solution
-
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
-class BoundaryError(ArithmeticError):
-    """No solution was found: the message names condition, variable and place in one line."""
+def boundary_method(options: Mapping[str, Any]) -> Method:
+    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
+    for name, accepted, first in (
+        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
+        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
+        ("walker", ("arclength",), "arclength"),
+    ):
+        options = {name: first, **options}
+        if options[name] not in accepted:
+            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
+    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method.check_degree(1)
+    return method
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ class Sizes:
     scalars: Array
 
     @classmethod
-    def of(cls, statement: BoundaryValueProblem, guess: Array) -> Sizes:
+    def of(cls, statement: Statement, guess: Array) -> Sizes:
         """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
         states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
         values = np.array([statement.values[name] for name in statement.free])
@@ -73,7 +83,7 @@ class BoundarySpace:
     Attributes:
         statement: the problem; values of its parameters are those at the start of a branch.
         tolerance: relative error of states and free parameters.
-        method: how; what it leaves open is chosen here.
+        method: how, with every choice made.
         sizes: what states and free parameters are measured by at least.
         periodic: what makes the solutions orbits; None where they are none.
         parameter: the parameter that is followed, from its value to `to`; empty where none is.
@@ -82,7 +92,7 @@ class BoundarySpace:
         settings: of the continuation.
     """
 
-    statement: BoundaryValueProblem
+    statement: Statement
     tolerance: float
     method: Method
     sizes: Sizes
@@ -90,29 +100,10 @@ class BoundarySpace:
     parameter: str = ""
     to: float = 1.0
     at: tuple[float, ...] = ()
-    first: Solution | None = None
+    first: Point | None = None
     settings: ContinuationSettings | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
-
-    def __post_init__(self) -> None:
-        method = self.method
-        transcription = method.transcription or "gauss"
-        if transcription not in methods.COLLOCATION_TABLES:
-            accepted = ", ".join(methods.COLLOCATION_TABLES)
-            raise ValueError(f"transcription: given {transcription}; accepted for boundary-value problems: {accepted}")
-        flow = method.flow or "collocation"
-        if flow not in methods.FULL_PERIOD_FLOWS:
-            accepted = ", ".join(methods.FULL_PERIOD_FLOWS)
-            raise ValueError(f"flow: given {flow}; accepted over the full period: {accepted}")
-        for name in ("tail", "symmetry"):
-            if getattr(method, name) is not None:
-                raise ValueError(f"{name}: given for a boundary-value problem; accepted: for families alone")
-        if method.walker not in (None, "arclength"):
-            raise ValueError(f"walker: given {method.walker}; accepted for boundary-value problems: arclength")
-        degree, intervals = method.degree or DEGREE, method.intervals or FIRST
-        chosen = replace(method, transcription=transcription, flow=flow, degree=degree, intervals=intervals)
-        object.__setattr__(self, "method", chosen)
 
     @property
     def model(self) -> OdeModel:
@@ -151,13 +142,12 @@ class BoundarySpace:
     @cached_property
     def start(self) -> Point:
         """The first solution as a point of the branch; raises BoundaryError where it cannot be solved again."""
-        from casadi_skin.orbits.solve import refined
-
         first = self.first
         assert first is not None
-        problem = self.levels.problem(first.intervals).with_constants(first.problem.constants)
+        assert isinstance(first.problem, BoundaryProblem)
+        problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
         assert isinstance(problem, BoundaryProblem)
-        z = first.point.z.copy()
+        z = first.z.copy()
         z[-1] = 0.0
         correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from enum import Enum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -122,12 +123,26 @@ class Coordinates(ABC):
         logs = logs - 0.5 * np.log(np.sum(np.exp(2.0 * (logs - np.max(logs))))) - np.max(logs)
         return logs / LOG10, np.sign(self.mode)
 
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        """What tells the model apart from others of its kind, for files."""
+        return self.parameters
+
+    @property
+    def description(self) -> str:
+        """In what the family is solved, in words."""
+        return "positions of the model"
+
     def band(self) -> tuple[float, float] | None:
         """Squares of the lowest and highest linear frequency; None where these are not known."""
         return None
 
     def first_order_frequency(self, S: Array) -> Array | None:
         """Omega to first order in S by perturbation theory, shape of S; None where there is no formula."""
+        return None
+
+    def regime(self, point: Point) -> Enum | None:
+        """What an eliminated linear part of the model does at a point; None where nothing is eliminated."""
         return None
 
     def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:

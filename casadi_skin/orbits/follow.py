@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import check_name, number, numbers, short_repr
 from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.statement import check_name
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
@@ -320,9 +319,9 @@ def following_space(
     if statement.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
     check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
-    start, end = solution.parameters[parameter], number("end", to)
+    start, end = solution.parameters[parameter], number("to", to)
     if end == start:
-        raise ValueError(f"end: given {end!r}, where the branch starts; accepted: another value")
+        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
     for value in numbers("at", at):
         if not min(start, end) <= value <= max(start, end):
             raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
@@ -338,5 +337,5 @@ def following_space(
     sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
     return BoundarySpace(
         statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
-        tuple(float(np.float64(v)) for v in at), solution, settings,
+        tuple(float(np.float64(v)) for v in at), solution.point, settings,
     )  # fmt: skip

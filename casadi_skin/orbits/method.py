@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from casadi_skin import methods
 from casadi_skin.arguments import number, numbers, short_repr
-from casadi_skin.bvp.statement import check_name
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
 
 TWO_PI = 2.0 * math.pi
 TOLERANCES = (1e-13, 1e-2)
-DEGREES = (1, 12)
+HIGHEST_DEGREE = 12
 MOST_INTERVALS = 1500  # of a first mesh
 MAX_POINTS = 2000  # of a family: ten times what those need that do not wander from one resonance to the next
 SAME = 1e-12  # relative difference of periods that are the same
@@ -59,12 +56,7 @@ class Method:
             given = getattr(self, name)
             if given not in accepted and not (given is None and name != "corrector"):
                 raise ValueError(f"{name}: given {short_repr(given)}; accepted: {', '.join(accepted)}")
-        for name, (low, high) in (("degree", DEGREES), ("intervals", (1, MOST_INTERVALS))):
-            whole = getattr(self, name)
-            if whole is not None and (
-                isinstance(whole, bool) or not isinstance(whole, int) or not low <= whole <= high
-            ):
-                raise ValueError(f"{name}: given {short_repr(whole)}; accepted: a whole number from {low} to {high}")
+        _check_whole("intervals", self.intervals, 1, MOST_INTERVALS)
         if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
             raise TypeError(f"symmetry: given {short_repr(self.symmetry)}; accepted: a SymmetryClass")
         self._check_together()
@@ -79,12 +71,16 @@ class Method:
         if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == TRIGONOMETRIC:
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
 
-    @classmethod
-    def of(cls, options: Mapping[str, Any]) -> Method:
-        """From options by name; raises ValueError for unknown names and for what is not accepted."""
-        for name in options:
-            check_name("options", name, [*(field.name for field in fields(cls)), "tolerance"])
-        return cls(**options)
+    def check_degree(self, lowest: int) -> None:
+        """Raises ValueError for a degree that is none from `lowest` on, which depends on what is solved."""
+        _check_whole("degree", self.degree, lowest, HIGHEST_DEGREE)
+
+
+def _check_whole(name: str, given: object, low: int, high: int) -> None:
+    """Raises ValueError for what is no whole number in a range; None is left open."""
+    if given is None or (isinstance(given, int) and not isinstance(given, bool) and low <= given <= high):
+        return
+    raise ValueError(f"{name}: given {short_repr(given)}; accepted: a whole number from {low} to {high}")
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,12 @@ class ModelCoordinates(Coordinates):
         return self._values
 
     @property
+    def description(self) -> str:
+        scaled = "positions of the model" if float(np.ptp(self.log_scale)) == 0.0 else "positions scaled to symmetry"
+        kind = "Hamiltonian" if self.symplectic else "reversible, and Hamiltonian in no such coordinates"
+        return f"{scaled}; the equations are {kind}"
+
+    @property
     def labels(self) -> tuple[tuple[str, float], ...]:
         return tuple((rf"\mathrm{{{name}}}", value) for name, value in self._values.items())
 
@@ -227,6 +233,15 @@ def amplitude_square(model: OdeModel) -> AmplitudeSquare:
     if degrees != {2}:
         raise fault
     return AmplitudeSquare(model.state, form, model.parameter_names[used[0]])
+
+
+def modes_of(model: OdeModel, parameters: Mapping[str, float]) -> LinearModes:
+    """Linear modes of a model of second order about rest; raises ValueError where there are none."""
+    _check_kind(model)
+    amplitude = amplitude_square(model).parameter
+    values = _fixed_values(model, parameters, () if amplitude is None else (amplitude,))
+    numbers = ca.SX([values.get(name, 0.0) for name in model.parameter_names])
+    return linear_modes(ca.substitute(model.rhs, model.parameters, numbers), model.state, model.name)
 
 
 # Linear modes ---------------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.orbits.method import TOLERANCES, TWO_PI, Method, Targets
 from casadi_skin.orbits.model_coordinates import ModelCoordinates
 
+LOWEST_DEGREE = 2  # of polynomials on an interval
 QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 
 
@@ -89,11 +90,10 @@ class FamilyRequest:
             raise ValueError(f"flow: given {short_repr(method.flow)}; accepted: {', '.join(FLOWS)}")
         if method.intervals is not None:
             raise ValueError(f"intervals: given {method.intervals}; accepted for families: none, the tolerance decides")
-        if method.degree == 1:
-            raise ValueError("degree: given 1; accepted for families: a whole number from 2 to 12")
         if method.degree is not None and transcription not in COLLOCATION_TABLES:
             accepted = f"with {' or '.join(COLLOCATION_TABLES)} only"
             raise ValueError(f"degree: given {short_repr(method.degree)}; accepted: {accepted}")
+        method.check_degree(LOWEST_DEGREE)
         return replace(
             method,
             transcription=transcription,

@@ -8,12 +8,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from casadi_skin.files import replacing
 from casadi_skin.optimise.result import Optimum, SearchResult
 from casadi_skin.optimise.search_nlp import Solution
 from casadi_skin.optimise.starts import Ending, Outcome, Start
-from casadi_skin.results.netcdf import put, write_origin
-from casadi_skin.results.tables import Cell, write_csv
+from casadi_skin.results.dataset import Cell, Dataset, Variable, versions, write_csv, write_netcdf
 
 
 class OutcomeRecord(msgspec.Struct, frozen=True, tag="outcome"):
@@ -110,31 +108,27 @@ def write_search(result: SearchResult, directory: Path, names: tuple[str, ...], 
 
 
 def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str) -> None:
-    from scipy.io import netcdf_file
-
-    found = (*result.optima, *result.others)
+    found, chain = (*result.optima, *result.others), result.chain
     harmonics = max(optimum.harmonics for optimum in found)
-    coefficients = np.zeros((len(found), harmonics, result.chain.sites))
+    coefficients = np.zeros((len(found), harmonics, chain.sites))
     for k, optimum in enumerate(found):
         coefficients[k, : optimum.harmonics] = optimum.orbit.coefficients
-    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        write_origin(file, result.chain, scene_text, title)
-        setattr(file, "search_status", result.status.name.lower())  # noqa: B010
-        setattr(file, "search_reason", result.reason)  # noqa: B010
-        for name, size in (("optimum", len(found)), ("harmonic", harmonics), ("site", result.chain.sites)):
-            file.createDimension(name, size)
-        columns = {
-            "objective": ([o.objective for o in found], "objective"),
-            "S": ([o.S for o in found], "total amplitude: sum of y_n^2 at t = 0"),
-            "Omega": ([o.Omega for o in found], "frequency"),
-            "optimum_gamma": ([o.gamma for o in found], "nonreciprocity of the optimum"),
-            "optimum_g": ([o.g for o in found], "cubic on-site coefficient of the optimum"),
-            "kkt": ([o.kkt.largest for o in found], "largest residual of the conditions of optimality"),
-        }
-        for name, (values, meaning) in columns.items():
-            put(file, name, ("optimum",), np.array(values), meaning)
-        alphas = np.stack([o.alpha_n for o in found])
-        put(file, "alpha_n", ("optimum", "site"), alphas, "on-site stiffness of every site")
-        put(file, "profile", ("optimum", "site"), np.stack([o.orbit.profile for o in found]), "y_n at t = 0")
-        meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
-        put(file, "coefficients", ("optimum", "harmonic", "site"), coefficients, meaning)
+    meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
+    profiles = np.stack([o.orbit.profile for o in found])
+    variables = [
+        Variable("objective", ("optimum",), np.array([o.objective for o in found]), "objective"),
+        Variable("S", ("optimum",), np.array([o.S for o in found]), "total amplitude: sum of y_n^2 at t = 0"),
+        Variable("Omega", ("optimum",), np.array([o.Omega for o in found]), "frequency"),
+        Variable("optimum_gamma", ("optimum",), np.array([o.gamma for o in found]), "nonreciprocity of the optimum"),
+        Variable("optimum_g", ("optimum",), np.array([o.g for o in found]), "cubic on-site coefficient of the optimum"),
+        Variable("kkt", ("optimum",), np.array([o.kkt.largest for o in found]), "largest KKT residual"),
+        Variable(
+            "alpha_n", ("optimum", "site"), np.stack([o.alpha_n for o in found]), "on-site stiffness of every site"
+        ),
+        Variable("profile", ("optimum", "site"), profiles, "y_n at t = 0"),
+        Variable("coefficients", ("optimum", "harmonic", "site"), coefficients, meaning),
+    ]
+    known = {"title": title, "scene": scene_text, **versions()}
+    known |= {name: getattr(chain, name) for name in ("sites", "alpha", "gamma", "g")}
+    known |= {"search_status": result.status.name.lower(), "search_reason": result.reason}
+    write_netcdf(path, Dataset(variables, known))

@@ -17,7 +17,7 @@ from casadi_skin.optimise.starts import Ending, first_harmonics, sample_starts
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import Journal, read_records, trim_journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
-from casadi_skin.runs.request import scene_chain
+from casadi_skin.runs.request import Request, chain_of
 from casadi_skin.scene import Scene, SearchTable
 
 COMPLETE = (SearchStatus.FOUND, SearchStatus.ON_BOUND)
@@ -38,13 +38,14 @@ def scene_search(scene: Scene) -> SearchRequest:
         for held in table.constraints
     ]
     return search_request(
-        scene_chain(scene), table.mode, table.S, table.objective, table.maximise, table.free, table.bounds, constraints,
+        chain_of(scene), table.mode, table.S, table.objective, table.maximise, table.free, table.bounds, constraints,
         scene.accuracy.relative_tolerance,
     )  # fmt: skip
 
 
-def run_search(scene: Scene, journal: Path, progress: Progress) -> SearchResult:
+def run_search(request_of_run: Request, journal: Path, progress: Progress) -> SearchResult:
     """Run the search, each start kept in the journal as it ends; starts that the journal holds are not run again."""
+    scene = request_of_run.scene
     table, request = search_table(scene), scene_search(scene)
     decoder = msgspec.msgpack.Decoder(OutcomeRecord)
     records = [r for r in (read_records(journal, decoder) if journal.exists() else []) if _ended(r)]
@@ -65,16 +66,23 @@ def _ended(record: OutcomeRecord) -> bool:
     return record.ending is not Ending.INTERRUPTED
 
 
-def write_results(scene: Scene, scene_text: str, result: SearchResult, directory: Path) -> None:
+def write_results(request: Request, scene_text: str, result: SearchResult, directory: Path) -> None:
     """search.csv, starts.csv, search.nc and the picture."""
+    scene = request.scene
     table = search_table(scene)
     write_search(result, directory, scene_search(scene).free_names, scene_text, scene.title or "")
     if result.optima or result.others:
         figures.save(search_figure(result, table.objective), directory / "search")
 
 
-def summary_lines(result: SearchResult, objective: str) -> list[str]:
+def check_search(request: Request) -> None:
+    """Raises ValueError or TypeError where the scene's search cannot be meant."""
+    scene_search(request.scene)
+
+
+def summary_lines(result: SearchResult, request: Request) -> list[str]:
     """The result in lines for a terminal."""
+    objective = search_table(request.scene).objective
     lines = [f"search: {result.reason}"]
     for rank, optimum in enumerate((*result.optima, *result.others), start=1):
         named = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])

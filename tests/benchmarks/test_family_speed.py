@@ -45,7 +45,7 @@ def follow(tools: Family, stability: bool) -> Following:
 @pytest.mark.parametrize("walker", ["series", "arclength"])
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
 def test_end_breather_family_with_and_without_multipliers(record: Record, corrector: str, walker: str) -> None:
-    request = family_request(SOFT, 1, 3.0, (0.2, 1.0, 3.0), 1e-9, corrector=corrector, walker=walker)
+    request = family_request(SOFT, 1, 3.0, at=(0.2, 1.0, 3.0), tolerance=1e-9, corrector=corrector, walker=walker)
     started = time.perf_counter()
     tools = Family(request)
     Following(tools)
@@ -62,7 +62,7 @@ def test_end_breather_family_with_and_without_multipliers(record: Record, correc
 def test_twelve_families_with_stability(record: Record) -> None:
     """Those of the paper's Fig. 3: six modes, hardening and softening, to S = 3."""
     wanted = [(g, mode) for g in (1.0, -1.0) for mode in MODES]
-    every = [Family(family_request(Chain(24, 1.0, 0.25, g), mode, 3.0, (), 1e-8)) for g, mode in wanted]
+    every = [Family(family_request(Chain(24, 1.0, 0.25, g), mode, 3.0, tolerance=1e-8)) for g, mode in wanted]
     for tools in every:
         follow(tools, stability=True)
     started = time.perf_counter()
@@ -73,7 +73,7 @@ def test_twelve_families_with_stability(record: Record) -> None:
 @pytest.mark.parametrize("walker", ["series", "arclength"])
 def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Time inside the calls of each part, everything built; what the parts call of each other is counted once."""
-    tools = Family(family_request(SOFT, 1, 3.0, (), 1e-9, walker=walker))
+    tools = Family(family_request(SOFT, 1, 3.0, tolerance=1e-9, walker=walker))
     follow(tools, stability=True)
     spent: Counter[str] = Counter()
     calls: Counter[str] = Counter()

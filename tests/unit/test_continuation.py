@@ -353,7 +353,7 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
 
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
-    tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, (0.3, 0.9), 1e-8, corrector="newton"))
+    tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, at=(0.3, 0.9), tolerance=1e-8, corrector="newton"))
     whole = [o for o in Following(tools) if isinstance(o, Orbit)]
     for kept in (1, 7, 20):
         # Broken off after a point walked: one that was asked for is not yet followed by its successor.
@@ -362,7 +362,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = Following(Family(tools.request), orbits=known)
+        again = Following(Family(tools.request), solutions=known)
         list(again)
         branch = again.branch()
         assert branch.complete

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
-from casadi_skin.models.ode import OdeModel
 from casadi_skin.results.branch import BranchPoint, extremes
 from casadi_skin.runs.model_request import bind
 from casadi_skin.runs.model_solution import cycle, first_solution
+
+from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.saved import save_model
 from casadi_skin.scene import ModelScene, Scene, SceneError, parse_any_scene, parse_scene, scene_schema
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'
@@ -122,7 +123,7 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
         ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [model], [orbit], "),
         ("[model]\nfiles = 'a.py'\n", "[model] files: unknown key; did you mean 'file'? (accepted: file, name, "),
-        ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by OdeModel.save"),
+        ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by save_model"),
         ('[model]\nfile = "a.py"\n', "[model] name: missing; accepted: with a Python file the name of the model in it"),
         ('[model]\nfile = "a.txt"\n', '[model] file: given "a.txt"; accepted: a name that ends in .py or .json'),
         ('[model]\nfile = "a.json"\nname = "b"\n', '[model] name: given "b" with file = "a.json"; accepted: none: '),
@@ -325,7 +326,7 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
 
 def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
     made = bind(parsed(scene_of("makes", ORBIT, "mu = 1")), folder / "scene.toml").model
-    made.save(folder / "saved.json")
+    save_model(made, folder / "saved.json")
     text = '[model]\nfile = "saved.json"\nparameters = { mu = 1.0 }\n' + ORBIT
     request = bind(parsed(text), folder / "scene.toml")
     assert isinstance(request.model, OdeModel)

@@ -25,7 +25,7 @@ def our_walk(
     case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool
 ) -> Callable[[], tuple[Orbit, ...]]:
     """A walk over the family; the tools, once built, serve every call."""
-    tools = Family(family_request(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
+    tools = Family(family_request(case.chain, 1, case.at[-1], at=case.at, tolerance=tolerance, **keywords))  # type: ignore[arg-type]
 
     def follow() -> tuple[Orbit, ...]:
         walk = Following(tools, stability, events=False)

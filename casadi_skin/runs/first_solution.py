@@ -1,4 +1,4 @@
-"""The first orbit or solution of a scene of a model: simulated, cut to a cycle, corrected."""
+"""The first orbit or solution of a scene: simulated, cut to a cycle, corrected."""
 
 from __future__ import annotations
 
@@ -8,49 +8,36 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.models.declared import Expression
+from casadi_skin.dynamics.evolution import Cycle, Evolution
+from casadi_skin.dynamics.simulation import simulate
+from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
-from casadi_skin.orbits.solution import BoundarySolution
-from casadi_skin.runs.model_request import ModelRequest
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.runs.binding import state_of
+from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import SELECTED
-from casadi_skin.dynamics.cycle import Cycle
-from casadi_skin.dynamics.evolution import Evolution
-from casadi_skin.dynamics.simulation import simulate
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
 
 
-def first_solution(request: ModelRequest) -> BoundarySolution:
+def first_solution(request: Request) -> Solution:
     """The orbit or the solution that a scene asks for, at its parameters.
 
     Raises BoundaryError where none is found, IntegrationError where the simulation fails, ValueError where the
     simulation does not settle on a cycle or the guess is none.
     """
-    options = method_options(request)
     if request.problem is not None:
         if request.guess is None:
             raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
-        return request.problem.solve(request.guess, **options)
-    return _orbit(request, options)
+        return request.problem.solve(request.guess, **request.options)
+    return _orbit(request, request.options)
 
 
-def method_options(request: ModelRequest) -> dict[str, Any]:
-    """What [accuracy] and [method] say to the solver."""
-    method = request.scene.method
-    return {
-        "tolerance": request.scene.accuracy.relative_tolerance,
-        "transcription": method.transcription,
-        "degree": method.degree,
-        "corrector": method.corrector,
-        "intervals": method.intervals,
-    }
-
-
-def _orbit(request: ModelRequest, options: dict[str, Any]) -> PeriodicOrbit:
-    orbit, model, values = request.orbit, request.model, dict(request.parameters)
+def _orbit(request: Request, options: dict[str, Any]) -> Orbit:
+    orbit, model, values = request.orbit, request.ode, dict(request.parameters)
     guess = cycle(request)
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
@@ -67,26 +54,27 @@ def _orbit(request: ModelRequest, options: dict[str, Any]) -> PeriodicOrbit:
     )  # fmt: skip
 
 
-def cycle(request: ModelRequest) -> Cycle:
+def cycle(request: Request) -> Cycle:
     """A stretch of a simulation that is the guess of an orbit.
 
     A forced model starts it at a multiple of its period after the transient, an autonomous one where the section is
     crossed, if there is one.
     """
-    orbit, model, values = request.orbit, request.model, request.parameters
+    orbit, model, values = request.orbit, request.ode, request.parameters
+    start_state = state_of(orbit.start, model.state_names)
     if model.forced:
         length = orbit.cycles * model.forcing_period_at(list(values.values()))
         if not (math.isfinite(length) and length > 0.0):
             raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
         t = np.linspace(before, before + length, SAMPLES)
-        simulation = simulate(model, request.start, t if before == 0.0 else np.append(0.0, t), parameters=values)
+        simulation = simulate(model, start_state, t if before == 0.0 else np.append(0.0, t), parameters=values)
         return Cycle(simulation, before, length)
     if orbit.period is not None:
-        simulation = simulate(model, request.start, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
+        simulation = simulate(model, start_state, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
         return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
-    simulated = simulate(model, request.start, t, parameters=values)
+    simulated = simulate(model, start_state, t, parameters=values)
     try:
         found = simulated.last_cycle()
     except ValueError as error:
@@ -114,7 +102,7 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
 
 def _along(simulation: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     function = simulation.model.function("section", expression)
-    values = [float(function(0.0, state, simulation.parameters)) for state in states]
+    values = [float(function(0.0, state, simulation.equations.values)) for state in states]
     return np.array(values)
 
 

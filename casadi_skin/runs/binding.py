@@ -1,124 +1,135 @@
-"""What a scene of a model asks for, with the model at hand: names and shapes checked before anything is solved."""
+"""From a scene to a request: the file of its model is run or read, and names and shapes are checked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import BoundaryValueProblem, named_values
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
-from casadi_skin.models.declared import Expression
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.find_orbit import PERIOD, UNFOLDING
+from casadi_skin.models.saved import read_model
+from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
-from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, toml_repr
-from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelScene, OrbitTable
+from casadi_skin.runs.request import Request, chain_of
+from casadi_skin.scene import OrbitTable, Scene, SceneError
+from casadi_skin.scene.faults import check_known, refusal, toml_repr
+from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelTable
 
 KINDS = (OdeModel, BoundaryValueProblem)
 Numbers = Sequence[float] | Mapping[str, float]
+# Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
+PLACES = {
+    "amplitude_max": "family", "at": "family", "at_Omega": "family", "at_period": "family", "period_max": "family",
+    "max_points": "family", "mode": "family", "transcription": "method", "degree": "method", "corrector": "method",
+    "walker": "method", "flow": "method", "tail": "method", "intervals": "method", "parameters": "model",
+    "sites": "chain", "alpha": "chain", "gamma": "chain", "g": "chain", "tolerance": "accuracy",
+}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class ModelRequest:
-    """A scene with its model, of first order where an orbit is asked for, or with its boundary-value problem.
-
-    `path` and `source` are the file of the model and its text. `parameters` are the values of all parameters by name.
-    `guess` is that of a boundary-value problem.
-    """
-
-    scene: ModelScene
-    path: Path
-    source: str
-    model: OdeModel
-    parameters: Mapping[str, float]
-    problem: BoundaryValueProblem | None = None
-    guess: Guess | None = None
-
-    @property
-    def orbit(self) -> OrbitTable:
-        """The table [orbit]; raises ValueError where there is none."""
-        if self.scene.orbit is None:
-            raise ValueError("[orbit]: missing; accepted: a scene with an [orbit]")
-        return self.scene.orbit
-
-    @property
-    def start(self) -> Array:
-        """State that the simulation of an orbit starts from, shape (components,)."""
-        return _state(self.orbit.start, self.model.state_names)
-
-    def condition(self, given: Mapping[str, float] | None) -> tuple[Expression, float] | None:
-        """The expression named by a table with one number, and the number."""
-        if given is None:
-            return None
-        ((name, value),) = given.items()
-        names = self.model.state_names
-        if name in names:
-            return self.model.state[names.index(name)], value
-        return (self.model.hamiltonian if name == CONSERVED else self.model.outputs[name]), value
-
-
-def bind(scene: ModelScene, scene_path: Path) -> ModelRequest:
-    """Run or read the scene's file and check what the scene asks of the model in it.
+def bind(scene: Scene, scene_path: Path) -> Request:
+    """Make the model of a scene and check what the scene asks of it.
 
     Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
     """
-    path = scene_path.parent / scene.model.file
+    request = _bound_chain(scene) if scene.model is None else _bound_file(scene, scene.model, scene_path)
+    if scene.orbit is not None:
+        _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
+        (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
+    _check_continuation(request)
+    try:
+        _ = request.families
+    except (TypeError, ValueError) as error:
+        raise SceneError(_placed(str(error))) from None
+    if scene.spectrum is not None:
+        check_spectrum(request)
+    return request
+
+
+def _bound_chain(scene: Scene) -> Request:
+    chain = chain_of(scene)
+    return Request(scene, chain, {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g})
+
+
+def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
+    path = scene_path.parent / table.file
     try:
         source = read_source(path)
         names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
-        found = OdeModel.read(path) if scene.model.name is None else named(path, names, scene.model.name, KINDS)
-    except ModelFileError as error:
-        raise SceneError(f"[model] {error}") from None
-    except ValueError as error:  # of a damaged .json file
+        found = read_model(path) if table.name is None else named(path, names, table.name, KINDS)
+    except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
         raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
-        request = _bound_problem(scene, path, source, found, names)
-    else:
-        request = _bound_model(scene, path, source, found)
-    _check_continuation(request)
-    return request
+        return _bound_problem(scene, table, path, source, found, names)
+    if scene.solution is not None:
+        given = f"with {table.name}, an OdeModel"
+        raise refusal("[solution]", given, "[orbit], or a BoundaryValueProblem")
+    return Request(scene, found, _values(found, table.parameters), path, source)
+
+
+def _placed(message: str) -> str:
+    """A message about an argument of a family, with the table that it is in."""
+    argument = message.partition(":")[0]
+    return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[model] {message}"
 
 
 def _values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
     for name in given:
-        _check_known("[model] parameters", name, model.parameter_names)
+        check_known("[model] parameters", name, model.parameter_names)
+    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
+        return dict(given)
     try:
         return named_values(model, given)
     except ValueError as error:
         raise SceneError(f"[model] {error}") from None
 
 
+def check_spectrum(request: Request) -> None:
+    """Raises SceneError where linear frequencies cannot be shown."""
+    from casadi_skin.orbits.spectrum import linear_frequencies
+
+    try:
+        linear_frequencies(request.model, request.parameters)
+    except ValueError as error:
+        if request.scene.chain is not None:
+            raise SceneError(f"[chain] alpha: given {request.scene.chain.alpha:g}; {error}") from None
+        raise SceneError(f"[spectrum] {error}") from None
+
+
 # Boundary-value problems ----------------------------------------------------------------------------------------------
 
 
 def _bound_problem(
-    scene: ModelScene, path: Path, source: str, problem: BoundaryValueProblem, names: Mapping[str, Any]
-) -> ModelRequest:
-    if scene.orbit is not None:
-        given = f"with {scene.model.name}, a BoundaryValueProblem"
-        raise refusal("[orbit]", given, "[solution], or an OdeModel")
-    values = _values(problem.model, {**problem.parameters, **scene.model.parameters})
+    scene: Scene, table: ModelTable, path: Path, source: str, problem: BoundaryValueProblem, names: Mapping[str, Any]
+) -> Request:
+    for name in ("orbit", "family", "spectrum", "export", "search"):
+        if getattr(scene, name) is not None:
+            given = f"with {table.name}, a BoundaryValueProblem"
+            raise refusal(f"[{name}]", given, "[solution], or an OdeModel")
+    values = _values(problem.model, {**problem.parameters, **table.parameters})
     try:
         problem = replace(problem, parameters=values)
     except ValueError as error:  # an interval that is empty at these values
         raise SceneError(f"[model] parameters: {error}") from None
     guess = None if scene.solution is None else _guess(scene.solution.guess, path, problem, names)
-    return ModelRequest(scene, path, source, problem.model, values, problem, guess)
+    return Request(scene, problem.model, values, path, source, problem, guess)
 
 
 def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, names: Mapping[str, Any]) -> Guess:
     place, states = "[solution] guess", problem.model.state_names
     if not isinstance(given, str):
         _check_state(place, given, states)
-        return _state(given, states)
+        return state_of(given, states)
     functions = [name for name, value in names.items() if callable(value) and not isinstance(value, type)]
-    _check_known(place, given, [name for name in functions if not name.startswith("__")])
+    check_known(place, given, [name for name in functions if not name.startswith("__")])
 
     def guess(t: float) -> Array:
         try:
@@ -136,26 +147,16 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
 # Orbits ---------------------------------------------------------------------------------------------------------------
 
 
-def _bound_model(scene: ModelScene, path: Path, source: str, found: OdeModel) -> ModelRequest:
-    if scene.solution is not None:
-        given = f"with {scene.model.name}, an OdeModel"
-        raise refusal("[solution]", given, "[orbit], or a BoundaryValueProblem")
-    values = _values(found, scene.model.parameters)
-    request = ModelRequest(scene, path, source, found.first_order(), values)
-    if scene.orbit is not None:
-        _check_state("[orbit] start", scene.orbit.start, request.model.state_names)
-        (_check_forced if found.forced else _check_autonomous)(request.model, scene.orbit)
-    return request
-
-
-def _check_forced(model: OdeModel, orbit: OrbitTable) -> None:
+def _check_forced(request: Request, orbit: OrbitTable) -> None:
     given = {"period": orbit.period, "select": orbit.select, "section": orbit.section, "symmetric": orbit.symmetric}
     for name, value in given.items():
         if value:
-            raise refusal(f"[orbit] {name}", f"with {model.name}, which is forced", "start, transient and cycles")
+            words = f"with {request.ode.name}, which is forced"
+            raise refusal(f"[orbit] {name}", words, "start, transient and cycles")
 
 
-def _check_autonomous(model: OdeModel, orbit: OrbitTable) -> None:
+def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
+    model = request.ode
     for name in (PERIOD, UNFOLDING):
         if name in (*model.parameter_names, *model.state_names):
             raise refusal("[model]", f"{model.name} with a state or parameter called {name}", "other names")
@@ -169,14 +170,14 @@ def _check_autonomous(model: OdeModel, orbit: OrbitTable) -> None:
     names = (*model.state_names, *model.outputs)
     if orbit.select is not None:
         conserved = () if model.hamiltonian is None else (CONSERVED,)
-        _check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
+        check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
         if not family:
             raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
     elif family:
         why = "symmetric" if orbit.symmetric else "conservative"
         raise SceneError(f"[orbit] select: missing; accepted: a table with one number: {why} orbits come in families")
     if orbit.section is not None:
-        _check_known("[orbit] section", next(iter(orbit.section)), names)
+        check_known("[orbit] section", next(iter(orbit.section)), names)
     if orbit.symmetric:
         _check_symmetric(model, orbit)
 
@@ -195,10 +196,7 @@ def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
         raise refusal("[orbit] select", toml_repr(name), accepted)
 
 
-# What both have -------------------------------------------------------------------------------------------------------
-
-
-def _check_continuation(request: ModelRequest) -> None:
+def _check_continuation(request: Request) -> None:
     table, values = request.scene.continuation, dict(request.parameters)
     if table is None:
         return
@@ -209,7 +207,7 @@ def _check_continuation(request: ModelRequest) -> None:
     if SELECTED not in values and request.scene.orbit is not None and request.scene.orbit.select is not None:
         values[SELECTED] = next(iter(request.scene.orbit.select.values()))
     free = () if problem is None else problem.free
-    _check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+    check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.to == values[table.parameter]:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
     low, high = sorted((values[table.parameter], table.to))
@@ -218,20 +216,17 @@ def _check_continuation(request: ModelRequest) -> None:
             raise refusal("[continuation] at", f"{value!r} as item {item}", f"numbers from {low!r} to {high!r}")
 
 
-def _state(given: Numbers, names: Sequence[str]) -> Array:
+# Names and states -----------------------------------------------------------------------------------------------------
+
+
+def state_of(given: Numbers, names: Sequence[str]) -> Array:
+    """A state from a list, or from a table by the names of states; what is left out is 0."""
     return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
 
 
 def _check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
     if isinstance(given, Mapping):
         for name in given:
-            _check_known(place, name, names)
+            check_known(place, name, names)
     elif len(given) != len(names):
         raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
-
-
-def _check_known(place: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        near = nearest(name, known)
-        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
-        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")
