@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.dynamics.simulation import Cycle, Simulation, simulate
+from casadi_skin.dynamics.evolution import Cycle, Evolution
+from casadi_skin.dynamics.simulation import simulate
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
@@ -99,9 +100,9 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     return Cycle(simulation, start, found.period) if start >= 0.0 else found
 
 
-def _along(simulation: Simulation, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _along(simulation: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     function = simulation.model.function("section", expression)
-    values = [float(function(0.0, state, simulation.parameters)) for state in states]
+    values = [float(function(0.0, state, simulation.equations.values)) for state in states]
     return np.array(values)
 
 
