@@ -16,7 +16,9 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import SELECTED
-from casadi_skin.dynamics.simulation import Cycle, Simulation, simulate
+from casadi_skin.dynamics.cycle import Cycle
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.dynamics.simulation import simulate
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
@@ -99,7 +101,7 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     return Cycle(simulation, start, found.period) if start >= 0.0 else found
 
 
-def _along(simulation: Simulation, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _along(simulation: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     function = simulation.model.function("section", expression)
     values = [float(function(0.0, state, simulation.parameters)) for state in states]
     return np.array(values)
