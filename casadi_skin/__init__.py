@@ -9,6 +9,7 @@ from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
     from casadi_skin.bvp.symmetry import SymmetryClass
+    from casadi_skin.dynamics.simulation import simulate
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
-    from casadi_skin.dynamics.simulation import simulate
 
 __all__ = [
     "BoundaryValueProblem",

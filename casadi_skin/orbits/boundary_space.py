@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin import methods
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -33,6 +35,21 @@ from casadi_skin.stability.result import Floquet
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+
+
+def boundary_method(options: Mapping[str, Any]) -> Method:
+    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
+    for name, accepted, first in (
+        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
+        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
+        ("walker", ("arclength",), "arclength"),
+    ):
+        options = {name: first, **options}
+        if options[name] not in accepted:
+            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
+    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method.check_degree(1)
+    return method
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,7 @@ class BoundarySpace:
     Attributes:
         statement: the problem; values of its parameters are those at the start of a branch.
         tolerance: relative error of states and free parameters.
-        method: how; what it leaves open is chosen here.
+        method: how, with every choice made.
         sizes: what states and free parameters are measured by at least.
         periodic: what makes the solutions orbits; None where they are none.
         parameter: the parameter that is followed, from its value to `to`; empty where none is.
@@ -87,26 +104,6 @@ class BoundarySpace:
     settings: ContinuationSettings | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
-
-    def __post_init__(self) -> None:
-        method = self.method
-        transcription = method.transcription or "gauss"
-        if transcription not in methods.COLLOCATION_TABLES:
-            accepted = ", ".join(methods.COLLOCATION_TABLES)
-            raise ValueError(f"transcription: given {transcription}; accepted for boundary-value problems: {accepted}")
-        flow = method.flow or "collocation"
-        if flow not in methods.FULL_PERIOD_FLOWS:
-            accepted = ", ".join(methods.FULL_PERIOD_FLOWS)
-            raise ValueError(f"flow: given {flow}; accepted over the full period: {accepted}")
-        for name in ("tail", "symmetry"):
-            if getattr(method, name) is not None:
-                raise ValueError(f"{name}: given for a boundary-value problem; accepted: for families alone")
-        if method.walker not in (None, "arclength"):
-            raise ValueError(f"walker: given {method.walker}; accepted for boundary-value problems: arclength")
-        method.check_degree(1)
-        degree, intervals = method.degree or DEGREE, method.intervals or FIRST
-        chosen = replace(method, transcription=transcription, flow=flow, degree=degree, intervals=intervals)
-        object.__setattr__(self, "method", chosen)
 
     @property
     def model(self) -> OdeModel:

@@ -319,9 +319,9 @@ def following_space(
     if statement.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
     check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
-    start, end = solution.parameters[parameter], number("end", to)
+    start, end = solution.parameters[parameter], number("to", to)
     if end == start:
-        raise ValueError(f"end: given {end!r}, where the branch starts; accepted: another value")
+        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
     for value in numbers("at", at):
         if not min(start, end) <= value <= max(start, end):
             raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")

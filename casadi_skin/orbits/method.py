@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, number, numbers, short_repr
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
 
@@ -76,13 +74,6 @@ class Method:
     def check_degree(self, lowest: int) -> None:
         """Raises ValueError for a degree that is none from `lowest` on, which depends on what is solved."""
         _check_whole("degree", self.degree, lowest, HIGHEST_DEGREE)
-
-    @classmethod
-    def of(cls, options: Mapping[str, Any]) -> Method:
-        """From options by name; raises ValueError for unknown names and for what is not accepted."""
-        for name in options:
-            check_name("options", name, [*(field.name for field in fields(cls)), "tolerance"])
-        return cls(**options)
 
 
 def _check_whole(name: str, given: object, low: int, high: int) -> None:

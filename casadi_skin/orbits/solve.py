@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import number
+from casadi_skin.arguments import check_name, number
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
@@ -25,6 +24,7 @@ from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 
+OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker")
 TRIES = 6  # resolutions on which a first solution is sought
 TOLERANCES = (1e-13, 1e-1)
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
@@ -32,11 +32,13 @@ UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as 
 
 def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
     """The space of solutions of a statement, measured by a guess; raises ValueError for options out of range."""
+    for name in options:
+        check_name("options", name, OPTIONS)
     low, high = TOLERANCES
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    method = Method.of({name: value for name, value in options.items() if name != "tolerance"})
+    method = boundary_method({name: v for name, v in options.items() if name != "tolerance" and v is not None})
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
     return BoundarySpace(statement, tolerance, method, Sizes.of(statement, sampled(statement, guess, times)))
 
@@ -49,7 +51,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         guess: the states: numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of
             shape (times, states); a simulation; another solution.
         options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
-            free parameter, and fields of `Method`: `transcription` "gauss" or "radau" with `degree` stages,
+            free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
             `corrector`, `intervals` of the first mesh.
 
     Returns:

@@ -21,12 +21,13 @@ import pytest
 from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundaryError, Method, Sizes, build_levels, first_point, sampled
+from casadi_skin.orbits.boundary_space import Method, Sizes, build_levels, first_point, sampled
 from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.refined import BoundaryError
 
 pytestmark = pytest.mark.benchmark
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
 
@@ -195,12 +195,12 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.orbits.solve import Method, Sizes, build_levels, packed
+    from casadi_skin.orbits.solve import packed, space_of
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)
-    method = Method(1e-12, transcription, degree, "newton")
-    levels = build_levels(problem, method, Sizes(np.ones(2), np.ones(0)))
+    options = {"tolerance": 1e-12, "transcription": transcription, "degree": degree, "corrector": "newton"}
+    levels = space_of(problem, [0.0, 0.0], options).levels
     errors = []
     for intervals in (5, 8, 12):
         equations = levels.problem(intervals)

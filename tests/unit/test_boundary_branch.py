@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
 
@@ -30,7 +30,7 @@ def cubic() -> Solution:
 def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0, 1.0])
     assert branch.complete
-    assert branch.reason == ""
+    assert branch.reason == "reached the end asked for"
     np.testing.assert_allclose([f.parameters["a"] for f in branch.folds], [2.0, -2.0], atol=1e-9)
     np.testing.assert_allclose([f.states[0, 0] for f in branch.folds], [-1.0, 1.0], atol=1e-4)
     three = [branch.at(0.0, which).states[0, 0] for which in range(3)]
@@ -41,10 +41,27 @@ def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
     assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_values_that_were_not_asked_for_are_refused(cubic: Solution) -> None:
+def test_passages_that_are_not_there_are_refused(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0])
-    with pytest.raises(ValueError, match=r"at: given 0.0, passage 3; the branch has 3 solutions there"):
+    with pytest.raises(
+        ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"
+    ):
         branch.at(0.0, 3)
+    with pytest.raises(ValueError, match=r"at: given a = 4.5, which = 0; .* passes a 0 times"):
+        branch.at(4.5)
+
+
+def test_values_that_were_not_asked_for_are_solved_when_they_are(cubic: Solution) -> None:
+    """Roots of x^3 - 3 x = a beside a point of the branch, between its points, and next to its folds."""
+    branch = cubic.follow("a", 4.0, at=[0.0])
+    beside = branch.solutions[3].parameters["a"]
+    for a in (-3.3, beside, beside * (1 + 1e-15), beside * (1 + 1e-11), 0.37, -0.37, 1.9999, -1.9999, 3.9):
+        roots = [x.real for x in np.roots([1, 0, -3, -a]) if abs(x.imag) < 1e-12]
+        found = [branch.at(a, which) for which in range(len(roots))]
+        np.testing.assert_allclose(sorted(s.states[0, 0] for s in found), sorted(roots), atol=1e-9)
+        assert [s.parameters["a"] for s in found] == [a] * len(roots)
+        with pytest.raises(ValueError, match=f"passes a {len(roots)} times"):
+            branch.at(a, len(roots))
 
 
 def test_a_branch_ends_where_it_is_told_to(cubic: Solution) -> None:

@@ -21,7 +21,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.results.journal import OrbitRecord, orbit_record, restore
+from casadi_skin.results.journal import SolutionRecord, restore, solution_record
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
@@ -249,12 +249,12 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off()
     whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
-    records = [msgspec.msgpack.encode(orbit_record(o, with_stability=False)) for o in whole]
+    records = [msgspec.msgpack.encode(solution_record("mode 1", o, with_stability=False)) for o in whole]
     for kept in (len(whole) // 2, len(whole) - 3):
         while not whole[kept - 1].point.walked:
             kept -= 1
-        known = [msgspec.msgpack.decode(r, type=OrbitRecord) for r in records[:kept]]
-        walk = restore(known, Family(request), stability=False, events=False)
+        known = [msgspec.msgpack.decode(r, type=SolutionRecord) for r in records[:kept]]
+        walk = restore(known, "mode 1", Family(request), stability=False, events=False)
         assert isinstance(walk, Following)
         list(walk)
         again = walk.branch().orbits

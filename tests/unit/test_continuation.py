@@ -362,7 +362,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = Following(Family(tools.request), orbits=known)
+        again = Following(Family(tools.request), solutions=known)
         list(again)
         branch = again.branch()
         assert branch.complete

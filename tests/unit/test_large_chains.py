@@ -13,8 +13,8 @@ from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.style import save
 from casadi_skin.lattice.log_profile import _continued
-from casadi_skin.results.netcdf import EMPTY, write_netcdf
-from casadi_skin.results.tables import write_csv
+from casadi_skin.results.dataset import EMPTY, write_csv, write_netcdf
+from casadi_skin.results.quantities import dataset_of
 from casadi_skin.theory.multiple_scales import frequency_slope
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def test_shift_at_the_smallest_amplitude() -> None:
 
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
     branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         assert file.variables["log10_profile"][-1].min() < -1000.0
         assert set(np.unique(file.variables["profile_sign"][:])) == {-1, 1}
@@ -106,7 +106,7 @@ def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
 
 def test_sites_at_rest_are_empty(tmp_path: Path) -> None:
     branch = follow_family(Chain(3, 1.0, 1.0, 1.0), 3, 0.5, corrector="newton")
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         logs = file.variables["log10_profile"]
         assert np.all(logs[:, :2] == EMPTY)

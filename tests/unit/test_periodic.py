@@ -16,9 +16,9 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.stability.result import TrivialMultiplierWarning
 
 Array = np.ndarray
@@ -111,11 +111,11 @@ def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
     # Liouville: the other multiplier is the exponential of the integral of the divergence.
     divergence, _ = quad(lambda t: 1 - orbit.evaluate(t)[0, 0] ** 2, 0.0, orbit.period, epsabs=1e-12, limit=200)
     for by in ("collocation", "cvodes"):
-        found = orbit.multipliers(by)
+        found = orbit.floquet(by)
         assert found.trivial == 1
         assert found.stable
         assert abs(found.others[0] / np.exp(divergence) - 1) < (1e-8 if by == "collocation" else 1e-3)
-        assert found.deviation < 1e-8
+        assert found.trivial_deviation < 1e-8
 
 
 def test_van_der_pol_at_10() -> None:
@@ -156,7 +156,7 @@ def test_the_brusselator() -> None:
     values = np.linalg.eigvals(end[2:].reshape(2, 2))
     other = values[np.argmax(np.abs(values - 1.0))]
     for by in ("collocation", "cvodes"):
-        assert abs(orbit.multipliers(by).others[0] - other) < 1e-7
+        assert abs(orbit.floquet(by).others[0] - other) < 1e-7
     np.testing.assert_allclose(orbit.floquet().monodromy, end[2:].reshape(2, 2), atol=1e-6)
 
 
@@ -185,13 +185,13 @@ def test_an_orbit_is_a_guess_of_an_orbit() -> None:
 
 
 def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
-    """The trivial multiplier tells that the others are not to be trusted, and so does `deviation`."""
+    """The trivial multiplier tells that the others are not to be trusted, and so does `trivial_deviation`."""
     coarse = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-2, degree=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = coarse.floquet()
-    assert 1e-8 < found.deviation < found.allowed
-    judged = replace(coarse, method=replace(coarse.method, tolerance=1e-12))
+    assert 1e-8 < found.trivial_deviation < found.allowed
+    judged = replace(coarse, space=replace(coarse.space, tolerance=1e-12))  # type: ignore[type-var]
     with pytest.warns(TrivialMultiplierWarning, match="the trivial multiplier is off by .*; try a smaller tolerance"):
         judged.floquet()
 
@@ -223,7 +223,7 @@ def test_forced_duffing_through_both_folds() -> None:
         np.testing.assert_allclose(flow(field, start, np.pi).y[:, -1], start, atol=1e-7)
     for orbit in orbits:
         assert isinstance(orbit, Orbit)
-        by = [np.sort_complex(orbit.multipliers(b).values) for b in ("collocation", "cvodes")]
+        by = [np.sort_complex(orbit.floquet(b).multipliers) for b in ("collocation", "cvodes")]
         np.testing.assert_allclose(by[0], by[1], atol=1e-7)
         assert orbit.floquet().trivial == 0
 
@@ -292,14 +292,14 @@ def test_a_lyapunov_orbit_both_ways(lyapunov: tuple[Any, float, float]) -> None:
     assert abs(half.evaluate(0.0)[0, 3] - speed) < 1e-9
     t = np.linspace(-period, 2 * period, 41)  # the symmetric half is unfolded to all times
     np.testing.assert_allclose(half.evaluate(t), cut.evaluate(t), atol=1e-8)
-    largest = [orbit.multipliers(by).values[0].real for orbit in (half, cut, whole) for by in ("collocation", "cvodes")]
+    largest = [orbit.floquet(by).others[0].real for orbit in (half, cut, whole) for by in ("collocation", "cvodes")]
     np.testing.assert_allclose(largest, largest[0], rtol=1e-7)
     for orbit in (half, cut, whole):
         found = orbit.floquet()
         assert found.trivial == 2
         assert not found.stable
-        assert abs(found.values[0] * found.values[-1] - 1) < 1e-6  # reciprocal pairs
-        assert found.deviation < 1e-5
+        assert abs(found.others[0] * found.others[-1] - 1) < 1e-6  # reciprocal pairs
+        assert found.trivial_deviation < 1e-5
 
 
 def test_a_family_of_lyapunov_orbits_in_its_energy(lyapunov: tuple[Any, float, float]) -> None:
@@ -336,7 +336,8 @@ def test_a_pendulum_has_its_period(symmetric: bool) -> None:
     )  # fmt: skip
     exact = 4 * ellipk(np.sin(1.0) ** 2)
     assert abs(orbit.period - exact) <= max(orbit.period_error, 1e-13)
-    assert orbit.interval[1] == pytest.approx(exact / 4 if symmetric else exact)
+    assert orbit.mesh[-1] == pytest.approx(exact / 4 if symmetric else exact)
+    assert orbit.interval == (0.0, orbit.period)
     assert orbit.floquet().trivial == 2
     assert orbit.floquet().stable
     assert abs(np.linalg.det(orbit.floquet().monodromy) - 1) < 1e-9
@@ -397,7 +398,7 @@ def test_a_symmetric_orbit_of_a_model_without_reversal_is_refused() -> None:
 def test_another_way_to_multipliers_is_refused() -> None:
     orbit = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
     with pytest.raises(ValueError, match="by: given 'hand'; accepted: collocation, cvodes"):
-        orbit.multipliers("hand")
+        orbit.floquet("hand")
 
 
 # Programs -------------------------------------------------------------------------------------------------------------
@@ -415,7 +416,7 @@ def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
     symbolic = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
     assert abs(orbit.period - 6.6632868593231301897) < 1e-9
     for by in ("collocation", "cvodes"):
-        np.testing.assert_allclose(orbit.multipliers(by).values, symbolic.multipliers(by).values, atol=1e-8)
+        np.testing.assert_allclose(orbit.floquet(by).multipliers, symbolic.floquet(by).multipliers, atol=1e-8)
 
 
 @pytest.mark.slow

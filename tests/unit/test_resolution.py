@@ -12,6 +12,7 @@ from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_frequency
 
 
@@ -78,7 +79,7 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
     resolutions = [o.point.problem.resolution for o in branch.orbits]
     # just before the last step down
     kept = 1 + max(k for k in range(len(resolutions) - 1) if resolutions[k + 1] < resolutions[k])
-    again = Following(Family(branch.space.request), orbits=branch.orbits[:kept])
+    again = Following(Family(branch.space.request), solutions=branch.orbits[:kept])
     list(again)
     np.testing.assert_array_equal(again.branch().S, branch.S)
     np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
@@ -93,7 +94,8 @@ def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
     assert start.problem.resolution > tools.levels.resolutions[0]
     step = tools.levels.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
     assert abs(step[start.problem.Omega_index]) < 1e-4 * start.Omega
-    assert Family(replace(request, transcription="trigonometric", degree=None)).start.problem.resolution == 4
+    cosines = replace(request, method=replace(request.method, transcription="trigonometric", degree=None))
+    assert Family(cosines).start.problem.resolution == 4
 
 
 # Round-off ----------------------------------------------------------------------------------------------------------

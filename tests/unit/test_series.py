@@ -185,7 +185,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
     walked = [i for i, o in enumerate(whole) if o.point.walked]
     assert len(walked) >= 3
     for cut in walked[:3]:
-        again = Following(Family(tools.request), orbits=whole[: cut + 1])
+        again = Following(Family(tools.request), solutions=whole[: cut + 1])
         rest = [o for o in again if isinstance(o, Orbit)]
         assert [o.S for o in rest] == [o.S for o in whole[cut + 1 :]]
         assert [o.Omega for o in rest] == [o.Omega for o in whole[cut + 1 :]]

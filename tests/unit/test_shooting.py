@@ -32,10 +32,10 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.family import DIGITS, Family
 from casadi_skin.orbits.follow import Following, follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.space import DIGITS, Family
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
 from casadi_skin.solvers.levels import Levels
@@ -221,7 +221,7 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
     for d in digits[:-1]:
         problem = levels.problem(d)
         assert isinstance(problem, ShootingProblem)
-        guess = problem.pack(orbit._gauge(np.zeros(1))[0], orbit.Omega, exact.parameter)
+        guess = problem.pack(exact.problem.sample(exact.z, np.zeros(1))[0], orbit.Omega, exact.parameter)
         correction = levels.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
         if not correction.converged:
             continue
@@ -427,7 +427,9 @@ def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
     assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = Family(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
+    newton = Family(
+        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
+    ).levels
     assert newton.resolutions == (12, 14, 15)
     corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)
@@ -441,7 +443,7 @@ def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryCla
         follow_family(chain, 2, 1.0, at=(1.0,), transcription="shooting", corrector="newton", symmetry=kind)
         for kind in (None, symmetry)
     ]
-    assert symmetry_class(branches[0].space.model) is QUARTER
+    assert symmetry_class(branches[0].space.coordinates.scaled) is QUARTER
     assert isinstance(branches[1].start.problem, ShootingProblem)
     assert branches[1].start.problem.symmetry is symmetry
     assert branches[1].at(1.0).Omega == pytest.approx(branches[0].at(1.0).Omega, rel=1e-8)

@@ -25,6 +25,7 @@ from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 
 Array = NDArray[np.float64]
@@ -119,7 +120,7 @@ def test_the_splitting_is_symmetric_and_consistent() -> None:
 
 def split(orbit: Orbit, steps: int) -> Array:
     state = OrbitState(orbit.point.problem, orbit.point.z)
-    return np.asarray(SplittingFlow(orbit.space.model, 1e-8).matrices(steps, [state])[0])
+    return np.asarray(SplittingFlow(orbit.space.coordinates.scaled, 1e-8).matrices(steps, [state])[0])
 
 
 @pytest.mark.parametrize(
@@ -192,7 +193,7 @@ def test_flow_maps_are_within_their_estimated_errors_of_an_independent_integrati
     chain: Chain, mode: int, S: float, tolerance: float, kind: type[SplittingFlow] | type[CvodesFlow]
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    flow: FlowMap = kind(orbit.space.model, tolerance)
+    flow: FlowMap = kind(orbit.space.coordinates.scaled, tolerance)
     transition = flow.transition(orbit.point.problem, orbit.point.z)
     exact = gauge_transition(orbit, 0.25)
     error = float(np.linalg.norm(transition.matrix - exact))
@@ -207,7 +208,7 @@ def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_man
     chain: Chain, mode: int, S: float, tolerance: float
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    transition = SplittingFlow(orbit.space.model, tolerance).transition(orbit.point.problem, orbit.point.z)
+    transition = SplittingFlow(orbit.space.coordinates.scaled, tolerance).transition(orbit.point.problem, orbit.point.z)
     assert transition.error <= tolerance + 1e-12
     assert np.linalg.norm(transition.matrix - split(orbit, 256)) <= transition.error + 1e-13
 
@@ -233,7 +234,10 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
         orbit = followed(chain, mode, S, 1e-12).at(S)
         problem, z = orbit.point.problem, orbit.point.z
         exact = orbit.floquet()
-        found = floquet(kind(orbit.space.model, tolerance).transition(problem, z), orbit._transition()[1])
+        found = floquet(
+            kind(orbit.space.coordinates.scaled, tolerance).transition(problem, z),
+            orbit.space.transition(orbit.point)[1],
+        )
         assert np.all(np.abs(found.mu - exact.mu) <= found.mu_error + exact.mu_error + 1e-12)
         assert found.mu_error.max() <= 100 * max(tolerance, 1e-7)
 
@@ -242,7 +246,7 @@ def test_the_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: p
     monkeypatch.setattr(SplittingFlow, "step_numbers", (3, 4, 6))
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     with pytest.raises(FlowError, match=r"with 6 steps; asked: 1\.0e-11"):
-        SplittingFlow(orbit.space.model, 1e-11).transition(orbit.point.problem, orbit.point.z)
+        SplittingFlow(orbit.space.coordinates.scaled, 1e-11).transition(orbit.point.problem, orbit.point.z)
     branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 5.0, tolerance=1e-11, corrector="newton", stability=True)
     assert branch.end is End.FLOW
     assert not branch.complete
@@ -254,7 +258,7 @@ def test_the_estimate_of_the_splitting_covers_the_error_where_the_stiffness_vani
     """One softening site at g S = -1 with alpha = 1: df/dq = -3 + 3 = 0 at phase zero."""
     for S in (0.999, 1.0, 1.001):
         orbit = followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, 1e-12).at(S)
-        transition = SplittingFlow(orbit.space.model, 1e-12).transition(orbit.point.problem, orbit.point.z)
+        transition = SplittingFlow(orbit.space.coordinates.scaled, 1e-12).transition(orbit.point.problem, orbit.point.z)
         assert np.linalg.norm(transition.matrix - split(orbit, 96)) <= transition.error + 1e-13
 
 
@@ -263,12 +267,12 @@ def test_half_a_period_gives_the_multipliers_of_a_quarter(sites: int) -> None:
     """The same chain with its half-period symmetry not declared, by both flow maps."""
     chain, S = Chain(sites, 1.0, 0.3, -1.0), 1.5
     orbit = followed(chain, 1, S, 1e-12).at(S)
-    model = replace(orbit.space.model, half_period=None)
+    model = replace(orbit.space.coordinates.scaled, half_period=None)
     for flow in (SplittingFlow(model, 1e-10), CvodesFlow(model, 1e-10)):
         transition = flow.transition(orbit.point.problem, orbit.point.z)
         assert transition.fraction == 0.5
         np.testing.assert_allclose(transition.matrix, gauge_transition(orbit, 0.5), rtol=0, atol=1e-8)
-        half = floquet(transition, orbit._transition()[1])
+        half = floquet(transition, orbit.space.transition(orbit.point)[1])
         assert half.power == 1
         assert half.trivial_deviation < 1e-8
         assert half.stable == orbit.floquet().stable
@@ -453,7 +457,7 @@ def test_in_the_limit_of_no_amplitude_all_multipliers_are_linear_phases() -> Non
 @pytest.mark.parametrize("power", [1, 2])
 def test_multipliers_follow_from_mu_by_the_quadratic_they_satisfy(power: int) -> None:
     mu = np.array([-1.0, -0.999, -0.3, 0.0, 0.2, -1.4, -0.5 + 0.1j, -0.5 - 0.1j])
-    result = Floquet(mu.astype(complex), np.full(8, 1e-12), 0.0, power)
+    result = ReversibleFloquet(mu.astype(complex), np.full(8, 1e-12), 0.0, power)
     half = result.root**2
     np.testing.assert_allclose(half + 1 / half, 2 + 4 * mu, atol=1e-14)
     pairs = result.multipliers[2:].reshape(-1, 2)
@@ -468,11 +472,11 @@ def test_multipliers_follow_from_mu_by_the_quadratic_they_satisfy(power: int) ->
 def test_a_mu_outside_by_less_than_its_error_is_not_called_unstable() -> None:
     """On mu the trivial pair's neighbour -1 - 1e-13 is harmless; on the multipliers it would be 1 + 1e-6."""
     for mu in (-1.0 - 1e-13, 1e-13, -0.4 + 1e-13j):
-        result = Floquet(np.array([mu], complex), np.array([1e-12]), 0.0, 2)
+        result = ReversibleFloquet(np.array([mu], complex), np.array([1e-12]), 0.0, 2)
         assert result.stable
         assert result.max_abs_multiplier == 1.0
         np.testing.assert_allclose(np.abs(result.multipliers), 1.0, atol=1e-15)
-        assert not Floquet(np.array([mu], complex), np.array([1e-14]), 0.0, 2).stable
+        assert not ReversibleFloquet(np.array([mu], complex), np.array([1e-14]), 0.0, 2).stable
 
 
 def test_the_blocks_of_a_transition_are_positions_and_velocities() -> None:
@@ -486,7 +490,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     z = orbit.point.z.copy()
     z[orbit.point.problem.Omega_index] *= 1 + 1e-5
-    wrong = floquet(orbit.space.flow.transition(orbit.point.problem, z), orbit._transition()[1])
+    wrong = floquet(orbit.space.flow.transition(orbit.point.problem, z), orbit.space.transition(orbit.point)[1])
     assert orbit.floquet().trivial_deviation < 1e-11
     assert wrong.trivial_deviation > 1e-6
 

@@ -149,8 +149,8 @@ def test_multipliers_are_those_of_all_sites() -> None:
 def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     tailed, whole = (family(200, 0.25, -1.0, tail, 3.2, 1e-9) for tail in ("eliminated", "full"))
     assert abs(tailed.at(3.2).Omega - whole.at(3.2).Omega) < 1e-9
-    regimes = [orbit.regime for orbit in tailed.orbits]
-    assert whole.orbits[0].regime is whole.threshold is None
+    regimes = [tailed.space.coordinates.regime(orbit.point) for orbit in tailed.orbits]
+    assert whole.space.coordinates.regime(whole.orbits[0].point) is whole.threshold is None
     assert tailed.threshold == pytest.approx(0.366992903607, abs=1e-11)
     assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
 
@@ -240,10 +240,10 @@ def test_what_has_no_linear_tail_is_refused(chain: Chain, mode: int | str, more:
 
 
 def test_elimination_is_used_by_itself_where_it_pays() -> None:
-    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).tailed
-    assert not family_request(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).tailed
-    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").tailed
-    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).tailed
+    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).coordinates.is_whole
+    assert family_request(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).coordinates.is_whole
+    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").coordinates.is_whole
+    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).coordinates.is_whole
     tools = Family(family_request(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
     with pytest.raises(ValueError, match="stability is that of all sites"):
         _ = tools.whole

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from casadi_skin.results.tables import write_csv
 
 from casadi_skin import Chain
 from casadi_skin.orbits.family import Family
-from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.work_precision.cases import measure, timed
 from casadi_skin.studies.work_precision.figure import tradeoff_figure
 from casadi_skin.studies.work_precision.measured import (
