@@ -239,6 +239,8 @@ def _check_continuation(request: Request) -> None:
     check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.to == values[table.parameter]:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
+    if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
+        raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
     low, high = sorted((values[table.parameter], table.to))
     for item, value in enumerate(table.at, start=1):
         if not low <= value <= high:
