@@ -56,14 +56,36 @@ def guess(t):
 
 def guess_of_three(t):
     return [t, t, t]
+
+q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+
+def pair(coupling=0.1, reversal=(1, 1, -1, -1)):
+    potential = ca.sumsqr(q) / 2 + coupling * (q[0] - q[1]) ** 2 / 2 + mu * ca.sum1(q**4) / 4
+    return OdeModel(
+        "pair", q, -ca.gradient(potential, q), mu, 2, v, nominal=(1.0,), reversal=reversal, half_period=(-1,) * 4,
+        hamiltonian=ca.sumsqr(v) / 2 + potential,
+    )
+
+def equal():
+    return pair(0.0)
+
+def irreversible():
+    return pair(reversal=None)
 """
+CHAIN = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
+FAMILY = "[family]\nmode = {mode}\namplitude_max = 1.0\n"
 ORBIT = "[orbit]\nstart = [2.0, 0.0]\nperiod = 6.6\n"
+CHAIN_ORBIT = "[orbit]\nstart = [0.0, 0.5, 0.0, 0.0]\nperiod = 3.0\nselect = { y_2 = 0.5 }\nsymmetric = true\n"
 SYMMETRIC = "[orbit]\nstart = [1.0, 0.0]\nperiod = 6.7\nselect = { x = 1.0 }\nsymmetric = true\n"
 
 
 def scene_of(name: str, rest: str = "", parameters: str = "") -> str:
     given = f"parameters = {{ {parameters} }}\n" if parameters else ""
     return MODEL.format(name=name) + given + rest
+
+
+def family_of(name: str, mode: str, rest: str = "", parameters: str = "") -> str:
+    return scene_of(name, FAMILY.format(mode=mode) + rest, parameters)
 
 
 @pytest.fixture
@@ -117,7 +139,7 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
     ("text", "message"),
     [
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
-        ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model]"),
+        ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table "),
         ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain] or [model] in one scene"),
         (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites, "),
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
@@ -138,7 +160,7 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         (scene_of("a", ORBIT + "select = { x = 1, y = 2 }"), "[orbit] select: given {x = 1, y = 2}; accepted: "),
         (scene_of("a", SYMMETRIC + "section = { y = 0 }"), "[orbit] section: given with symmetric = true; accepted: "),
         (scene_of("a", ORBIT + "[solution]\nguess = [0]\n"), "[solution]: given beside [orbit]; accepted: [orbit] or "),
-        (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a [family] "),
+        (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a "),
         (
             scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"),
             "[continuation]: given without [orbit] or [solution]; accepted: beside an [orbit] or a [solution], from ",
@@ -148,6 +170,37 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
             "[continuation] at: given 2.0 as item 2 again; accepted: each number once",
         ),
         (scene_of("a", ORBIT + "[method]\ntranscription = 'trigonometric'\n"), "[method] transcription: given "),
+        (
+            scene_of("a", ORBIT + "[method]\nflow = 'splitting'\n"),
+            '[method] flow: given "splitting" without [family]; ',
+        ),
+        (scene_of("a", ORBIT + "[method]\nwalker = 'arclength'\n"), '[method] walker: given "arclength"; accepted: be'),
+        (scene_of("a", ORBIT + "[method]\ntail = 'full'\n"), '[method] tail: given "full"; accepted: beside [family]'),
+        (family_of("a", "1", ORBIT), "[orbit]: given beside [family]; accepted: [family] or [orbit] in one scene"),
+        (family_of("a", "1", "[method]\nintervals = 5\n"), "[method] intervals: given 5; accepted: beside [orbit] or "),
+        (family_of("a", "1", "[method]\nflow = 'collocation'\n"), '[method] flow: given "collocation" with [family]; '),
+        (family_of("a", "[1, 1]"), "[family] mode: given 1 more than once; accepted: each mode once"),
+        (family_of("a", "0"), "[family] mode: given 0; accepted: whole numbers from 1, first, last"),
+        (
+            family_of("a", "['first', 'last']", "[dynamics]\nS = 0.5\nperiods = 1\n"),
+            '[dynamics] mode: missing; accepted: one of the modes of [family], ["first", "last"]',
+        ),
+        (
+            scene_of("a", ORBIT + "[dynamics]\nS = 0.5\nperiods = 1\n"),
+            "[dynamics] S: given 0.5; accepted: beside a [family]",
+        ),
+        (
+            CHAIN + CHAIN_ORBIT.replace("symmetric = true", ""),
+            "[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families",
+        ),
+        (
+            CHAIN.replace("= 2", "= inf") + CHAIN_ORBIT,
+            "[orbit]: given with sites = inf; accepted: with a whole number ",
+        ),
+        (
+            CHAIN + "[solution]\nguess = [0]\n",
+            "[solution]: given beside [chain]; accepted: beside [model], whose file ",
+        ),
     ],
 )
 def test_faults_that_show_without_the_model(text: str, message: str) -> None:
@@ -248,6 +301,63 @@ def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
             scene_of("makes", ORBIT + "[continuation]\nparameter = 'mu'\nto = 3\nat = [2, 4]\n", "mu = 1"),
             "[continuation] at: given 4.0 as item 2; accepted: numbers from 1.0 to 3.0",
         ),
+        (
+            CHAIN + CHAIN_ORBIT + "[continuation]\nparameter = 'gama'\nto = 2\n",
+            '[continuation] parameter: given "gama"; did you mean "gamma"? (accepted: alpha, gamma, g, select)',
+        ),
+        (
+            CHAIN + CHAIN_ORBIT + "[continuation]\nparameter = 'gamma'\nto = 2\n",
+            "[continuation] to: given 2.0 for gamma; accepted: numbers from -1 to 1",
+        ),
+        (
+            CHAIN + CHAIN_ORBIT.replace("y_2", "y_3"),
+            '[orbit] select: given "y_3"; did you mean "y_2"? (accepted: y_1, ',
+        ),
+        (
+            family_of("irreversible", "1"),
+            "[family]: given pair; accepted for families: a model with a declared reversal ",
+        ),
+        (family_of("pendulum", "1"), "[family]: given pendulum; accepted for families: a model of second order, with "),
+        (
+            family_of("equal", "1"),
+            "[family] mode: modes 1, 2 of pair have the same frequency: no family belongs to one ",
+        ),
+        (family_of("pair", "3"), "[family] mode: given 3; accepted: 1..2, first, last"),
+        (family_of("pair", "['last', 2]"), "[family] mode: given mode 2 more than once; accepted: each mode once"),
+        (
+            family_of("pair", "1", "[method]\ntail = 'full'\n"),
+            "[method] tail: given 'full'; accepted: with a chain alone",
+        ),
+        (
+            family_of("pair", "1", "[method]\ndegree = 4\n"),
+            "[method] degree: given 4; accepted: with gauss or radau only",
+        ),
+        (family_of("pair", "1", "", "m = 1"), '[model] parameters: given "m"; did you mean "mu"? (accepted: mu)'),
+        (
+            family_of("pair", "1", "period_max = 6.2\n"),
+            "[family] period_max: given 6.2; accepted: a finite number > 6.28318530718 (the period of linear mode 1)",
+        ),
+        (
+            family_of("pair", "['first', 'last']", "[dynamics]\nS = 0.5\nperiods = 1\nmode = 3\n"),
+            "[dynamics] mode: given 3; accepted: one of the modes of [family], [1, 2]",
+        ),
+        (
+            family_of("pair", "1", "[dynamics]\nS = 0.5\nperiods = 1\nsize = 1\nsite = 3\n"),
+            "[dynamics] site: given 3; accepted: whole numbers from 1 to 2 (q_0, q_1)",
+        ),
+        (
+            family_of("pair", "1", "[dynamics]\nS = 0.5\nperiods = 1\nsize = 1\nvector = [1]\n"),
+            "[dynamics] vector: given a list of 1; accepted: 2 displacements, or these and 2 velocities",
+        ),
+        (
+            scene_of("makes", ORBIT + "[dynamics]\nperiods = 1\nsize = 1\nvector = [1]\n", "mu = 1"),
+            "[dynamics] vector: given a list of 1; accepted: 2 numbers",
+        ),
+        (
+            scene_of("makes", "[spectrum]\n", "mu = 1"),
+            "[spectrum]: given van der Pol; accepted for families: a model of ",
+        ),
+        (scene_of("bounded", "[spectrum]\n"), "[spectrum]: given with bounded, a BoundaryValueProblem; accepted: "),
     ],
 )
 def test_faults_that_the_model_shows(text: str, message: str, folder: Path) -> None:

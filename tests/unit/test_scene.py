@@ -330,8 +330,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             "[stability]",
-            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], whose stability "
-            "it asks for",
+            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], whose "
+            "stability it asks for",
         ),
         (
             '[accuracy]\npreset = "standart"',
@@ -468,8 +468,8 @@ def test_wrong_dynamics(changes: dict[str, str], message: str) -> None:
 
 
 def test_dynamics_needs_a_family_or_an_orbit() -> None:
-    message = "[dynamics]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], which it follows"
-    assert fault_of(CHAIN + dynamics()) == f"{message} in time"
+    accepted = "beside a [family] or an [orbit], which it follows in time"
+    assert fault_of(CHAIN + dynamics()) == f"[dynamics]: given without [family] or [orbit]; accepted: {accepted}"
 
 
 @pytest.mark.parametrize("kick", [{"site": "23"}, {"seed": "1"}, {"vector": str([0] * 22 + [1] * 2)}])
