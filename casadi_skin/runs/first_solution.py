@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.dynamics.evolution import Cycle, Evolution
+from casadi_skin.dynamics.cycle import Cycle
+from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.simulation import simulate
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
@@ -100,10 +101,10 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     return Cycle(evolution, start, found.period) if start >= 0.0 else found
 
 
-def _along(simulation: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    function = simulation.model.function("section", expression)
-    values = [float(function(0.0, state, simulation.equations.values)) for state in states]
-    return np.array(values)
+def _along(evolution: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """An expression of the model at states, shape (states,)."""
+    function, values = evolution.equations.physical.function("section", expression), evolution.equations.values
+    return np.array([float(function(0.0, state, values)) for state in states])
 
 
 def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:
