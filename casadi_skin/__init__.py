@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
-    from casadi_skin.bvp.statement import BoundaryValueProblem
     from casadi_skin.bvp.symmetry import SymmetryClass
+    from casadi_skin.dynamics.simulation import simulate
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from casadi_skin.models.saved import read_model, save_model
     from casadi_skin.optimise.kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
-    from casadi_skin.simulation import simulate
 
 __all__ = [
     "BoundaryValueProblem",
@@ -48,7 +48,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     places = {
-        "BoundaryValueProblem": "bvp.statement",
+        "BoundaryValueProblem": "orbits.boundary_value_problem",
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
         "OdeModel": "models.ode",
@@ -61,7 +61,7 @@ def __getattr__(name: str) -> Any:
         "import_fmu": "models.fmu",
         "read_model": "models.saved",
         "save_model": "models.saved",
-        "simulate": "simulation",
+        "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick",
     }

@@ -33,6 +33,7 @@ def _registry(**methods: tuple[str, str]) -> Registry:
 
 
 TRIGONOMETRIC, SHOOTING = "trigonometric", "shooting"
+GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # what is chosen where nothing is asked for
 COLLOCATION_TABLES = _registry(
     gauss=("Gauss-Legendre collocation on intervals", "bvp.butcher:gauss_table"),
     radau=("Radau IIA collocation on intervals, for stiff equations", "bvp.butcher:radau_table"),
@@ -65,5 +66,13 @@ INTEGRATORS = _registry(
     cvodes=("SUNDIALS CVODES", "integrators.cvodes:cvodes"),
     dop853=("Dormand-Prince of order 8", "integrators.dop853:dop853"),
     symplectic=("symplectic splitting of order 6", "integrators.splitting:symplectic"),
+)
+TASKS = _registry(  # what an object's method does where the object stands below what is done
+    optimise=("the optimum of a boundary-value problem", "optimise.boundary_nlp:optimise"),
+    follow=("the branch through a solution", "orbits.follow:follow"),
+    to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
+    chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
+    chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
+    threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")

@@ -142,6 +142,6 @@ class ShootingProblem(FirstOrderProblem):
 
     @cached_property
     def _field(self) -> ca.Function:
-        """Function (x, (p, damping)) -> dense time derivative."""
-        x, parameters = ca.SX.sym("x", self.model.full_size), ca.SX.sym("p", 2)
-        return ca.Function("field", [x, parameters], [ca.densify(unfolded_field(self.model)(x, parameters)[0])])
+        """Function (t, x, (p, damping)) -> dense time derivative."""
+        t, x, parameters = ca.SX.sym("t"), ca.SX.sym("x", self.model.full_size), ca.SX.sym("p", 2)
+        return ca.Function("field", [t, x, parameters], [ca.densify(unfolded_field(self.model)(x, parameters)[0])])

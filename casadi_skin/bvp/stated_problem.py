@@ -12,7 +12,7 @@ from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 
 LONGEST_CONDITION = 40  # characters of a condition in a message
@@ -30,7 +30,7 @@ class BoundaryProblem(CollocationEquations):
 
     def __init__(
         self,
-        statement: BoundaryValueProblem,
+        statement: Statement,
         formulation: Formulation,
         intervals: int,
         table: CollocationTable,

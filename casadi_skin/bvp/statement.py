@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,15 +16,11 @@ from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.models.expressions import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
 
-if TYPE_CHECKING:
-    from casadi_skin.orbits.guesses import Guess
-    from casadi_skin.orbits.solution import Solution
-
 Bounds = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class BoundaryValueProblem:
+class Statement:
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
 
     `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
@@ -182,24 +178,11 @@ class BoundaryValueProblem:
             return np.array(entries, dtype=float)
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
-    def with_parameters(self, **values: float) -> BoundaryValueProblem:
+    def with_parameters(self, **values: float) -> Statement:
         """The same problem at other values of parameters."""
         return replace(self, parameters={**self.parameters, **values})
 
     # What can be asked of it ----------------------------------------------------------------------------------------
-
-    def solve(self, guess: Guess, **options: Any) -> Solution:
-        """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
-
-        See `casadi_skin.orbits.solve.solve` for the guess, the options, and what is raised.
-        """
-        if self.optimises or self.bounds:
-            from casadi_skin.optimise.boundary_nlp import optimise
-
-            return optimise(self, guess, **options)
-        from casadi_skin.orbits.solve import solve
-
-        return solve(self, guess, **options)
 
 
 def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:

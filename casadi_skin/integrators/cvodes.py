@@ -25,6 +25,9 @@ SHARE, TIGHTEST = 1e-3, 1e-15  # measured: what CVODES returns is up to 1500 of 
 TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls to 5
 STEPS = 200  # allowed per radian of the stiffest vibration: ten times what the tightest run needs
 GAP = 100.0  # radians from output to output
+STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
+STIFF_STEPS = 100_000  # of BDF, from output to output
+STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
 
 
 class CvodesError(ArithmeticError):
@@ -117,13 +120,38 @@ def followed_by_cvodes(
 
 
 def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
-    """States at the times t > 0 by CVODES: Adams formulas, functional iteration.
+    """States at the times t > 0 by CVODES: Adams formulas for the vibrations of models of second order, else BDF.
 
     Raises IntegrationError where CVODES fails, with the last time it reached.
     """
+    if model.order == 1:
+        return stiff_cvodes(model, parameters, start, t, tolerance, gap=float(t[-1]) / STRETCHES)
     local = max(SHARE * tolerance, TIGHTEST)
     options = CvodesOptions(local, local * size_of(start), int(STEPS * GAP), iteration=TIGHT_ITERATION)
     gap = GAP / fastest_frequency(model, parameters, start, t[-1])
     first = model.first_order()
     dae = {"x": first.state, "p": first.parameters, "ode": first.rhs}
+    if first.forced:
+        dae["t"] = first.time
     return followed_by_cvodes(dae, parameters, start, t, options, gap=gap)
+
+
+def stiff_cvodes(
+    model: OdeModel,
+    parameters: Array,
+    start: Array,
+    t: Array,
+    tolerance: float,
+    origin: float = 0.0,
+    gap: float | None = None,
+) -> Trajectory:
+    """States at the times t > `origin` by CVODES with BDF formulas, of any model: stiff, forced, or from an FMU.
+
+    There is an output at least every `gap`. Raises IntegrationError where CVODES fails.
+    """
+    kind = type(model.state)
+    time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", parameters.size)
+    local = max(STIFF_SHARE * tolerance, TIGHTEST)
+    options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
+    dae = {"t": time, "x": x, "p": p, "ode": model.vector_field(time, x, p)}
+    return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)

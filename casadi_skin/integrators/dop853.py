@@ -27,20 +27,21 @@ def solve_dop853(
     t: Array | None = None,
     rate: float = 1.0,
 ) -> Any:
-    """Solution by scipy of x' = rate * field(x, parameters) from 0 to `end`: at the times t, or a dense one without t.
+    """Solution by scipy of x' = rate field(rate t, x, p) from 0 to `end`: at the times t, or a dense one without t.
 
     `field` has a dense result. Tolerances are relative to the largest component of the start.
     """
     from scipy.integrate import solve_ivp
 
-    state, result, held = np.empty(start.size), np.empty(start.size), np.array(parameters, dtype=float)
+    time, state, result = np.empty(1), np.empty(start.size), np.empty(start.size)
+    held = np.array(parameters, dtype=float)
     buffer, evaluate = field.buffer()  # arguments and result live in arrays of our own: calls convert nothing
-    buffer.set_arg(0, state.data)
-    buffer.set_arg(1, held.data)
+    for i, argument in enumerate((time, state, held)):
+        buffer.set_arg(i, argument.data)
     buffer.set_res(0, result.data)
 
-    def right_hand_side(_: float, x: Array) -> Array:
-        state[:] = x
+    def right_hand_side(t: float, x: Array) -> Array:
+        time[0], state[:] = rate * t, x
         evaluate()
         return rate * result
 
@@ -56,10 +57,8 @@ def dop853_reason(solution: Any) -> str:
 
 def dop853(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
     """States at the times t > 0; the paper's integrator. Raises IntegrationError where the step becomes too small."""
-    first = model.first_order()
-    field = ca.Function("field", [first.state, first.parameters], [ca.densify(first.rhs)])
     fastest_frequency(model, parameters, start, t[-1])
-    solution = solve_dop853(field, parameters, start, t[-1], tolerance, t)
+    solution = solve_dop853(model.vector_field, parameters, start, t[-1], tolerance, t)
     states = np.asarray(solution.y).T if len(solution.t) else np.empty((0, start.size))
     trajectory = Trajectory(states, int(solution.nfev))
     if not solution.success:

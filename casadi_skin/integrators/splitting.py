@@ -57,8 +57,9 @@ class _Splitting:
     """The step of the splitting and its repetitions, as CasADi functions of (q, q', h, parameters)."""
 
     def __init__(self, model: OdeModel, parameters: Array) -> None:
-        if model.order != 2:
-            raise ValueError(f"{model.name}: the splitting needs a model of second order; use cvodes or dop853")
+        if model.order != 2 or model.forced:
+            accepted = "cvodes, dop853, or a model of second order without forcing"
+            raise ValueError(f"method: given symplectic for {model.name}; accepted: {accepted}")
         self.size, self.parameters = model.full_size, parameters
         self.stages = KicksAndDrifts.of(1).kicks.size
         q, v, h, p = model.state, model.velocity, ca.SX.sym("h"), model.parameters

@@ -48,16 +48,18 @@ def finite_trajectory(method: str, trajectory: Trajectory, t: Array, origin: flo
 
 
 def fastest_frequency(model: OdeModel, parameters: Array, start: Array, end: float) -> float:
-    """Bound of the largest frequency at the start and at rest, from the row sums of df/dq.
+    """Bound of the largest frequency or rate at the start and at rest, from the row sums of df/dx at time 0.
 
     Raises ValueError where `end` is out of reach of any integrator.
     """
-    evaluate, square = model.rhs_and_jacobian(), 0.0
-    for q in (start[: model.size], np.zeros(model.size)):
-        jacobian = ca.DM(evaluate(q, parameters)[1])
-        rows = np.array(jacobian.sparsity().row())
-        square = max(square, float(np.bincount(rows, np.abs(jacobian.nonzeros()), minlength=model.size).max()))
-    frequency = float(np.sqrt(square))
+    slope, fastest = model.function("slope", ca.jacobian(model.rhs, model.state)), 0.0
+    for x in (start, np.zeros(start.size)):
+        jacobian = ca.DM(slope(0.0, x, parameters))
+        rows = np.array(jacobian.sparsity().row(), dtype=int)
+        sums = np.bincount(rows, np.abs(jacobian.nonzeros()), minlength=model.size)
+        if x is start or np.all(np.isfinite(sums)):  # a model need not be defined at rest
+            fastest = max(fastest, float(sums.max()))
+    frequency = float(np.sqrt(fastest)) if model.order == 2 else fastest
     if not frequency * end <= LONGEST:
         radians = f"{frequency * end:.2g} radians of the fastest vibration"
         raise ValueError(f"t: given up to {end:.6g}, which is {radians} at the start; accepted: up to {LONGEST:g}")

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
 
 if TYPE_CHECKING:
+    from casadi_skin.dynamics.equations import EquationsOfMotion
     from casadi_skin.orbits.coordinates import Coordinates
     from casadi_skin.orbits.method import Method
 
@@ -144,9 +146,13 @@ class Chain:
 
     def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
         """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
-        from casadi_skin.lattice.chain_coordinates import chain_coordinates
+        coordinates: Coordinates = methods.TASKS["chain_coordinates"].load()(self, mode, amplitude_max, method)
+        return coordinates
 
-        return chain_coordinates(self, mode, amplitude_max, method)
+    def equations_of_motion(self) -> EquationsOfMotion:
+        """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
+        equations: EquationsOfMotion = methods.TASKS["chain_equations"].load()(self)
+        return equations
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

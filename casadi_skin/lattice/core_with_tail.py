@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
@@ -76,9 +77,7 @@ class CoreWithTail(ChainCoordinates):
     @cached_property
     def threshold(self) -> float:
         """S at which the end breather of the infinite chain is born."""
-        from casadi_skin.lattice.threshold import threshold
-
-        return threshold(self.chain)
+        return float(methods.TASKS["threshold"].load()(self.chain))
 
     @cached_property
     def _signs(self) -> Array:

@@ -107,7 +107,9 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
 
 def _expand(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> list[_Terms]:
     """Terms of each component of a column."""
-    ring = _Ring(_sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add)
+    ring: _Ring[_Terms] = _Ring(
+        _sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add
+    )
     expanded = _evaluate(expression, [state, parameter], ring, lambda k: {(k,): 1.0})
     return [{v: c for v, c in terms.items() if c != 0.0} for terms in expanded]
 

@@ -15,14 +15,15 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.saved import programs_in
 from casadi_skin.optimise.curvature import negative_curvature
-from casadi_skin.orbits.boundary_space import ITERATIONS, BoundaryError, BoundarySpace
+from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.optimum import Optimality, Optimum
+from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import packed, space_of
 from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
@@ -47,7 +48,7 @@ class _Found:
     iterations: int
 
 
-def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Solution:
+def optimise(statement: Statement, guess: Guess, **options: Any) -> Solution:
     """The local optimum near a guess, on a mesh refined to the tolerance; options as in `solve`.
 
     Raises ValueError for options out of range and BoundaryError where no optimum is found.

@@ -12,7 +12,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.dynamics import Evolution, distance_from_orbit
+from casadi_skin.dynamics.distance import cosine_curve
 from casadi_skin.integrators.srkn import srkn_step
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
@@ -154,14 +154,11 @@ class KickedFlow:
         return np.concatenate([column[:, None], later], axis=1)[: self.size].transpose(2, 1, 0)
 
     def distances(self, states: Array) -> Array:
-        """Distance of states (..., 2N) from the orbit, shape (...), by `dynamics.distance_from_orbit`; inf for nan."""
+        """Distance of states (..., 2N) from the orbit, shape (...), by `dynamics.cosine_curve`; inf for nan."""
         rows = states.reshape(-1, self.size)
         finite = np.all(np.abs(rows) < 1e100, axis=1)
-        found, sites, scale = np.full(len(rows), np.inf), self.orbit.model.sites, np.sqrt(self.orbit.S)
-        y, v = (scale * self.orbit.model.rho * rows[finite][:, part] for part in (slice(sites), slice(sites, None)))
-        times = np.arange(len(y), dtype=float)
-        rows_as_times = Evolution(self.orbit.model, times, y, v, "symplectic", 0.0, "gauge", 0)
-        found[finite] = distance_from_orbit(self.orbit, rows_as_times)
+        found = np.full(len(rows), np.inf)
+        found[finite] = cosine_curve(self.orbit).distances(np.sqrt(self.orbit.S) * self.output_scale * rows[finite])
         return found.reshape(states.shape[:-1])
 
     def nearest_phase(self, state: Array) -> float:

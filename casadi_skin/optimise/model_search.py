@@ -12,15 +12,15 @@ import numpy as np
 
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import BoundaryValueProblem, check_expression, named_values
+from casadi_skin.bvp.statement import Statement, check_expression, named_values
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.model_result import ModelOptimum, ModelSearchResult, ModelStart
 from casadi_skin.optimise.processes import Interruption, gathered, pool
 from casadi_skin.optimise.result import SearchStatus
-from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.threads import one_thread
 
 SAME = 1e-5  # relative difference of free parameters, period and objective below which two optima are one
@@ -94,7 +94,7 @@ def _stated(
     if not length or not length > 0:
         raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
     t = np.linspace(0.0, float(length), SAMPLES)
-    statement = BoundaryValueProblem(first, [first.end(first.state) - first.start(first.state)], parameters=values)
+    statement = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
     return _ModelSearch(
         replace(model, outputs=outputs, checked=False), t, sampled(statement, guess, t), free, bounds, parameters,
         tuple(symbolic), plain,

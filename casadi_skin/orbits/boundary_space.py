@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
@@ -24,6 +24,7 @@ from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
+from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -31,16 +32,9 @@ from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
-if TYPE_CHECKING:
-    from casadi_skin.orbits.solution import Solution
-
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
-
-
-class BoundaryError(ArithmeticError):
-    """No solution was found: the message names condition, variable and place in one line."""
 
 
 def boundary_method(options: Mapping[str, Any]) -> Method:
@@ -66,7 +60,7 @@ class Sizes:
     scalars: Array
 
     @classmethod
-    def of(cls, statement: BoundaryValueProblem, guess: Array) -> Sizes:
+    def of(cls, statement: Statement, guess: Array) -> Sizes:
         """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
         states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
         values = np.array([statement.values[name] for name in statement.free])
@@ -98,7 +92,7 @@ class BoundarySpace:
         settings: of the continuation.
     """
 
-    statement: BoundaryValueProblem
+    statement: Statement
     tolerance: float
     method: Method
     sizes: Sizes
@@ -106,7 +100,7 @@ class BoundarySpace:
     parameter: str = ""
     to: float = 1.0
     at: tuple[float, ...] = ()
-    first: Solution | None = None
+    first: Point | None = None
     settings: ContinuationSettings | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
@@ -148,13 +142,12 @@ class BoundarySpace:
     @cached_property
     def start(self) -> Point:
         """The first solution as a point of the branch; raises BoundaryError where it cannot be solved again."""
-        from casadi_skin.orbits.solve import refined
-
         first = self.first
         assert first is not None
-        problem = self.levels.problem(first.intervals).with_constants(first.problem.constants)
+        assert isinstance(first.problem, BoundaryProblem)
+        problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
         assert isinstance(problem, BoundaryProblem)
-        z = first.point.z.copy()
+        z = first.z.copy()
         z[-1] = 0.0
         correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:

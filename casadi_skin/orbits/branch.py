@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import SLOW, Family
@@ -316,9 +317,8 @@ class Branch:
 
         Raises ImportError where xarray is not installed.
         """
-        from casadi_skin.results.quantities import branch_to_xarray
-
-        return branch_to_xarray(self)
+        dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
+        return dataset
 
 
 def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:

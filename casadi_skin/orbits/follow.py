@@ -337,5 +337,5 @@ def following_space(
     sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
     return BoundarySpace(
         statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
-        tuple(float(np.float64(v)) for v in at), solution, settings,
+        tuple(float(np.float64(v)) for v in at), solution.point, settings,
     )  # fmt: skip

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin import methods
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
 
 if TYPE_CHECKING:
-    from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.space import SolutionSpace
 
 
@@ -84,7 +84,7 @@ class Solution:
         return problem
 
     @property
-    def statement(self) -> BoundaryValueProblem:
+    def statement(self) -> Statement:
         """The boundary-value problem that is solved."""
         return self.problem.statement
 
@@ -164,11 +164,9 @@ class Solution:
 
     # Branches ---------------------------------------------------------------------------------------------------------
 
-    def follow(self, parameter: str, to: float, **options: Any) -> Branch:
-        """The branch of solutions through this one; see `casadi_skin.orbits.follow.follow`."""
-        from casadi_skin.orbits.follow import follow
-
-        return follow(self, parameter, to, **options)
+    def follow(self, parameter: str, to: float, **options: Any) -> Any:
+        """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
+        return methods.TASKS["follow"].load()(self, parameter, to, **options)
 
 
 def as_times(t: ArrayLike) -> Array:

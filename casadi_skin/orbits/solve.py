@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.arguments import check_name, number
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
-from casadi_skin.orbits.boundary_space import BoundaryError, BoundarySpace, Sizes, boundary_method
+from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
+from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction, Corrector
@@ -27,10 +28,9 @@ OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "fl
 TRIES = 6  # resolutions on which a first solution is sought
 TOLERANCES = (1e-13, 1e-1)
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
-MEANINGLESS = 1e-2  # estimated error of what is called solved but for rounding, and is not
 
 
-def space_of(statement: BoundaryValueProblem, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
+def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
     """The space of solutions of a statement, measured by a guess; raises ValueError for options out of range."""
     for name in options:
         check_name("options", name, OPTIONS)
@@ -43,8 +43,8 @@ def space_of(statement: BoundaryValueProblem, guess: Guess, options: Mapping[str
     return BoundarySpace(statement, tolerance, method, Sizes.of(statement, sampled(statement, guess, times)))
 
 
-def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Solution:
-    """The solution of a boundary-value problem near a guess.
+def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
+    """The solution of a boundary-value problem near a guess; with an objective or bounds the local optimum.
 
     Arguments:
         statement: the problem.
@@ -61,6 +61,9 @@ def solve(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> Solu
         ValueError: an argument is out of range.
         BoundaryError: no solution is found to the tolerance.
     """
+    if statement.optimises or statement.bounds:
+        optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
+        return optimum
     space = space_of(statement, guess, options)
     return Solution(space, first_point(space, guess))
 
@@ -122,29 +125,6 @@ def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) ->
         placed = problem.placed(z, problem) if problem.imbalance(z) > 1.0 else problem
         assert isinstance(placed, BoundaryProblem)
         yield placed
-
-
-def refined(point_solver: PointSolver, problem: Problem, correction: Correction) -> Point:
-    """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
-    assert isinstance(problem, BoundaryProblem)
-    name = problem.statement.model.name
-    try:
-        point = point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
-    except SingularError as error:
-        reason = rank_deficiency(problem, correction.z) or str(error)
-        raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
-    if point is None:
-        top = point_solver.levels.resolutions[-2]
-        raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
-    assert isinstance(point.problem, BoundaryProblem)
-    backwards = point.problem.backwards(point.z)
-    if backwards:
-        raise BoundaryError(f"{name}: {backwards}")
-    if point.error.relative(1.0) > MEANINGLESS:
-        reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
-        words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
-        raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
-    return point
 
 
 def packed(problem: BoundaryProblem, guess: Guess) -> Array:

@@ -21,7 +21,7 @@ import pytest
 from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.find_orbit import find_orbit

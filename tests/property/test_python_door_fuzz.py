@@ -4,15 +4,14 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from hypothesis import HealthCheck, given, settings
+from effort import examples
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from casadi_skin import Chain, OdeModel, follow_family
 from casadi_skin.orbits.request import family_request
 
-QUICK = settings(
-    max_examples=150, deadline=None, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
+QUICK = examples(250, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 CHAIN: dict[str, Any] = {"sites": 6, "alpha": 1.0, "gamma": 0.25, "g": 1.0}
 REQUEST: dict[str, Any] = {
     "model": Chain(**CHAIN), "mode": 1, "amplitude_max": 1.0, "at": (0.5,), "tolerance": 1e-8,

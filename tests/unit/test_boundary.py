@@ -14,7 +14,7 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
 
@@ -43,7 +43,9 @@ def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
 
 def test_passages_that_are_not_there_are_refused(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0])
-    with pytest.raises(ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"):
+    with pytest.raises(
+        ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"
+    ):
         branch.at(0.0, 3)
     with pytest.raises(ValueError, match=r"at: given a = 4.5, which = 0; .* passes a 0 times"):
         branch.at(4.5)

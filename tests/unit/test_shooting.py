@@ -318,6 +318,7 @@ def test_a_path_that_cannot_be_followed_is_named() -> None:
         problem.sample(z, np.array([1.0]))
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interruption_within_cvodes_is_heard() -> None:
     problem = ShootingProblem(Chain(8, 1.0, 0.3, -1.0).gauge_model(), 13, QUARTER)
     z = problem.pack(np.full(8, 0.3), 1.2, -1.0)
@@ -427,7 +428,9 @@ def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
     assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = Family(replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)).levels
+    newton = Family(
+        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
+    ).levels
     assert newton.resolutions == (12, 14, 15)
     corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)

@@ -304,7 +304,9 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
     )  # fmt: skip
     whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
-    walk = restore([solution_record("mode 1", o, False) for o in whole[: cut + 1]], "mode 1", Family(request), False, False)
+    walk = restore(
+        [solution_record("mode 1", o, False) for o in whole[: cut + 1]], "mode 1", Family(request), False, False
+    )
     assert isinstance(walk, Following)
     list(walk)
     again = walk.branch()
