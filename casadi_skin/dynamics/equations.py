@@ -140,9 +140,10 @@ class EquationsOfMotion:
 
     # Energy -----------------------------------------------------------------------------------------------------------
 
-    def conserves_in(self, coordinates: str) -> bool:
-        """Whether the equations have a conserved quantity in these coordinates."""
-        in_gauge = coordinates == GAUGE and self.gauge is not None and self.gauge.model.hamiltonian is not None
+    @property
+    def conserves(self) -> bool:
+        """Whether the model declares a conserved quantity, in its coordinates or in its gauge."""
+        in_gauge = self.gauge is not None and self.gauge.model.hamiltonian is not None
         return in_gauge or self.physical.hamiltonian is not None
 
     def energy(self, states: Array) -> Array:
@@ -151,11 +152,12 @@ class EquationsOfMotion:
         Raises ValueError where it declares none, or declares one in a gauge without an image of the states.
         """
         model, values, n = self.physical, self.values, self.positions
-        if model.hamiltonian is None and self.gauge is not None and self.gauge.model.hamiltonian is not None:
-            model, values = self.gauge.model, self.gauge.parameters
-            states = np.hstack([self.to_gauge(x, "energy") for x in (states[:, :n], states[:, n:])])
-        if model.hamiltonian is None:
+        if not self.conserves:
             raise ValueError(f"energy: {model.name} declares no hamiltonian")
+        if model.hamiltonian is None:
+            gauge = self._known_gauge("energy")
+            model, values = gauge.model, gauge.parameters
+            states = np.hstack([self.to_gauge(x, "energy") for x in (states[:, :n], states[:, n:])])
         hamiltonian = model.function("H", ca.densify(model.hamiltonian))
         return np.array(hamiltonian(0.0, states.T, values), dtype=float).ravel()
 

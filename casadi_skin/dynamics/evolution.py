@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.dynamics.equations import EquationsOfMotion
+from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
 
-if TYPE_CHECKING:
-    from casadi_skin.dynamics.cycle import Cycle
+FEWEST = 40  # output times that a cycle is looked for in
+CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +77,10 @@ class Evolution:
         times = np.atleast_1d(np.asarray(t, dtype=float))
         if np.any((times < self.t[0]) | (times > self.t[-1])):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {self.t[0]:g} to {self.t[-1]:g}")
-        return np.asarray(self.curve(times))
+        return np.asarray(self._curve(times))
 
     @cached_property
-    def curve(self) -> Any:
+    def _curve(self) -> Any:
         """The states as a spline of scipy."""
         from scipy.interpolate import CubicHermiteSpline
 
@@ -90,11 +90,35 @@ class Evolution:
 
     def last_cycle(self) -> Cycle:
         """The last stretch of time over which the state comes back to itself; raises ValueError where it does not."""
-        from casadi_skin.dynamics.cycle import last_cycle
+        t, states = self.t, self.states
+        if t.size < FEWEST:
+            raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
+        half = states[t.size // 2 :]
+        spread = np.ptp(half, axis=0)
+        component = int(np.argmax(np.std(half, axis=0)))
+        level = float(np.mean(half[:, component]))
+        below = states[:, component] < level
+        up = np.flatnonzero(below[:-1] & ~below[1:])
+        for earlier in up[-2::-1]:
+            start, end = (self._crossing(i, component, level) for i in (earlier, up[-1]))
+            gap = np.abs(self.evaluate(start) - self.evaluate(end))[0]
+            if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
+                return Cycle(self, start, end - start)
+        raise ValueError(f"last_cycle: from t = {t[0]:g} to {t[-1]:g} the state does not come back to itself")
 
-        return last_cycle(self)
+    def _crossing(self, i: int, component: int, level: float) -> float:
+        """The time between two output times at which a component has a value."""
+        from scipy.optimize import brentq
+
+        curve = self._curve
+        return float(brentq(lambda t: curve(t)[component] - level, self.t[i], self.t[i + 1]))
 
     # Energy -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the model declares a conserved quantity."""
+        return self.equations.conserves
 
     @cached_property
     def energy(self) -> Array:
@@ -126,9 +150,23 @@ class Evolution:
         if self.step is not None:
             words += f", step {self.step:.4g}"
         words += f": t = {self.t[-1]:.6g} reached with {self.evaluations} evaluations"
-        if self.equations.conserves_in(self.coordinates):
+        if self.equations.physical.hamiltonian is not None or (self.has_energy and self.coordinates == GAUGE):
             words += f", energy kept to {np.abs(self.energy_drift).max():.1e}"
         return words
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """A stretch of a time evolution after which it repeats itself: a guess for `find_orbit`, period included."""
+
+    simulation: Evolution
+    start: float
+    period: float
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """States at times from the start of the cycle on, shape (time, component)."""
+        times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
+        return self.simulation.evaluate(np.clip(self.start + times, self.start, self.simulation.t[-1]))
 
 
 class EvolutionError(ArithmeticError):

@@ -151,9 +151,8 @@ class Chain:
 
     def equations_of_motion(self) -> EquationsOfMotion:
         """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
-        from casadi_skin.lattice.chain_equations import ChainEquations
-
-        return ChainEquations(self)
+        equations: EquationsOfMotion = methods.TASKS["chain_equations"].load()(self)
+        return equations
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 
