@@ -10,6 +10,8 @@ import pytest
 from casadi_skin import Chain, __version__
 from casadi_skin.cli import main
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 GOOD = """
 [chain]
 sites = 24

@@ -166,6 +166,7 @@ def test_steps_that_are_too_long_are_halved_until_cvodes_agrees() -> None:
     assert best.norm * np.sqrt(0.2) == pytest.approx(found(2.0).norm, rel=1e-4)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_interruption_keeps_the_best_and_progress_is_told() -> None:
     told: list[KickProgress] = []
 
@@ -183,6 +184,7 @@ def test_interruption_keeps_the_best_and_progress_is_told() -> None:
     assert all(math.isfinite(p.norm) and math.isfinite(p.violation) for p in told)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted_escape(*arguments: Any) -> Escape:
         os.kill(os.getpid(), signal.SIGINT)
@@ -197,6 +199,7 @@ def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: 
     assert kick.far_end_norm == found(2.0).far_end_norm
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted_size(*arguments: Any) -> tuple[float, float]:
         os.kill(os.getpid(), signal.SIGINT)
@@ -268,6 +271,7 @@ def test_processes_find_the_same_optima(given: bool) -> None:
     assert str(told[-1]).startswith("4 of 4 starts done")
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
 def test_interruption_ends_processes_with_the_best_of_them() -> None:
     told: list[KickProgress] = []

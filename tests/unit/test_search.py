@@ -212,6 +212,7 @@ def test_an_unbounded_search_says_so() -> None:
     assert "S = " in result.reason
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_progress_tells_and_an_interruption_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     import os
     import signal

@@ -1,4 +1,4 @@
-"""The picture of a study of honesty: what results say of their errors against the errors that they have."""
+"""The picture of an error calibration: estimated against true errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin.figures.style import blank, finished, style
 from casadi_skin.studies.calibration.cases import Outcome
-from casadi_skin.studies.paper.panels import letter
+from casadi_skin.studies.study import letter
 
 LOWEST = 1e-17  # of the axes, where smaller errors are drawn
 SIZE = (8.6, 3.7)
@@ -21,7 +21,7 @@ MARKERS = {  # quantity: label, marker, its edge and face
 }
 
 
-def honesty_figure(outcomes: Iterable[Outcome]) -> Figure:
+def calibration_figure(outcomes: Iterable[Outcome]) -> Figure:
     """Estimated against true error, a panel and a marker a quantity, both relative to its size."""
     drawn = [q for outcome in outcomes for q in outcome.quantities]
     finite = [q.estimate / q.scale for q in drawn if math.isfinite(q.estimate)]

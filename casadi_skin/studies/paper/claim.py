@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 
 
@@ -17,8 +17,9 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper, its value there and here with an error bar, and what follows; all texts."""
+    """A statement of the paper, its value there and here with an error bar, the verdict and its reason; all texts."""
 
+    number: int
     where: str
     statement: str
     paper: str
@@ -26,15 +27,17 @@ class Claim:
     error: str
     verdict: str
     reason: str
-    number: int = 0
+
+
+COLUMNS = tuple(field.name for field in fields(Claim))
 
 
 def claim(
     where: str, statement: str, paper: str, ours: str, verdict: Verdict, reason: str = "", error: float | str = ""
 ) -> Claim:
-    """A claim; a numerical error is written with one digit."""
+    """A claim without its number; a numerical error is written with one digit."""
     bar = error if isinstance(error, str) else f"{error:.0e}"
-    return Claim(where, statement, paper, ours, bar, verdict.value, reason)
+    return Claim(0, where, statement, paper, ours, bar, verdict.value, reason)
 
 
 def rounds_to(value: float, stated: str) -> Verdict:

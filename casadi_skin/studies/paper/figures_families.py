@@ -13,8 +13,9 @@ from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, numbe
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.tables import EVENT_COLUMNS, event_row, orbit_row
-from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, letter, sites_table, stacked, table
+from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
 from casadi_skin.studies.paper.paper_data import AMPLITUDE_MAX, SITES, PaperData
+from casadi_skin.studies.study import letter
 from casadi_skin.theory import multiple_scales
 
 if TYPE_CHECKING:

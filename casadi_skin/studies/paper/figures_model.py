@@ -11,8 +11,9 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.profiles import linear_mode
 from casadi_skin.figures.style import blank, finished, number_sites, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.paper.panels import Drawn, letter, stacked, table
+from casadi_skin.studies.paper.panels import Drawn, stacked, table
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
+from casadi_skin.studies.study import letter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,15 +9,21 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.profiles import LINES, MARKERS
 from casadi_skin.figures.style import blank, colours, finished, style
-from casadi_skin.studies.paper.panels import Drawn, Table, letter, stacked, table
-from casadi_skin.studies.paper.paper_data import ALPHA, PaperData, Sensitivity
+from casadi_skin.studies.paper.panels import Drawn, Table, stacked, table
+from casadi_skin.studies.paper.paper_data import (
+    ALPHA,
+    STATED_P,
+    STATED_Q,
+    PaperData,
+    Sensitivity,
+    analytical_sensitivity,
+)
+from casadi_skin.studies.study import letter
 from casadi_skin.theory import multiple_scales
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STATED_Q = {0.25: 0.06, 0.4: 0.07, 0.55: 0.10, 0.7: 0.15}  # by gamma
-STATED_P = {24: 2.0, 32: 2.5, 42: 3.0}  # by N
 GUIDE_SITES = 36  # length of a guide e^(-qN)
 GUIDE_DECADES = 0.42  # and of a guide r^-p in decades of r
 
@@ -25,10 +31,6 @@ GUIDE_DECADES = 0.42  # and of a guide r^-p in decades of r
 def ratio_of(gamma: Array) -> Array:
     """r = (1 + gamma)/(1 - gamma)."""
     return np.asarray((1.0 + gamma) / (1.0 - gamma))
-
-
-def _analytical(N: int, gamma: float) -> float:
-    return multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1)
 
 
 def _tangent(x: Array, log_value: Array, slope: float) -> tuple[float, float]:
@@ -44,7 +46,7 @@ def _draw_by_size(axes: Axes, series: dict[float, Sensitivity]) -> None:
     guides: list[tuple[Array, Array, float]] = []
     for (gamma, values), colour, marker in zip(series.items(), colours(len(series)), MARKERS, strict=False):
         sizes = np.arange(int(values.abscissa[0]), int(values.abscissa[-1]) + 1)
-        analytical = np.array([_analytical(int(N), gamma) for N in sizes])
+        analytical = np.array([analytical_sensitivity(int(N), gamma) for N in sizes])
         axes.plot(sizes, analytical, color=colour, lw=1.2, zorder=2)
         look = {"ms": 5.0, "mfc": "white", "ls": "none", "color": colour}
         axes.plot(
@@ -64,7 +66,7 @@ def _draw_law(axes: Axes, series: dict[float, Sensitivity]) -> None:
     for (gamma, values), colour, marker in zip(series.items(), colours(len(series)), MARKERS, strict=False):
         N, limit = values.abscissa, multiple_scales.sensitivity_limit(ALPHA, gamma, 1.0, 1)
         sizes = np.arange(int(N[0]), int(N[-1]) + 1)
-        analytical = [(n + 1) ** 3 * _analytical(int(n), gamma) for n in sizes]
+        analytical = [(n + 1) ** 3 * analytical_sensitivity(int(n), gamma) for n in sizes]
         axes.plot(sizes, analytical, color=colour, lw=1.2, zorder=2)
         axes.plot(N, (N + 1) ** 3 * values.numerical, marker, ms=5.0, mfc="white", color=colour, zorder=3)
         axes.axhline(limit, color="black", lw=0.8, ls=(0, (6.0, 3.0)), label=r"limit for $N \to \infty$", zorder=1)
@@ -80,7 +82,7 @@ def _draw_by_gamma(axes: Axes, series: dict[int, Sensitivity]) -> None:
     for (N, values), colour, marker in zip(series.items(), colours(len(series)), MARKERS[3:], strict=False):
         gammas = np.linspace(values.abscissa[0], values.abscissa[-1], 201)
         r, abscissa = ratio_of(gammas), ratio_of(values.abscissa)
-        analytical = np.array([_analytical(N, float(gamma)) for gamma in gammas])
+        analytical = np.array([analytical_sensitivity(N, float(gamma)) for gamma in gammas])
         axes.plot(r, analytical, color=colour, lw=1.2, zorder=2)
         look = {"ms": 5.0, "mfc": "white", "ls": "none", "color": colour}
         axes.plot(abscissa, values.numerical, marker, label=f"$N = {N}$, numerical", zorder=3, **look)

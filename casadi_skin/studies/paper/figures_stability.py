@@ -15,8 +15,9 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.multipliers import ComplexArray
 from casadi_skin.studies.paper.figures_families import changes_table, families_table
-from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, letter, sites_table, stacked, table
+from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
+from casadi_skin.studies.study import letter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""What the figures and claims of arXiv:2512.17483 rest on, each part computed when first asked for."""
+"""The computations behind the figures and claims of arXiv:2512.17483, each done when it is first needed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ MODES = (1, 6, 10, 14, 18, 24)
 AMPLITUDE_MAX = 3.0
 REPRESENTATIVE_S = 0.2
 TOLERANCE = 1e-9
-SIZE_GAMMAS = (0.25, 0.4, 0.55, 0.7)  # figure 4
+STATED_Q = {0.25: 0.06, 0.4: 0.07, 0.55: 0.10, 0.7: 0.15}  # figure 4: of e^(-qN), by gamma
+STATED_P = {24: 2.0, 32: 2.5, 42: 3.0}  # its inset: of r^-p, by N
+SIZE_GAMMAS = tuple(STATED_Q)
 SIZES = tuple(range(4, 101, 4))  # the paper gives no range
-GAMMA_SIZES = (24, 32, 42)  # inset of figure 4
+GAMMA_SIZES = tuple(STATED_P)
 GAMMAS = tuple(np.round(np.arange(0.05, 0.801, 0.05), 2))
 FINITE_DIFFERENCE_S = 0.01
 DENSE_S = (  # figure 5: where multipliers leave the circle, and windows narrower than a step of the walk
@@ -44,6 +46,11 @@ class Sensitivity:
     abscissa: Array
     numerical: Array
     analytical: Array
+
+
+def analytical_sensitivity(N: int, gamma: float) -> float:
+    """Sensitivity factor of mode 1, g = 1, by multiple scales."""
+    return multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1)
 
 
 class PaperData:
@@ -132,7 +139,7 @@ class PaperData:
     def _sensitivity(self, cases: list[tuple[int, float]], abscissa: tuple[float, ...]) -> Sensitivity:
         self._say(f"sensitivity at N = {cases[0][0]}, gamma = {cases[0][1]:g} and on")
         numerical = np.array([self._two_point_slope(Chain(N, ALPHA, gamma, 1.0)) for N, gamma in cases])
-        analytical = np.array([multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1) for N, gamma in cases])
+        analytical = np.array([analytical_sensitivity(N, gamma) for N, gamma in cases])
         return Sensitivity(np.array(abscissa, dtype=float), numerical, analytical)
 
     @staticmethod

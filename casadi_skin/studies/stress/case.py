@@ -1,4 +1,4 @@
-"""A hard case: what is asked, what came out, and how far an independent check agrees with it."""
+"""A hard case: the request, the result, and how far an independent check agrees with it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Finding:
-    """What came out: in words, its relative difference from the check, and the difference that the program allows."""
+    """A result in words, its relative difference from the check, and the difference that is allowed."""
 
     got: str
     error: float
@@ -68,7 +68,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with what came out of it."""
+    """A case with its finding, or with the words of its refusal."""
 
     case: Case
     finding: Finding | None
@@ -77,7 +77,7 @@ class Outcome:
 
     @property
     def fault(self) -> str:
-        """Why the outcome is not what is to come out, in words; empty where it is."""
+        """Why the outcome is not the expected one, in words; empty where it is."""
         case, finding = self.case, self.finding
         if self.refused:
             if case.refusal is Refusal.NEVER:
@@ -89,11 +89,6 @@ class Outcome:
         if finding is None or finding.error <= SPARE * finding.allowed:
             return ""
         return f"{finding.digits:.1f} digits agree, {finding.promised:.1f} are promised"
-
-    @property
-    def holds(self) -> bool:
-        """Whether the result holds, or the case is refused as expected."""
-        return not self.fault
 
     @property
     def verdict(self) -> str:
@@ -114,7 +109,7 @@ def relative(value: float, other: float) -> float:
 
 
 def measure(case: Case) -> Outcome:
-    """What comes out of a case; anything but a refusal in words is a fault that tells its kind."""
+    """The outcome of a case; an error other than a refusal in words is named with its kind."""
     began = time.perf_counter()
     finding, refused = None, ""
     try:

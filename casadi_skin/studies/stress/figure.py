@@ -1,17 +1,17 @@
-"""Pictures of the extremes: digits of agreement case by case, and physical coordinates against the gauge."""
+"""Pictures of a stress test: digits case by case, physical coordinates against the gauge, thresholds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.figures.style import blank, colours, finished, style
-from casadi_skin.studies.paper.panels import letter
 from casadi_skin.studies.stress.case import MOST_DIGITS, Outcome
 from casadi_skin.studies.stress.physical import EPSILON, Comparison
+from casadi_skin.studies.study import letter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ PHYSICAL_PANELS = {
 }
 
 
-def extremes_figure(outcomes: Sequence[Outcome]) -> Figure:
+def stress_figure(outcomes: Sequence[Outcome]) -> Figure:
     """Digits of agreement of every case, by theme, in two columns of rows; refusals at the left edge."""
     themes = list(dict.fromkeys(outcome.case.theme for outcome in outcomes))
     groups = [[outcome for outcome in outcomes if outcome.case.theme == theme] for theme in themes]
@@ -133,3 +133,26 @@ def _draw_errors(axes: Axes, compared: Sequence[Comparison], name: str) -> None:
 def _drawn(error: float) -> float:
     """An error within the axes; where there is no result, at the upper edge."""
     return min(max(error, LOWEST), HIGHEST) if not math.isnan(error) else HIGHEST
+
+
+# Threshold -----------------------------------------------------------------------------------------------------------
+
+
+def threshold_figure(alpha: float, gammas: Sequence[float], thresholds: Mapping[float, Sequence[float]]) -> Figure:
+    """|g| S_c against gamma for each g (a), and how much it differs between the signs of g (b)."""
+    looks: dict[float, dict[str, Any]] = {
+        1.0: {"marker": "o", "color": "black", "label": "$g = +1$, above the band"},
+        -1.0: {"marker": "s", "color": "0.45", "label": "$g = -1$, below the band", "ls": (0, (4.0, 1.5))},
+    }
+    with style():
+        figure = blank(7.2, 3.4)
+        left, right = figure.subplots(1, 2)
+        for g, S in thresholds.items():
+            left.plot(gammas, S, ms=3.0, lw=1.1, **looks[g])
+        ratio = np.divide(thresholds[1.0], thresholds[-1.0])
+        right.semilogy(gammas, ratio - 1.0, "-o", ms=3.0, color="black", lw=1.1)
+        left.set(xlabel=r"nonreciprocity $\gamma$", ylabel=r"threshold $|g|\,S_c$", xlim=(0, 1), ylim=(0, None))
+        right.set(xlabel=r"nonreciprocity $\gamma$", ylabel=r"$S_c(g>0)/S_c(g<0) - 1$", xlim=(0, 1))
+        letter(left, "a", "end breather of the infinite chain")
+        letter(right, "b", rf"$\alpha = {alpha:g}$ (dimensionless)")
+        return finished(figure, [left, right], 2)

@@ -1,4 +1,4 @@
-"""The picture of the trade-off: true error against processor time, of orbits and of multipliers, and their fronts."""
+"""The work-precision diagram: true error against processor time, of orbits and of multipliers, and their fronts."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from casadi_skin.figures.style import blank, colours, finished, style, title
 from casadi_skin.scene import FLOWS, TRANSCRIPTIONS
-from casadi_skin.studies.paper.panels import letter
-from casadi_skin.studies.work_precision.measured import Kind, Measured, front_of
+from casadi_skin.studies.study import letter
 from casadi_skin.studies.work_precision.reference import Errors
+from casadi_skin.studies.work_precision.settings import Family, Kind, Measured, bounded, front_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,14 +24,14 @@ LOWEST = 1e-17
 
 def look(measured: Measured) -> dict[str, Any]:
     """Marker, colour and line of a method: full markers are Newton's, open ones Ipopt's; series are dashed."""
-    request = measured.setting.request
-    if measured.setting.kind is Kind.FLOW:
-        place = FLOWS.index(request.flow)
+    setting = measured.setting
+    if setting.kind is Kind.FLOW:
+        place = FLOWS.index(setting.flow)
         return {"marker": FLOW_MARKERS[place], "color": colours(len(FLOWS))[place], "ls": "-", "ms": 5.5}
-    place = TRANSCRIPTIONS.index(request.transcription)
+    place = TRANSCRIPTIONS.index(setting.transcription)
     colour = colours(len(TRANSCRIPTIONS))[place]
-    face = "white" if request.corrector == "ipopt" else colour
-    dashes: Any = (0, (4.0, 1.5)) if request.way == "series" else "-"
+    face = "white" if setting.corrector == "ipopt" else colour
+    dashes: Any = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
     return {"marker": MARKERS[place], "color": colour, "mfc": face, "ls": dashes, "ms": 5.0}
 
 
@@ -77,13 +77,13 @@ def _finish(axes: Axes, known: float) -> None:
     axes.set_ylim(max(low, LOWEST), high * 2.0)
 
 
-def tradeoff_figure(request: FamilyRequest, measured: Sequence[Measured], known: Errors) -> Figure:
+def work_precision_figure(family: Family, measured: Sequence[Measured], known: Errors) -> Figure:
     """True error against time: orbits at the left, multipliers at the right.
 
     Errors up to those in `known`, by which the references differ, lie in a hatched band.
     Bars run from the least to the most time of the repeated runs.
     """
-    known_orbits = max(known.Omega, known.profile)
+    known_orbits = bounded(Kind.ORBITS, *known)
     with style():
         figure = blank(10.6, 6.0)
         orbits, multipliers = figure.subplots(1, 2)
@@ -98,12 +98,12 @@ def tradeoff_figure(request: FamilyRequest, measured: Sequence[Measured], known:
             axes.set_ylim(*limits)
         orbits.set(xlabel="processor time for the family without multipliers (s)")
         orbits.set_ylabel(r"relative error of $\Omega$ or of the profile, the larger")
-        multipliers.set(xlabel=f"processor time for the multipliers of {len(request.at)} orbits (s)")
+        multipliers.set(xlabel=f"processor time for the multipliers of {len(family.at)} orbits (s)")
         multipliers.set_ylabel(r"error of $\mu$ relative to $\max(1, |\mu|)$")
         letter(orbits, "a", "orbits: transcription, walker, corrector")
         letter(multipliers, "b", "multipliers: flow map")
         if not any(m.setting.kind is Kind.FLOW for m in measured):
             words = "no multipliers measured"
             multipliers.text(0.5, 0.5, words, ha="center", va="center", transform=multipliers.transAxes)
-        figure.suptitle(rf"$j = {request.mode}$ to $S = {request.amplitude_max:g}$, {title(request.chain)}")
+        figure.suptitle(rf"$j = {family.mode}$ to $S = {family.amplitude_max:g}$, {title(family.chain)}")
         return finished(figure, (orbits, multipliers), 4)
