@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.models.ode import OdeModel
-    from casadi_skin.optimise.kick import smallest_kick
+    from casadi_skin.optimise.kick.smallest_kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
     from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.find_orbit import find_orbit
@@ -55,7 +55,7 @@ def __getattr__(name: str) -> Any:
         "follow_family": "orbits.follow",
         "simulate": "simulation",
         "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.kick",
+        "smallest_kick": "optimise.kick.smallest_kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

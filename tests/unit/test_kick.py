@@ -18,11 +18,11 @@ from scipy.optimize import brentq
 
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
-from casadi_skin.optimise.kick import KickProgress, SmallestKick, kick_norm, size_to_escape
-from casadi_skin.optimise.kick_flow import KickedFlow, Loop, PlainOrbit
-from casadi_skin.optimise.kick_parallel import received, sent
-from casadi_skin.optimise.kick_search import KickSearch
-from casadi_skin.optimise.kick_verify import Escape, escape
+from casadi_skin.optimise.kick.flow import KickedFlow, Loop, PlainOrbit
+from casadi_skin.optimise.kick.parallel import received, sent
+from casadi_skin.optimise.kick.search import KickSearch
+from casadi_skin.optimise.kick.smallest_kick import KickProgress, SmallestKick, kick_norm, size_to_escape
+from casadi_skin.optimise.kick.verify import Escape, escape
 from casadi_skin.theory.linear import Array
 
 
@@ -188,7 +188,7 @@ def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: 
         os.kill(os.getpid(), signal.SIGINT)
         return escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.kick_search.escape", interrupted_escape)
+    monkeypatch.setattr("casadi_skin.optimise.kick.search.escape", interrupted_escape)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert math.isnan(kick.reached)
@@ -202,7 +202,7 @@ def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypa
         os.kill(os.getpid(), signal.SIGINT)
         return size_to_escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.kick.size_to_escape", interrupted_size)
+    monkeypatch.setattr("casadi_skin.optimise.kick.smallest_kick.size_to_escape", interrupted_size)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert abs(kick.reached - 0.5) < 1e-6
@@ -295,7 +295,7 @@ def test_what_the_progress_callback_raises_arrives() -> None:
 
 def test_without_an_optimum_the_best_start_is_kept_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     least = found(2.0).norm
-    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.ITERATIONS", 2)
+    monkeypatch.setattr("casadi_skin.optimise.kick.nlp.ITERATIONS", 2)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=3)
     assert not kick.converged
     assert "no optimum (Ipopt: Maximum_Iterations_Exceeded)" in kick.status

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.optimise.kick_flow import KickedFlow
-from casadi_skin.optimise.kick_nlp import KickProgramme, Optimum
-from casadi_skin.optimise.kick_verify import escape
+from casadi_skin.optimise.kick.flow import KickedFlow
+from casadi_skin.optimise.kick.nlp import KickProgramme, Optimum
+from casadi_skin.optimise.kick.verify import escape
 from casadi_skin.theory.linear import Array
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met

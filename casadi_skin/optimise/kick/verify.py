@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
-from casadi_skin.optimise.kick_flow import KickedFlow, PlainOrbit
+from casadi_skin.optimise.kick.flow import KickedFlow, PlainOrbit
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.optimise.kick_flow import KickedFlow
+from casadi_skin.optimise.kick.flow import KickedFlow
 from casadi_skin.theory.linear import Array
 
 SEGMENT = 8  # steps in a segment, about half a period of the slowest vibration

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from casadi_skin.optimise.kick_search import Ended, KickProgress, KickSearch, StopRequestError
+from casadi_skin.optimise.kick.search import Ended, KickProgress, KickSearch, StopRequestError
 from casadi_skin.optimise.processes import POLL, Interruption, Shared, gathered, ignore_interrupts, pool, sharing
 from casadi_skin.theory.linear import Array
 from casadi_skin.threads import one_thread

@@ -16,12 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from casadi_skin.bvp.problem import Indices
-from casadi_skin.optimise.kick_arguments import check, check_processes, kicked_sites
-from casadi_skin.optimise.kick_flow import KickedFlow
-from casadi_skin.optimise.kick_nlp import Optimum
-from casadi_skin.optimise.kick_parallel import in_processes
-from casadi_skin.optimise.kick_search import KickProgress, KickSearch, directions
-from casadi_skin.optimise.kick_verify import Escape, escape, sampled, size_to_escape
+from casadi_skin.optimise.kick.arguments import check, check_processes, kicked_sites
+from casadi_skin.optimise.kick.flow import KickedFlow
+from casadi_skin.optimise.kick.nlp import Optimum
+from casadi_skin.optimise.kick.parallel import in_processes
+from casadi_skin.optimise.kick.search import KickProgress, KickSearch, directions
+from casadi_skin.optimise.kick.verify import Escape, escape, sampled, size_to_escape
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
