@@ -10,11 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.multipliers import accelerations
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import Floquet
