@@ -126,7 +126,9 @@ def _work_precision(arguments: argparse.Namespace) -> Study:
     family = DEFAULT_FAMILY
     if scene is not None:
         request = bound(scene, arguments.scene).families[0]
-        family = FamilyCase(chain_of(scene), int(request.mode), request.amplitude_max, request.targets.at).with_points()
+        family = FamilyCase(
+            chain_of(scene), int(request.mode), request.amplitude_max, tuple(request.targets.at)
+        ).with_points()
     repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
     return WorkPrecision(arguments.out, family, arguments.quick, repeats)
 
