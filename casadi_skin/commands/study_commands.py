@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -113,9 +114,9 @@ def _paper(arguments: argparse.Namespace) -> Study:
 
 def _work_precision(arguments: argparse.Namespace) -> Study:
     scene = None if arguments.scene is None else read_scene(arguments.scene)[0]
-    if scene is not None and (scene.family is None or scene.chain is None):
-        accepted = "a scene with the tables [chain] and [family]"
-        raise InputError(f"{arguments.scene}: asks for no family of a chain to measure; accepted: {accepted}")
+    if scene is not None and (scene.family is None or scene.chain is None or scene.chain.sites == math.inf):
+        accepted = "a scene with a table [family], and a [chain] of finite length"
+        raise InputError(f"{arguments.scene}: asks for no family that can be measured; accepted: {accepted}")
     if arguments.repeats is not None and arguments.repeats < 1:
         raise InputError(f"tradeoff: given --repeats {arguments.repeats}; accepted: a whole number >= 1")
 
