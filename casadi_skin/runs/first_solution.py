@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.dynamics.cycle import Cycle
-from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.simulation import simulate
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
