@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.frequencies import draw_band, family_path, label_ends, stability_pieces
 from casadi_skin.figures.profiles import linear_mode
 from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
@@ -17,9 +17,6 @@ from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, site
 from casadi_skin.studies.paper.paper_data import AMPLITUDE_MAX, SITES, PaperData
 from casadi_skin.studies.study import letter
 from casadi_skin.theory import multiple_scales
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 DASHED = (0, (3.0, 1.6))  # unstable
 # Dashes of the theory's lines in figure 7, by mode, as its caption has them
@@ -55,7 +52,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     """Omega against S, stable solid and unstable dashed, over the grey band; one orbit marked."""
     branches = list(families.values())
     paths = [family_path(branch, False) for branch in branches]
-    draw_band(axes, branches[0].tools.request.chain)
+    draw_band(axes, marked.chain)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         for stable, piece in stability_pieces(branch, path, False):
             axes.plot(*piece.T, color=colour, lw=2.0, ls="-" if stable else DASHED, zorder=3)
@@ -73,9 +70,9 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     axes.set(xlabel=AMPLITUDE, ylabel=r"frequency $\Omega$")
 
 
-def _draw_profile(axes: Axes, orbit: Orbit) -> None:
+def _draw_profile(axes: Axes, orbit: Orbit, mode_number: int) -> None:
     """The profile over the linear mode of the same norm."""
-    mode = linear_mode(orbit.chain, orbit.tools.request.mode) * np.sqrt(orbit.S)
+    mode = linear_mode(orbit.chain, mode_number) * np.sqrt(orbit.S)
     n = np.arange(1, SITES + 1)
     sign = np.sign(mode @ orbit.profile)
     axes.axhline(0.0, color="0.45", lw=0.5, zorder=0)
@@ -94,19 +91,18 @@ def families_figure(data: PaperData) -> Drawn:
     with style():
         figure = blank(12.0, 7.6)
         panels = figure.subplot_mosaic("abc;def", width_ratios=(1.25, 0.9, 1.2))
-        for g, letters, marker in ((1.0, "abc", "*"), (-1.0, "def", "o")):
+        for g, mode, letters, marker in ((1.0, SITES, "abc", "*"), (-1.0, 1, "def", "o")):
             orbit = orbits[g]
-            mode, evolution = orbit.tools.request.mode, data.evolution(orbit)
+            evolution = data.evolution(orbit)
             left, middle, right = (panels[name] for name in letters)
             _draw_families(left, families[g], orbit, marker)
             letter(left, letters[0], rf"$g = {g:+g}$ ({'hardening' if g > 0 else 'softening'})")
-            _draw_profile(middle, orbit)
+            _draw_profile(middle, orbit, mode)
             letter(middle, letters[1], rf"$g = {g:+g}$, $j = {mode}$, $S = {number(orbit.S)}$")
             draw_space_time(figure, right, evolution)
             letter(right, letters[2], rf"$\Omega = {orbit.Omega:.5f}$, $T_b = {orbit.period:.4f}$")
-            summary = {"g": np.full(SITES, g), "mode": np.full(SITES, mode), "S": np.full(SITES, orbit.S)}
-            rest = {"Omega": np.full(SITES, orbit.Omega), "site": np.arange(1, SITES + 1), "y": orbit.profile}
-            profiles.append(table(**summary, **rest))
+            sites = np.arange(1, SITES + 1)
+            profiles.append(table(g=g, mode=mode, S=orbit.S, Omega=orbit.Omega, site=sites, y=orbit.profile))
             tables[f"fig3_evolution_j{mode}"] = sites_table(evolution.t, evolution.displacements)
         chain = data.chain(1.0)
         figure.suptitle(title(chain).replace(", $g = 1$", ""))
@@ -117,28 +113,24 @@ def families_figure(data: PaperData) -> Drawn:
 # Figure 7 -----------------------------------------------------------------------------------------------------------
 
 
-def _theory(branch: Branch, S: Array) -> Array:
-    chain, mode = branch.tools.request.chain, branch.tools.request.mode
-    return multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, S)
-
-
 def theory_figure(data: PaperData) -> Drawn:
     """Multiple scales beside continuation, g = +1: frequencies, and the ratio of the shifts (paper, Fig. 7)."""
     branches = list(data.hardening.values())
+    chain = data.chain(1.0)
     with style():
         figure = blank(9.6, 4.6)
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
         paths, rows = [], []
-        for branch, colour, dashes in zip(branches, colours(len(branches)), DASHES, strict=True):
+        for (mode, branch), colour, dashes in zip(data.hardening.items(), colours(len(branches)), DASHES, strict=True):
             path = family_path(branch, False)
-            theory = _theory(branch, path[:, 0])
+            theory = multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, path[:, 0])
             left.plot(*path.T, color=colour, lw=3.5, alpha=0.55)
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)
             shifts = np.array([orbit.Omega_shift for orbit in branch.orbits])
             ratio = (theory[1:] - branch.start.Omega) / shifts
-            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.tools.request.mode}$")
-            columns = {"mode": np.full(len(branch), branch.tools.request.mode), "S": branch.S, "Omega": branch.Omega}
-            rows.append(table(**columns, Omega_theory=theory[1:], shift=shifts, shift_theory_over_shift=ratio))
+            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {mode}$")
+            known = {"S": branch.S, "Omega": branch.Omega, "Omega_theory": theory[1:]}
+            rows.append(table(mode=mode, **known, shift=shifts, shift_theory_over_shift=ratio))
             paths.append(path)
         left.plot([], [], color="0.65", lw=3.5, label="continuation")
         left.plot([], [], color="black", lw=1.0, label="multiple scales, first order in $S$ (dashes by $j$)")
@@ -151,5 +143,5 @@ def theory_figure(data: PaperData) -> Drawn:
         right.set_ylabel(r"shift $\Omega - \omega_j$: multiple scales / continuation")
         letter(left, "a")
         letter(right, "b")
-        figure.suptitle(title(data.chain(1.0)))
+        figure.suptitle(title(chain))
         return finished(figure, (left, right), 4), {"fig7_theory": stacked(rows)}

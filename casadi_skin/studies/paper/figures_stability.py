@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
@@ -18,10 +20,6 @@ from casadi_skin.studies.paper.figures_families import changes_table, families_t
 from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
 from casadi_skin.studies.study import letter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5
 KICKED_SITES = (SITES, 1)
@@ -84,10 +82,8 @@ def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
 
 def _multipliers_table(orbit: Orbit) -> Table:
     values, _, trivial = sorted_vectors(orbit)
-    columns = {"S": np.full(values.size, orbit.S), "vector": np.arange(1, values.size + 1)}
-    return table(
-        **columns, real=values.real, imaginary=values.imag, modulus=np.abs(values), trivial=trivial.astype(int)
-    )
+    vector, parts = np.arange(1, values.size + 1), {"real": values.real, "imaginary": values.imag}
+    return table(S=orbit.S, vector=vector, **parts, modulus=np.abs(values), trivial=trivial.astype(int))
 
 
 def _vectors_table(orbit: Orbit) -> Table:
@@ -115,7 +111,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
-        figure.suptitle(f"family $j = 1$; {title(branch.tools.request.chain)}")
+        figure.suptitle(f"family $j = 1$; {title(orbits[0].chain)}")
         finished(figure, panels.values(), 5)
     families = {-1.0: {1: branch}}
     return figure, {
@@ -164,7 +160,7 @@ def kick_figure(data: PaperData) -> Drawn:
         axes.set(yscale="log", xlim=(0.0, KICK_TIME), xlabel="time $t$")
         axes.set_ylabel(r"gain $\Vert z(t)\Vert\,/\,\Vert z(0)\Vert$")
         letter(axes, "c", "transient growth of perturbations")
-        figure.suptitle(f"$j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$; {title(orbit.chain)}")
+        figure.suptitle(f"$j = 1$, $S = {number(orbit.S)}$; {title(orbit.chain)}")
         finished(figure, (axes,), 5)
     quarter = {"t": growth.t[shown], "optimal": optimal, "optimal_without_trivial_pair": bounded}
     return figure, {

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.dynamics import Evolution
 from casadi_skin.figures.spacetime import draw_spacetime
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from casadi_skin.dynamics import Evolution
-
 Table = tuple[Sequence[str], Sequence[Mapping[str, object]]]
-Drawn = tuple["Figure", dict[str, Table]]
+Drawn = tuple[Figure, dict[str, Table]]
 
 
 def table(**columns: ArrayLike) -> Table:
-    """A table of columns of one length."""
-    values = [np.asarray(column).tolist() for column in columns.values()]
+    """A table of columns of one length; a single value stands in all rows."""
+    values = [column.tolist() for column in np.broadcast_arrays(*columns.values())]
     return list(columns), [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
 

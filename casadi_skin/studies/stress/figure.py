@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from casadi_skin.figures.style import blank, colours, finished, style
 from casadi_skin.studies.stress.case import MOST_DIGITS, Outcome
 from casadi_skin.studies.stress.physical import EPSILON, Comparison
 from casadi_skin.studies.study import letter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 ROW = 0.155  # inches
 LOWEST = 1e-17  # of the axes, where smaller errors are drawn

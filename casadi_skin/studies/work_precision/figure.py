@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from casadi_skin.figures.style import blank, colours, finished, style, title
 from casadi_skin.scene import FLOWS, TRANSCRIPTIONS
 from casadi_skin.studies.study import letter
 from casadi_skin.studies.work_precision.reference import Errors
 from casadi_skin.studies.work_precision.settings import Family, Kind, Measured, bounded, front_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MARKERS = "os^D"
 FLOW_MARKERS = "Pv<X"
@@ -41,7 +39,7 @@ def _draw(axes: Axes, measured: Sequence[Measured], kind: Kind, known: float) ->
     for method in dict.fromkeys(m.setting.method for m in asked):
         of_method = [m for m in asked if m.setting.method == method]
         label = f"flow: {method}" if kind is Kind.FLOW else method
-        times = np.array([[m.seconds, m.fastest, m.slowest] for m in of_method]).T
+        times = np.array([[m.seconds, m.seconds_min, m.seconds_max] for m in of_method]).T
         spread = np.maximum([times[0] - times[1], times[2] - times[0]], 0.0)
         errors = [m.error for m in of_method]
         axes.errorbar(
