@@ -15,7 +15,6 @@ from casadi_skin.results.tables import write_csv
 from casadi_skin.studies.exact_multipliers import paired
 from casadi_skin.studies.study import cell
 from casadi_skin.studies.work_precision.computing import Computation, default_walker, requested_orbits
-from casadi_skin.studies.work_precision.figure import work_precision_figure
 from casadi_skin.studies.work_precision.measuring import measure, memory_of, peak_memory, timed
 from casadi_skin.studies.work_precision.reference import Errors, Reference
 from casadi_skin.studies.work_precision.settings import (
@@ -33,7 +32,7 @@ from casadi_skin.studies.work_precision.settings import (
     pareto_front,
     preset_settings,
 )
-from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, WorkPrecision
+from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, WorkPrecision, work_precision_figure
 from casadi_skin.studies.work_precision.words import (
     MU,
     OMEGA,

@@ -12,9 +12,9 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.profiles import linear_mode
 from casadi_skin.figures.style import blank, finished, number_sites, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.paper.panels import Drawn, stacked, table
+from casadi_skin.studies.paper.figures_families import Drawn
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
-from casadi_skin.studies.study import letter
+from casadi_skin.studies.study import letter, stacked, table
 
 RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; told apart by arrows as well
 

@@ -15,7 +15,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.growth import TransientGrowth
-from casadi_skin.studies.paper.panels import Table, table
+from casadi_skin.studies.study import Rows, table
 from casadi_skin.theory import multiple_scales
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25
@@ -59,7 +59,7 @@ class Sensitivity:
         """Limit of (N+1)^3 times the factor for large N."""
         return np.array([multiple_scales.sensitivity_limit(ALPHA, float(gamma), 1.0, 1) for gamma in self.gamma])
 
-    def table(self) -> Table:
+    def table(self) -> Rows:
         """All of it as columns."""
         return table(**vars(self), cube_times_analytical=self.cube * self.analytical, cube_limit=self.cube_limit)
 
