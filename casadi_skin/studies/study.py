@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from casadi_skin.files import replacing
-from casadi_skin.results.tables import Cell, write_csv
+from casadi_skin.results.dataset import Cell, write_csv
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

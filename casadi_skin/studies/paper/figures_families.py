@@ -10,9 +10,11 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.branch_lines import stability_pieces
 from casadi_skin.figures.frequencies import draw_band, family_path, label_ends
 from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.results.tables import EVENT_COLUMNS, event_row, orbit_row
+from casadi_skin.results.quantities import csv_row, places_of, quantities_of
+from casadi_skin.runs.writing import EVENT_COLUMNS, event_rows
 from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
 from casadi_skin.studies.paper.paper_data import AMPLITUDE_MAX, SITES, PaperData
 from casadi_skin.studies.study import letter
@@ -29,10 +31,10 @@ DASHES = ((0, (5, 2)), (0, (5, 5)), (0, (1, 1)), (0, (5, 2, 1, 2)), (0, (1, 4)),
 def families_table(families: dict[float, dict[int, Branch]]) -> Table:
     """All points of families by g and mode, with the columns of family.csv."""
     rows = [
-        {"g": g, **orbit_row(orbit, i, True)}
+        {"g": g, **csv_row(quantities_of(branch), place)}
         for g, branches in families.items()
         for branch in branches.values()
-        for i, orbit in enumerate(branch.orbits)
+        for place in places_of(branch)
     ]
     return list(rows[0]), rows
 
@@ -40,10 +42,10 @@ def families_table(families: dict[float, dict[int, Branch]]) -> Table:
 def changes_table(families: dict[float, dict[int, Branch]]) -> Table:
     """Changes of stability of families by g and mode, with the columns of events.csv."""
     rows = [
-        {"g": g, **event_row(mode, change)}
+        {"g": g, **row}
         for g, branches in families.items()
-        for mode, branch in branches.items()
-        for change in branch.changes
+        for branch in branches.values()
+        for row in event_rows(branch)
     ]
     return ["g", *EVENT_COLUMNS], rows
 
@@ -55,7 +57,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     """Omega against S, stable solid and unstable dashed, over the grey band; one orbit marked."""
     branches = list(families.values())
     paths = [family_path(branch, False) for branch in branches]
-    draw_band(axes, branches[0].space.model)
+    draw_band(axes, marked.model)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         for stable, piece in stability_pieces(branch, path, False):
             axes.plot(*piece.T, color=colour, lw=2.0, ls="-" if stable else DASHED, zorder=3)
@@ -73,9 +75,9 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     axes.set(xlabel=AMPLITUDE, ylabel=r"frequency $\Omega$")
 
 
-def _draw_profile(axes: Axes, orbit: Orbit) -> None:
+def _draw_profile(axes: Axes, orbit: Orbit, j: int) -> None:
     """The profile over the linear mode of the same norm."""
-    mode = orbit.model.linear_spectrum().mode(orbit.space.coordinates.mode_number) * np.sqrt(orbit.S)
+    mode = orbit.model.linear_spectrum().mode(j) * np.sqrt(orbit.S)
     n = np.arange(1, SITES + 1)
     sign = np.sign(mode @ orbit.profile)
     axes.axhline(0.0, color="0.45", lw=0.5, zorder=0)
@@ -94,13 +96,13 @@ def families_figure(data: PaperData) -> Drawn:
     with style():
         figure = blank(12.0, 7.6)
         panels = figure.subplot_mosaic("abc;def", width_ratios=(1.25, 0.9, 1.2))
-        for g, letters, marker in ((1.0, "abc", "*"), (-1.0, "def", "o")):
+        for g, mode, letters, marker in ((1.0, 24, "abc", "*"), (-1.0, 1, "def", "o")):
             orbit = orbits[g]
-            mode, evolution = orbit.space.coordinates.mode_number, data.evolution(orbit)
+            evolution = data.evolution(orbit)
             left, middle, right = (panels[name] for name in letters)
             _draw_families(left, families[g], orbit, marker)
             letter(left, letters[0], rf"$g = {g:+g}$ ({'hardening' if g > 0 else 'softening'})")
-            _draw_profile(middle, orbit)
+            _draw_profile(middle, orbit, mode)
             letter(middle, letters[1], rf"$g = {g:+g}$, $j = {mode}$, $S = {number(orbit.S)}$")
             draw_space_time(figure, right, evolution)
             letter(right, letters[2], rf"$\Omega = {orbit.Omega:.5f}$, $T_b = {orbit.period:.4f}$")
@@ -117,8 +119,7 @@ def families_figure(data: PaperData) -> Drawn:
 # Figure 7 -----------------------------------------------------------------------------------------------------------
 
 
-def _theory(branch: Branch, S: Array) -> Array:
-    chain, mode = branch.space.model, branch.space.coordinates.mode_number
+def _theory(chain: Chain, mode: int, S: Array) -> Array:
     return multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, S)
 
 
@@ -129,21 +130,15 @@ def theory_figure(data: PaperData) -> Drawn:
         figure = blank(9.6, 4.6)
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
         paths, rows = [], []
-        for branch, colour, dashes in zip(branches, colours(len(branches)), DASHES, strict=True):
+        for (mode, branch), colour, dashes in zip(data.hardening.items(), colours(len(branches)), DASHES, strict=True):
             path = family_path(branch, False)
-            theory = _theory(branch, path[:, 0])
+            theory = _theory(data.chain(1.0), mode, path[:, 0])
             left.plot(*path.T, color=colour, lw=3.5, alpha=0.55)
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)
             shifts = np.array([orbit.Omega_shift for orbit in branch.orbits])
             ratio = (theory[1:] - branch.start.Omega) / shifts
-            right.plot(
-                branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {branch.space.coordinates.mode_number}$"
-            )
-            columns = {
-                "mode": np.full(len(branch), branch.space.coordinates.mode_number),
-                "S": branch.S,
-                "Omega": branch.Omega,
-            }
+            right.plot(branch.S, ratio, color=colour, lw=1.3, ls=dashes, label=f"$j = {mode}$")
+            columns = {"mode": np.full(len(branch), mode), "S": branch.S, "Omega": branch.Omega}
             rows.append(table(**columns, Omega_theory=theory[1:], shift=shifts, shift_theory_over_shift=ratio))
             paths.append(path)
         left.plot([], [], color="0.65", lw=3.5, label="continuation")

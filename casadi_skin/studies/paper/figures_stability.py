@@ -13,7 +13,7 @@ from casadi_skin.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.multipliers import ComplexArray
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.studies.paper.figures_families import changes_table, families_table
 from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
@@ -47,7 +47,7 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     S, moduli = [], []
     for orbit in branch.orbits:
         floquet = orbit.floquet()
-        outer = np.abs(floquet.root[~floquet.is_inside]) ** (2 * floquet.power)
+        outer = np.abs(floquet.others[floquet.outside])
         S += [orbit.S] * (2 * outer.size)
         moduli += [*outer, *1.0 / outer]
     on_circle = [0.0, *(change.S for change in branch.changes)]
@@ -164,7 +164,7 @@ def kick_figure(data: PaperData) -> Drawn:
         axes.set(yscale="log", xlim=(0.0, KICK_TIME), xlabel="time $t$")
         axes.set_ylabel(r"gain $\Vert z(t)\Vert\,/\,\Vert z(0)\Vert$")
         letter(axes, "c", "transient growth of perturbations")
-        figure.suptitle(f"$j = {orbit.space.coordinates.mode_number}$, $S = {number(orbit.S)}$; {title(orbit.model)}")
+        figure.suptitle(f"$j = 1$, $S = {number(orbit.S)}$; {title(orbit.model)}")
         finished(figure, (axes,), 5)
     quarter = {"t": growth.t[shown], "optimal": optimal, "optimal_without_trivial_pair": bounded}
     return figure, {

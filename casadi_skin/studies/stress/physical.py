@@ -69,7 +69,9 @@ def compare(sites: int, gamma: float) -> Comparison | None:
 
 
 def _orbit(chain: Chain, mode: int) -> Orbit:
-    return follow_family(chain, mode, AMPLITUDE, at=(AMPLITUDE,), tolerance=1e-12, corrector="newton").at(S=AMPLITUDE)
+    branch = follow_family(chain, mode, AMPLITUDE, at=(AMPLITUDE,), tolerance=1e-12, corrector="newton")
+    orbit: Orbit = branch.at(S=AMPLITUDE)
+    return orbit
 
 
 def _frequency_error(D: Array, exact: Array) -> float:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.figures.style import blank, colours, finished, style, title
-from casadi_skin.scene import FLOWS, TRANSCRIPTIONS
+from casadi_skin.methods import FLOWS, TRANSCRIPTIONS
 from casadi_skin.studies.study import letter
 from casadi_skin.studies.work_precision.reference import Errors
-from casadi_skin.studies.work_precision.settings import Family, Kind, Measured, bounded, front_of
+from casadi_skin.studies.work_precision.settings import FamilyCase, Kind, Measured, bounded, front_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,9 +26,9 @@ def look(measured: Measured) -> dict[str, Any]:
     """Marker, colour and line of a method: full markers are Newton's, open ones Ipopt's; series are dashed."""
     setting = measured.setting
     if setting.kind is Kind.FLOW:
-        place = FLOWS.index(setting.flow)
+        place = list(FLOWS).index(setting.flow)
         return {"marker": FLOW_MARKERS[place], "color": colours(len(FLOWS))[place], "ls": "-", "ms": 5.5}
-    place = TRANSCRIPTIONS.index(setting.transcription)
+    place = list(TRANSCRIPTIONS).index(setting.transcription)
     colour = colours(len(TRANSCRIPTIONS))[place]
     face = "white" if setting.corrector == "ipopt" else colour
     dashes: Any = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
@@ -77,7 +77,7 @@ def _finish(axes: Axes, known: float) -> None:
     axes.set_ylim(max(low, LOWEST), high * 2.0)
 
 
-def work_precision_figure(family: Family, measured: Sequence[Measured], known: Errors) -> Figure:
+def work_precision_figure(family: FamilyCase, measured: Sequence[Measured], known: Errors) -> Figure:
     """True error against time: orbits at the left, multipliers at the right.
 
     Errors up to those in `known`, by which the references differ, lie in a hatched band.

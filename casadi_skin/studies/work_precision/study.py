@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.studies.study import Study
-from casadi_skin.studies.work_precision.computing import default_walker
 from casadi_skin.studies.work_precision.measuring import measure, memory_of
 from casadi_skin.studies.work_precision.reference import REFERENCE_COLUMNS, Reference
 from casadi_skin.studies.work_precision.settings import (
     COLUMNS,
     QUICK_TOLERANCES,
     TOLERANCES,
-    Family,
+    FamilyCase,
     Kind,
     Measured,
     Setting,
@@ -26,14 +25,14 @@ from casadi_skin.studies.work_precision.words import advices, preset_words, prom
 
 REPEATS = 5
 DEFAULT_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)  # no value next to a change of stability, where mu meet
-DEFAULT_FAMILY = Family(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, DEFAULT_AT)  # the softening end breather of the paper
+DEFAULT_FAMILY = FamilyCase(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, DEFAULT_AT)  # the softening end breather of the paper
 
 
 @dataclass
 class WorkPrecision(Study):
     """The study of one family: tradeoff.csv, flows.csv, reference.csv, recommendations.md and a picture."""
 
-    family: Family
+    family: FamilyCase
     quick: bool = False
     repeats: int = REPEATS
     measured: list[Measured] = field(default_factory=list)
@@ -44,7 +43,7 @@ class WorkPrecision(Study):
     def settings(self) -> list[Setting]:
         """The settings that are measured, in order; the presets first."""
         tolerances, family = QUICK_TOLERANCES if self.quick else TOLERANCES, self.family
-        presets = preset_settings(family, default_walker(family))
+        presets = preset_settings(family, str(family.request().method.walker))
         return [*presets, *orbit_settings(family, tolerances), *flow_settings(family, tolerances)]
 
     def run(self) -> None:
