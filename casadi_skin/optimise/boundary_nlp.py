@@ -18,10 +18,10 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
-from casadi_skin.models.expressions import Expression
 from casadi_skin.models.saved import programs_in
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution
-from casadi_skin.optimise.optimality import active_bounds, curvature, kkt
+from casadi_skin.optimise.optimality import optimality
+from casadi_skin.optimise.search_arguments import Condition
 from casadi_skin.orbits import solution as solutions
 from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
 from casadi_skin.orbits.guesses import Guess
@@ -41,18 +41,8 @@ PATIENCE = 4  # meshes that may fail, all together, to halve the error
 MESHES = 2  # on which a first optimum is sought
 
 
-@dataclass(frozen=True, eq=False)
-class Held:
-    """A condition, an expression in the model's ends and parameters, between bounds."""
-
-    name: str
-    expression: Expression
-    lower: float
-    upper: float
-
-
 class BoundaryNlp(Nlp):
-    """The nonlinear programme of a statement on one mesh; `held` are conditions beyond those of the statement.
+    """The nonlinear programme of a statement on one mesh; `held` are conditions on expressions in ends and parameters.
 
     `free` names the scalars by which optima are told apart, relative to these numbers; curvature is measured in them,
     but for the period. Where there are none it is measured in all unknowns.
@@ -62,7 +52,7 @@ class BoundaryNlp(Nlp):
         self,
         problem: BoundaryProblem,
         accuracy: float,
-        held: Sequence[Held] = (),
+        held: Sequence[Condition] = (),
         free: Mapping[str, float] | None = None,
         maximise: bool = False,
     ) -> None:
@@ -89,7 +79,7 @@ class BoundaryNlp(Nlp):
         if free:
             self.place = z[[self.scalars[name] for name in free]] / ca.DM(list(free.values()))
 
-    def _limits(self, held: Sequence[Held]) -> Limits:
+    def _limits(self, held: Sequence[Condition]) -> Limits:
         """Bounds of states and free parameters; u is held at 0."""
         problem, statement = self.problem, self.statement
         lower, upper = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
@@ -129,7 +119,7 @@ class BoundaryNlp(Nlp):
             raise BoundaryError(f"{name}: {nlp_reason(solution.words)}; {self._worst(solution.x)}")
         if self.fault(solution.x):
             raise BoundaryError(f"{name}: {self.fault(solution.x)}; bound it from below")
-        negative = curvature(self, solution, active_bounds(self, solution)).negative
+        negative = optimality(self, solution).negative
         if negative < 0.0:
             words = f"is stationary, but no minimum: curvature {negative:.1e} of the largest"
             where = self.problem.whereabouts(solution.x)
@@ -138,9 +128,9 @@ class BoundaryNlp(Nlp):
 
     def optimality(self, solution: Solution) -> Optimality:
         """The conditions of optimality as a solution carries them."""
-        first = kkt(self, solution)
-        largest = max(first.stationarity, first.complementarity)
-        return Optimality(largest, first.violation, active_bounds(self, solution).words, self.exact)
+        found = optimality(self, solution)
+        largest = max(found.kkt.stationarity, found.kkt.complementarity)
+        return Optimality(largest, found.kkt.violation, found.active, self.exact)
 
     def _worst(self, z: Array) -> str:
         """The equation that is violated most, by how much and where."""
@@ -237,12 +227,12 @@ def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     raise failure
 
 
-def _held_rows(problem: BoundaryProblem, z: ca.MX, held: Sequence[Held]) -> ca.MX:
+def _held_rows(problem: BoundaryProblem, z: ca.MX, held: Sequence[Condition]) -> ca.MX:
     """The expressions of conditions in the unknowns, a column."""
     if not held:
         return ca.MX(0, 1)
     statement, n = problem.statement, problem.formulation.states
-    expressions = ca.vertcat(*(h.expression for h in held))
+    expressions = ca.vertcat(*(h.quantity for h in held))
     at_ends = ca.Function("held", [*statement.model.ends, statement.model.parameters], [expressions])
     values = ca.reshape(z[: problem.states], n, problem.columns)
     return at_ends(values[:, 0], values[:, -1], statement.parameters_at(z[problem.states :]))

@@ -20,7 +20,7 @@ from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
 from casadi_skin.optimise.observables import Observables
-from casadi_skin.optimise.optimality import active_bounds, curvature, kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
@@ -221,7 +221,7 @@ class FamilySearch:
     def _optimum(
         self, nlp: FamilyNlp, solution: Solution, starts: tuple[int, ...], errors: dict[str, float]
     ) -> Optimum:
-        x, active = solution.x, active_bounds(nlp, solution)
+        x, found = solution.x, optimality(nlp, solution)
         values, orbits = self.values(x[: nlp.free_count]), []
         for k, Omega in enumerate(nlp.frequencies(x)):
             S = nlp.amplitude(x, k)
@@ -234,9 +234,9 @@ class FamilySearch:
             quantities=tuple(nlp.values(x)),
             checks=tuple(self._check(nlp, x, k) for k in range(len(orbits))),
             conditions=nlp.conditions(x),
-            active=active.words,
-            kkt=kkt(nlp, solution),
-            curvature=curvature(nlp, solution, active).least,
+            active=found.active,
+            kkt=found.kkt,
+            curvature=found.curvature,
             errors=errors,
             resolution=nlp.harmonics,
             starts=starts,

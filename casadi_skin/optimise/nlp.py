@@ -56,9 +56,18 @@ class Limits:
     conditions: Mapping[str, Indices] = field(default_factory=dict)
 
     @cached_property
+    def condition_rows(self) -> Indices:
+        """Rows of g that are conditions."""
+        return np.concatenate([[], *self.conditions.values()]).astype(int)
+
+    @cached_property
     def equations(self) -> Indices:
         """Rows of g that are equations of the orbit."""
-        return np.setdiff1d(np.arange(self.low.size), np.concatenate([[], *self.conditions.values()]).astype(int))
+        return np.setdiff1d(np.arange(self.low.size), self.condition_rows)
+
+    def violations(self, g: Array) -> Array:
+        """How far each constraint is from its bounds, shape (rows,)."""
+        return np.asarray(np.maximum(np.maximum(self.low - g, g - self.high), 0.0))
 
 
 class Nlp:
@@ -141,9 +150,8 @@ class Nlp:
         return ca.triu2symm(self._hessian(x, self.p, 1.0, lam_g)).sparse().tocsc()
 
     def violations(self, x: Array) -> Array:
-        """How far each constraint is from its bounds, shape (rows,)."""
-        values = self.residual(x)
-        return np.maximum(np.maximum(self.limits.low - values, values - self.limits.high), 0.0)
+        """How far each constraint is from its bounds at x, shape (rows,)."""
+        return self.limits.violations(self.residual(x))
 
     def row_name(self, row: int, x: Array) -> str:
         """The condition that a row of g belongs to, or its equation, in words."""
@@ -234,19 +242,15 @@ class Nlp:
     @cached_property
     def _elastic(self) -> ca.Function:
         """Ipopt on: least sum of squares of what the conditions are off by, on orbits that satisfy their equations."""
-        equations, conditions = self.limits.equations.tolist(), self._condition_rows.tolist()
+        equations, conditions = self.limits.equations.tolist(), self.limits.condition_rows.tolist()
         met = type(self._x).sym("met", len(conditions))
         off = ca.sumsqr(self._g[conditions] - met)
         parts = {"x": ca.vertcat(self._x, met), "p": self._p, "f": off, "g": self._g[equations]}
         return _ipopt("elastic", parts, {**self.options, "ipopt.tol": 1e-9})
 
-    @property
-    def _condition_rows(self) -> Indices:
-        return np.setdiff1d(np.arange(self.limits.low.size), self.limits.equations)
-
     def nearest(self, x: Array) -> Solution | None:
         """The orbit, found from x, that misses the conditions least; None where there is none, or no condition."""
-        limits, rows = self.limits, self._condition_rows
+        limits, rows = self.limits, self.limits.condition_rows
         if rows.size == 0:
             return None
         met = np.clip(self.residual(x)[rows], limits.low[rows], limits.high[rows])

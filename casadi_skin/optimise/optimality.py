@@ -6,6 +6,7 @@ See Nocedal and Wright, Numerical Optimization (2006), theorems 12.1, 12.5 and 1
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,42 +32,44 @@ class Kkt:
         return max(self.stationarity, self.violation, self.complementarity)
 
 
-@dataclass(frozen=True, eq=False)
-class Active:
-    """Bounds that are active: in words, unknowns at a bound, and rows of conditions at one (equalities among them)."""
-
-    words: tuple[str, ...]
-    unknowns: Indices
-    rows: Indices
-
-
 @dataclass(frozen=True)
-class Curvature:
-    """Curvature of the Lagrangian on the directions that equations and active bounds leave free.
+class Optimality:
+    """How well a point satisfies the conditions of optimality.
 
-    `least` is the smallest eigenvalue in the metric of the free numbers, infinite where no direction is left and nan
-    where it is not known. `negative` is the most negative one relative to the largest, 0 where none is beyond rounding.
+    Attributes:
+        kkt: the conditions of first order.
+        active: bounds that are active: the point is next to them, or their multiplier is not small.
+        curvature: smallest eigenvalue of the Hessian of the Lagrangian on the directions that equations and active
+            bounds leave free, in the metric of the free numbers; infinite where none is left, nan where not known.
+        negative: the most negative one relative to the largest; 0 where none is beyond rounding.
     """
 
-    least: float
+    kkt: Kkt
+    active: tuple[str, ...]
+    curvature: float
     negative: float
 
 
-def kkt(nlp: Nlp, solution: Solution) -> Kkt:
-    """The conditions of first order at a solution, from its multipliers."""
+def optimality(nlp: Nlp, solution: Solution) -> Optimality:
+    """The conditions at a solution."""
+    g, J = nlp.residual(solution.x), nlp.jacobian(solution.x)
+    words, unknowns, rows = _active(nlp, solution, g)
+    curvature, negative = _curvature(nlp, solution, J, unknowns, rows) if nlp.exact else (np.nan, 0.0)
+    return Optimality(_kkt(nlp, solution, g, J), words, curvature, negative)
+
+
+def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> Kkt:
     x, lam_g, lam_x, limits = solution.x, solution.lam_g, solution.lam_x, nlp.limits
-    gradient, g, J = nlp.gradient(x), nlp.residual(x), nlp.jacobian(x)
+    gradient, moves = nlp.gradient(x), limits.lower < limits.upper
     largest = max(1.0, float(np.max(np.abs(gradient))))
     terms = np.abs(gradient) + np.asarray(abs(J).T @ np.abs(lam_g)).ravel()
     total = gradient + np.asarray(J.T @ lam_g).ravel() + lam_x
-    gap = np.maximum(np.maximum(limits.low - g, g - limits.high), 0.0)
-    gap /= np.maximum(1.0, np.asarray(abs(J) @ np.abs(x)).ravel())
+    gap = limits.violations(g) / np.maximum(1.0, np.asarray(abs(J) @ np.abs(x)).ravel())
     outside = np.maximum(np.maximum(limits.lower - x, x - limits.upper), 0.0)
-    rows = np.setdiff1d(np.arange(g.size), limits.equations)
-    moves = limits.lower < limits.upper
+    rows = limits.condition_rows
     products = np.append(
         _complementarity(lam_x, limits.upper - x, x - limits.lower)[moves],
-        _complementarity(lam_g[rows], (limits.high - g)[rows], (g - limits.low)[rows]),
+        _complementarity(lam_g, limits.high - g, g - limits.low)[rows],
     )
     return Kkt(
         float(np.max((np.abs(total) / np.maximum(largest, terms))[moves])),
@@ -80,9 +83,9 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
     return np.abs(multipliers) * np.abs(np.where(multipliers == 0, 0.0, slack))
 
 
-def active_bounds(nlp: Nlp, solution: Solution) -> Active:
-    """The bounds that are active at a solution: it is next to them, or their multiplier is not small."""
-    x, g, limits = solution.x, nlp.residual(solution.x), nlp.limits
+def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], Indices, Indices]:
+    """Active bounds in words, the unknowns at them, and the rows of conditions at them, equalities included."""
+    x, limits = solution.x, nlp.limits
     held = HOLDS * max(1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x))))
     words, unknowns, rows = list[str](), list[int](), list[int]()
     for name, places in limits.unknowns.items():
@@ -99,58 +102,53 @@ def active_bounds(nlp: Nlp, solution: Solution) -> Active:
             at = np.isfinite(bound) & (np.abs(g[places] - bound) <= NEAR_BOUND * np.maximum(1.0, np.abs(bound)))
             rows += places[at].tolist()
             words += [f"{name} {sign} {b:.10g}" for b in bound[at & (limits.low[places] < limits.high[places])]]
-    return Active(tuple(words), np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int)))
+    return tuple(words), np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int))
 
 
-def curvature(nlp: Nlp, solution: Solution, active: Active) -> Curvature:
-    """The condition of second order at a solution.
+def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: Indices) -> tuple[float, float]:
+    """`curvature` and `negative` with these unknowns and rows held.
 
     There are few free directions, as many as free numbers less conditions. Random vectors, projected on the null space
     of the equations, span them; conditions and active bounds are taken out after that, since they may depend on each
     other.
     """
     from scipy.linalg import eigh, null_space
-    from scipy.sparse import bmat, diags, identity
-    from scipy.sparse.linalg import splu
 
-    unknown = Curvature(np.nan, 0.0)
-    if not nlp.exact:
-        return unknown
-    left = nlp.limits.lower < nlp.limits.upper
-    scale, jacobian = (
-        nlp.sizes(solution.x)[left],
-        nlp.jacobian(solution.x)[:, left] @ diags(nlp.sizes(solution.x)[left]),
-    )
-    J = jacobian[nlp.limits.equations]
-    m, n = J.shape
-    if n <= m:
-        return Curvature(np.inf, 0.0)
-    largest = np.asarray(abs(J).max(axis=1).todense()).ravel()
-    J = diags(1.0 / np.where(largest > 0.0, largest, 1.0)) @ J
+    moves = np.flatnonzero(nlp.limits.lower < nlp.limits.upper)
+    sizes = nlp.sizes(solution.x)[:, None]
+    basis = np.zeros((nlp.size, max(0, moves.size - nlp.limits.equations.size)))
     try:
-        project = splu(bmat([[identity(n), J.T], [J, None]]).tocsc())
+        basis[moves] = _null_space(J[nlp.limits.equations][:, moves].multiply(sizes[moves].T))
     except RuntimeError:  # SuperLU: "Factor is exactly singular"
-        return unknown
-    basis = np.random.default_rng(0).normal(size=(n, n - m))
-    for _ in range(2):  # the second time takes away what rounding left of the first
-        basis, _ = np.linalg.qr(project.solve(np.vstack([basis, np.zeros((m, n - m))]))[:n])
-    place = np.cumsum(left) - 1
-    closed = np.vstack(
-        [np.asarray(jacobian[active.rows] @ basis), basis[place[active.unknowns[left[active.unknowns]]]]]
-    )
-    if len(closed):
-        basis = basis @ null_space(closed)
+        return np.nan, 0.0
+    closed = np.vstack([np.asarray(J[rows] @ (sizes * basis)), basis[unknowns]])
+    basis = basis @ null_space(closed) if len(closed) else basis
     if basis.shape[1] == 0:
-        return Curvature(np.inf, 0.0)
-    curved = scale[:, None] * np.asarray(
-        nlp.hessian(solution.x, solution.lam_g)[left][:, left] @ (scale[:, None] * basis)
-    )
+        return np.inf, 0.0
+    directions = sizes * basis
+    curved = sizes * np.asarray(nlp.hessian(solution.x, solution.lam_g) @ directions)
     size, reduced = float(np.linalg.norm(curved, 2)), basis.T @ curved
     negative = float(eigh(reduced, eigvals_only=True)[0])
-    measured = nlp.measured
-    free = (scale[:, None] * basis)[place[measured]] if measured.size else basis
+    free = directions[nlp.measured] if nlp.measured.size else basis
     try:
         least = float(eigh(reduced, free.T @ free, eigvals_only=True)[0])
     except np.linalg.LinAlgError:  # a direction that changes no free number
         least = np.nan
-    return Curvature(least, negative / size if negative < -CURVED * size else 0.0)
+    return least, negative / size if negative < -CURVED * size else 0.0
+
+
+def _null_space(J: Any) -> Array:
+    """Orthonormal vectors that a sparse matrix (m, n) of full rank maps to zero, (n, n - m); raises RuntimeError."""
+    from scipy.sparse import bmat, diags, identity
+    from scipy.sparse.linalg import splu
+
+    m, n = J.shape
+    if n <= m:
+        return np.zeros((n, 0))
+    largest = np.asarray(abs(J).max(axis=1).todense()).ravel()
+    J = diags(1.0 / np.where(largest > 0.0, largest, 1.0)) @ J
+    project = splu(bmat([[identity(n), J.T], [J, None]]).tocsc())
+    basis = np.random.default_rng(0).normal(size=(n, n - m))
+    for _ in range(2):  # the second time takes away what rounding left of the first
+        basis, _ = np.linalg.qr(project.solve(np.vstack([basis, np.zeros((m, n - m))]))[:n])
+    return basis

@@ -17,9 +17,9 @@ from casadi_skin.bvp.statement import Statement, check_expression, named_values
 from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Held, Refined, refined
+from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.optimality import active_bounds, curvature, kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.result import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
@@ -189,9 +189,7 @@ class OrbitSearch:
         space = replace(cast(BoundarySpace, plain.space), statement=statement, sizes=Sizes.of(statement, plain.states))
         problem = space.levels.problem(plain.intervals).with_constants(plain.problem.constants)
         assert isinstance(problem, BoundaryProblem)
-        conditions = [
-            Held(c.name, self._at_phase_zero(statement, plain, c.quantity), c.lower, c.upper) for c in self.conditions
-        ]
+        conditions = [replace(c, quantity=self._at_phase_zero(statement, plain, c.quantity)) for c in self.conditions]
         scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}
         scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}
         if not self.model.forced:
@@ -244,7 +242,7 @@ class OrbitSearch:
 
     def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
         nlp, solution = best.nlp, best.solution
-        active, residual = active_bounds(nlp, solution), nlp.residual(solution.x)
+        found, residual = optimality(nlp, solution), nlp.residual(solution.x)
         free = {name: orbit.parameters[name] for name in self.free}
         relative = {"period": 0.0 if self.model.forced else orbit.period} | {n: abs(v) for n, v in free.items()}
         return Optimum(
@@ -254,9 +252,9 @@ class OrbitSearch:
             quantities=(self._quantities(orbit),),
             checks=(compared(orbit, plain),),
             conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()},
-            active=active.words,
-            kkt=kkt(nlp, solution),
-            curvature=curvature(nlp, solution, active).least,
+            active=found.active,
+            kkt=found.kkt,
+            curvature=found.curvature,
             errors={"objective": best.objective_error} | {n: orbit.parameter_error * v for n, v in relative.items()},
             resolution=orbit.intervals,
             starts=starts,

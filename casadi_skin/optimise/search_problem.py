@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
-from casadi_skin.optimise.optimality import active_bounds, curvature, kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.result import Optimum
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
@@ -166,11 +166,10 @@ def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
     ending, x = ENDINGS.get(solution.words, Ending.FAILED), solution.x
     if not np.all(np.isfinite(x)):
         return Outcome(start, ending, solution.words, solution)
-    gaps, optimality = nlp.violations(x), kkt(nlp, solution)
+    gaps, found = nlp.violations(x), optimality(nlp, solution)
     worst, words = int(np.argmax(gaps)), solution.words
-    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(optimality.largest, gaps[worst]) <= CONVERGED:
-        negative = curvature(nlp, solution, active_bounds(nlp, solution)).negative
-        words = nlp.fault(x) or (f"curvature {negative:.1e} of the largest" if negative < 0 else words)
+    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt.largest, gaps[worst]) <= CONVERGED:
+        words = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else words)
         ending = Ending.CONVERGED if words == solution.words else Ending.NO_OPTIMUM
     return Outcome(
         start=start,
@@ -180,7 +179,7 @@ def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
         free=x[nlp.measured],
         place=nlp.place_of(x),
         times=nlp.times(x),
-        violation=optimality.violation,
+        violation=found.kkt.violation,
         worst=nlp.row_name(worst, x),
         gap=float(gaps[worst]),
     )

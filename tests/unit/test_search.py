@@ -17,7 +17,7 @@ from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.observables import Observables
-from casadi_skin.optimise.optimality import kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.pareto import pareto_front
 from casadi_skin.optimise.processes import SearchProgress
 from casadi_skin.optimise.result import SearchResult, SearchStatus
@@ -139,9 +139,9 @@ def test_every_optimum_is_solved_again_as_a_plain_orbit() -> None:
 def test_wrong_multipliers_are_no_optimum() -> None:
     nlp, x = first_point(stated(objective="participation", bounds={"gamma": (0.1, 0.6)}), 8)
     solution = nlp.solve(x)
-    assert kkt(nlp, solution).largest < 1e-9
+    assert optimality(nlp, solution).kkt.largest < 1e-9
     solution.lam_g[0] += 1.0
-    assert kkt(nlp, solution).stationarity > 1e-3
+    assert optimality(nlp, solution).kkt.stationarity > 1e-3
 
 
 def test_mirrored_chains_have_the_same_optimum() -> None:

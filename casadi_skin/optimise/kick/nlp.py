@@ -24,7 +24,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.kick.flow import KickedFlow
 from casadi_skin.optimise.nlp import Limits, Nlp
-from casadi_skin.optimise.optimality import active_bounds, curvature, kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.solvers.nlp import SOLVED
 
 SEGMENT = 8  # steps in a segment, about half a period of the slowest vibration
@@ -122,7 +122,7 @@ class KickNlp(Nlp):
         share = start.time / self.flow.time
         z0 = np.concatenate([start.kick / self.scale, nodes.ravel(), [share, start.phase]])
         solution = self.solve(z0, monitor)
-        z, first = solution.x, kkt(self, solution)
+        z, found = solution.x, optimality(self, solution)
         kick = self.scale * z[: self._kicks]
         return KickOptimum(
             name=start.name,
@@ -130,9 +130,9 @@ class KickNlp(Nlp):
             norm=float(np.linalg.norm(kick)),
             time=float(z[-2]) * self.flow.time,
             phase=float(z[-1]),
-            kkt=first.largest,
-            violation=first.violation,
-            strict=curvature(self, solution, active_bounds(self, solution)).least > 0,
+            kkt=found.kkt.largest,
+            violation=found.kkt.violation,
+            strict=found.curvature > 0,
             iterations=solution.iterations,
             words=solution.words,
         )
