@@ -33,7 +33,7 @@ FLOWS: tuple[str, ...] = get_args(Flow)
 TAILS: tuple[str, ...] = get_args(Tail)
 EVOLVERS: tuple[str, ...] = get_args(Evolver)
 FMI_VERSIONS: tuple[str, ...] = get_args(Fmi)
-C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export.subject, which loads numerics
+C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export.exported_model, which loads numerics
 PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
 _MAX_SITES = 10_000_000

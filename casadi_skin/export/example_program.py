@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from casadi_skin.export.subject import Subject
+from casadi_skin.export.exported_model import Subject
 
 STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
 CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.export.ctext import Call, comment, doubles, pattern, plain
+from casadi_skin.export.c_text import Call, comment, doubles, pattern, plain
 from casadi_skin.export.equations import pattern_declaration
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, Size, called, declared
-from casadi_skin.export.subject import Subject
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import Floquet
 
