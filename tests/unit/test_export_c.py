@@ -20,7 +20,7 @@ from casadi_skin import Chain, OdeModel, Orbit, export_c, follow_family
 from casadi_skin.export.build import build_c
 from casadi_skin.export.codegen import CodegenError, c_name, c_source
 from casadi_skin.export.compiler import CompilerError
-from casadi_skin.export.subject import WHAT
+from casadi_skin.export.exported_model import WHAT
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.scene import C_PARTS
 
