@@ -33,6 +33,7 @@ def _registry(**methods: tuple[str, str]) -> Registry:
 
 
 TRIGONOMETRIC, SHOOTING = "trigonometric", "shooting"
+GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # what is chosen where nothing is asked for
 COLLOCATION_TABLES = _registry(
     gauss=("Gauss-Legendre collocation on intervals", "bvp.butcher:gauss_table"),
     radau=("Radau IIA collocation on intervals, for stiff equations", "bvp.butcher:radau_table"),

@@ -159,14 +159,14 @@ class Evolution:
 class Cycle:
     """A stretch of a time evolution after which it repeats itself: a guess for `find_orbit`, period included."""
 
-    simulation: Evolution
+    evolution: Evolution
     start: float
     period: float
 
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times from the start of the cycle on, shape (time, component)."""
         times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
-        return self.simulation.evaluate(np.clip(self.start + times, self.start, self.simulation.t[-1]))
+        return self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
 
 
 class EvolutionError(ArithmeticError):

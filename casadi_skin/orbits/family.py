@@ -191,7 +191,7 @@ class Family:
             raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
         return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
-    def asked(self) -> dict[str, tuple[float, ...]]:
+    def asked(self) -> dict[str, Sequence[float]]:
         """Values at which orbits are wanted, by name."""
         targets = self.request.targets
         return {"S": targets.at, "Omega": targets.at_Omega, "period": targets.at_period}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from casadi_skin import methods
@@ -97,9 +98,9 @@ class Targets:
     Raises ValueError and TypeError, naming the argument, for what is not accepted.
     """
 
-    at: tuple[float, ...] = ()
-    at_Omega: tuple[float, ...] = ()
-    at_period: tuple[float, ...] = ()
+    at: Sequence[float] = ()
+    at_Omega: Sequence[float] = ()
+    at_period: Sequence[float] = ()
     period_max: float | None = None
     max_points: int = MAX_POINTS
 

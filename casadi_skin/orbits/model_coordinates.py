@@ -108,9 +108,12 @@ class ModelCoordinates(Coordinates):
         linear = -ca.sparsify(ca.SX(ca.DM(self.modes.stiffness))) @ q
         if self._parts is not None:
             return linear + self._nonlinear_parts(q, p)
-        D, state = ca.SX(ca.DM(self.scale)), self._model.state
+        D, state, t = ca.SX(ca.DM(self.scale)), self._model.state, ca.SX.sym("t")
+        along = ca.substitute(self._force, state, t * D * q)
+        curvature = ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0)  # d/da at a = 0 is half of it
         safe = ca.if_else(p == 0, 1, p)
-        return ca.if_else(p == 0, linear, ca.substitute(self._force, state, safe * D * q) / (safe * D))
+        beside = ca.substitute(along, t, safe) / (safe * D)
+        return ca.if_else(p == 0, linear + 0.5 * p * curvature / D, beside)
 
     def _nonlinear_parts(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """The scaled forces without their linear part, of polynomials."""
@@ -362,8 +365,8 @@ def _check_mode(squares: Array, number: int, name: str) -> None:
 
 
 def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:
-    """Homogeneous parts of polynomial forces by degree; None for others."""
+    """Homogeneous parts of polynomial forces by degree, but for what rounding leaves at rest; None for others."""
     try:
-        return homogeneous_parts(force, state)
+        return {degree: part for degree, part in homogeneous_parts(force, state).items() if degree}
     except NotPolynomialError:
         return None

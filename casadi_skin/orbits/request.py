@@ -62,6 +62,8 @@ class FamilyRequest:
         low, high = TOLERANCES
         if not low <= number("tolerance", self.tolerance, f"{low:g} to {high:g}") <= high:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")
+        if not isinstance(self.parameters, Mapping | None):
+            raise TypeError(f"parameters: given {short_repr(self.parameters)}; accepted: numbers by name")
         if self.parameters and not isinstance(self.model, OdeModel):
             raise ValueError(f"parameters: given {short_repr(self.parameters)}; accepted: with an OdeModel alone")
         coordinates = self.coordinates
@@ -180,5 +182,5 @@ def family_request(
 ) -> FamilyRequest:
     """A request from keywords as scripts write them; `method` are fields of `Method`. Raises as `FamilyRequest`."""
     some = {} if max_points is None else {"max_points": max_points}
-    targets = Targets(tuple(at), tuple(at_Omega), tuple(at_period), period_max, **some)
+    targets = Targets(at, at_Omega, at_period, period_max, **some)
     return FamilyRequest(model, mode, amplitude_max, targets, tolerance, Method(**method), parameters)

@@ -54,7 +54,11 @@ class StabilityChange:
 
 
 class _NotFoundError(ArithmeticError):
-    """The corrector does not find an orbit inside the bracket."""
+    """The corrector does not find the orbit at a fraction of the way."""
+
+    def __init__(self, fraction: float) -> None:
+        super().__init__(fraction)
+        self.fraction = fraction
 
 
 class _Bracket:
@@ -89,7 +93,7 @@ class _Bracket:
         else:
             point = self._space.point_solver.along(before.point, after.point, fraction)
             if point is None:
-                raise _NotFoundError
+                raise _NotFoundError(fraction)
             orbit = type(before)(before.space, point)
         found = orbit.floquet()
         as_before = found.stable == before.floquet().stable
@@ -105,12 +109,24 @@ class _Bracket:
         from scipy.optimize import brentq
 
         reach = width / max(self.width, width)  # of the way, if the branch went along evenly
-        root = brentq(self.gap, 0.0, 1.0, xtol=0.2 * reach, rtol=FINEST)
-        for fraction in (root - 0.4 * reach, root + 0.4 * reach):
-            if self.low < fraction < self.high:
-                self.gap(fraction)
+        try:
+            root = brentq(self.gap, 0.0, 1.0, xtol=0.2 * reach, rtol=FINEST)
+        except _NotFoundError as error:  # another branch leaves where stability changes, and no orbit is alone there
+            root = error.fraction
+        for off in (-0.4 * reach, 0.4 * reach):
+            self._beside(root, off)
         while self.width > width and self.high - self.low > FINEST:
             self.gap(0.5 * (self.low + self.high))
+
+    def _beside(self, fraction: float, off: float) -> None:
+        """Narrow the bracket to an orbit a little off a fraction of the way, or farther off where none is found."""
+        while self.low < fraction + off < self.high:
+            try:
+                self.gap(fraction + off)
+            except _NotFoundError:
+                off *= 2.0
+            else:
+                return
 
 
 def _distance(found: Floquet, unstable: Floquet) -> float:

@@ -44,6 +44,17 @@ class Dataset:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
+def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
+    """Names that users chose; those that are taken, or there twice, with " (of the model)" after them."""
+    known, found = set(taken), list[str]()
+    for name in names:
+        while name in known:
+            name = f"{name} (of the model)"
+        known.add(name)
+        found.append(name)
+    return found
+
+
 def versions() -> dict[str, str]:
     """What computed the results."""
     import casadi

@@ -21,7 +21,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import FOLD
-from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray
+from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray, unique_names
 from casadi_skin.results.extremes import extremes
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 
@@ -202,7 +202,7 @@ def branch_quantities(branch: Branch) -> list[Quantity]:
     taken = {q.name for q in quantities} | set(FIXED)
 
     def add(name: str, meaning: str, of: Callable[[Place], Any]) -> None:
-        unique = f"{name} (of the model)" if name in taken else name
+        (unique,) = unique_names([name], taken)
         taken.add(unique)
         quantities.append(Quantity(unique, meaning, of, where=CSV))
 

@@ -45,10 +45,8 @@ def bind(scene: Scene, scene_path: Path) -> Request:
         _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
         (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
     _check_continuation(request)
-    try:
-        _ = request.families
-    except (TypeError, ValueError) as error:
-        raise SceneError(_placed(str(error))) from None
+    _check_families(request)
+    _check_perturbation(request)
     if scene.spectrum is not None:
         check_spectrum(request)
     return request
@@ -75,10 +73,41 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
     return Request(scene, found, _values(found, table.parameters), path, source)
 
 
-def _placed(message: str) -> str:
-    """A message about an argument of a family, with the table that it is in."""
-    argument = message.partition(":")[0]
-    return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[model] {message}"
+def _placed(message: str, table: str = "family") -> str:
+    """A message about an argument of a family, with the table that it is in; one about the model with `table`."""
+    argument, _, words = message.partition(": ")
+    if argument == "model":
+        return f"[{table}]: {words}"
+    return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[{table}]: {message}"
+
+
+def _check_families(request: Request) -> None:
+    """Refuse families that cannot be followed, one asked for twice, and orbits of families that are not followed."""
+    scene = request.scene
+    try:
+        modes = [family.mode for family in request.families]
+    except (TypeError, ValueError) as error:
+        raise SceneError(_placed(str(error))) from None
+    for i, mode in enumerate(modes):
+        if mode in modes[:i]:
+            raise refusal("[family] mode", f"mode {mode} more than once", "each mode once")
+    for name, table in (("dynamics", scene.dynamics), ("export", scene.export)):
+        if table is not None and table.mode is not None and table.mode not in modes:
+            raise refusal(f"[{name}] mode", str(table.mode), f"one of the modes of [family], {modes}")
+
+
+def _check_perturbation(request: Request) -> None:
+    """Refuse a perturbation that the states of the model do not have."""
+    table, model = request.scene.dynamics, request.model
+    if table is None or not isinstance(model, OdeModel):
+        return
+    accepted = f"{model.size} numbers" if model.order == 1 else (
+        f"{model.size} displacements, or these and {model.size} velocities")  # fmt: skip
+    if table.vector is not None and len(table.vector) not in (model.size, model.full_size):
+        raise refusal("[dynamics] vector", f"a list of {len(table.vector)}", accepted)
+    if table.site is not None and not 1 <= table.site <= model.size:
+        names = ", ".join(model.state_names[: model.size])
+        raise refusal("[dynamics] site", str(table.site), f"whole numbers from 1 to {model.size} ({names})")
 
 
 def _values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
@@ -101,7 +130,7 @@ def check_spectrum(request: Request) -> None:
     except ValueError as error:
         if request.scene.chain is not None:
             raise SceneError(f"[chain] alpha: given {request.scene.chain.alpha:g}; {error}") from None
-        raise SceneError(f"[spectrum] {error}") from None
+        raise SceneError(_placed(str(error), "spectrum")) from None
 
 
 # Boundary-value problems ----------------------------------------------------------------------------------------------
@@ -210,6 +239,8 @@ def _check_continuation(request: Request) -> None:
     check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.to == values[table.parameter]:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
+    if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
+        raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
     low, high = sorted((values[table.parameter], table.to))
     for item, value in enumerate(table.at, start=1):
         if not low <= value <= high:

@@ -86,24 +86,24 @@ def cycle(request: Request) -> Cycle:
 
 def _from_section(found: Cycle, section: Expression) -> Cycle:
     """The cycle from the first place on at which the section's expression passes zero; as it is where it never does."""
-    simulation = found.simulation
+    evolution = found.evolution
     t = np.linspace(0.0, found.period, SAMPLES)
-    values = _along(simulation, section, found.evaluate(t))
+    values = _along(evolution, section, found.evaluate(t))
     crossed = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     if crossed.size == 0:
         return found
     i = int(crossed[0])
     start = found.start + t[i] + (t[i + 1] - t[i]) * values[i] / (values[i] - values[i + 1])
-    end = float(simulation.t[-1])
+    end = float(evolution.t[-1])
     while start + found.period > end:  # the cycle has to lie in what was simulated
         start -= found.period
-    return Cycle(simulation, start, found.period) if start >= 0.0 else found
+    return Cycle(evolution, start, found.period) if start >= 0.0 else found
 
 
-def _along(simulation: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    function = simulation.model.function("section", expression)
-    values = [float(function(0.0, state, simulation.equations.values)) for state in states]
-    return np.array(values)
+def _along(evolution: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """An expression of the model at states, shape (states,)."""
+    function, values = evolution.equations.physical.function("section", expression), evolution.equations.values
+    return np.array([float(function(0.0, state, values)) for state in states])
 
 
 def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:

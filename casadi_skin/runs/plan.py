@@ -38,7 +38,7 @@ def plan_lines(request: Request) -> Lines:
     elif scene.search is not None:
         from casadi_skin.runs.search import plan_search
 
-        lines += plan_search(scene)
+        lines += plan_search(request)
     else:
         lines.append(("not built", _nothing(request)))
     if scene.dynamics is not None:
@@ -194,8 +194,7 @@ def _boundary_lines(request: Request) -> Lines:
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
     lines.append(("unknowns", _unknowns(request)))
     if scene.stability is not None:
-        flow = scene.method.flow or "collocation"
-        lines.append(("stability", f"multipliers over the full period at every point, by {flow}"))
+        lines.append(("stability", f"multipliers over the full period at every point, by {scene.methods.flow}"))
     else:
         lines.append(("not built", "multipliers: the scene has no [stability]"))
     return lines
@@ -240,17 +239,13 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
-    method, model, problem = request.scene.method, request.ode, request.problem
-    transcription, intervals, degree = (
-        method.transcription or "gauss",
-        method.intervals or FIRST,
-        method.degree or DEGREE,
-    )
-    table = methods.COLLOCATION_TABLES[transcription].load()(degree)
+    method, model, problem = request.scene.methods, request.ode, request.problem
+    intervals, degree = method.intervals or FIRST, method.degree or DEGREE
+    table = methods.COLLOCATION_TABLES[str(method.transcription)].load()(degree)
     columns = intervals * table.ends.size + 1
     unfolded = model.hamiltonian is not None and _symmetry(request) is SymmetryClass.FULL
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
     free = orbit if problem is None else tuple(problem.free)
-    mesh = f"{intervals} {transcription} intervals of degree {degree} at the start"
+    mesh = f"{intervals} {method.transcription} intervals of degree {degree} at the start"
     also = f"and {', '.join(free)} " if free else ""
     return f"{model.full_size * columns} state values {also}on {mesh}; more where the tolerance asks for it"

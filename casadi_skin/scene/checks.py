@@ -2,20 +2,22 @@
 
 import math
 
-from casadi_skin.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
+from casadi_skin.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.scene.chain_checks import check_chain_family, check_infinite
 from casadi_skin.scene.faults import SceneError, refusal, toml_repr
+from casadi_skin.scene.model_tables import SELECTED, ModelTable
 from casadi_skin.scene.scene import Scene
-from casadi_skin.scene.tables import AccuracyTable, FamilyTable
+from casadi_skin.scene.tables import AccuracyTable, FamilyTable, MethodTable, one_of
 from casadi_skin.scene.task_checks import check_dynamics, check_export, check_search
 
-SELECTED = "select"
+LOWEST_DEGREE = 2  # of families; the same as in orbits.request, which loads numerics
 
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
     _check_accuracy(scene.accuracy)
-    _check_subject(scene)
+    if scene.model is not None:
+        _check_file(scene.model)
     _check_method(scene)
     _check_sought(scene)
     _check_orbit(scene)
@@ -39,13 +41,9 @@ def _check_accuracy(accuracy: AccuracyTable) -> None:
         raise refusal("[accuracy]", given, "preset or tolerance, one of them or neither")
 
 
-def _check_subject(scene: Scene) -> None:
-    """One of [chain] and [model], and what the file of a model needs."""
-    if scene.model is None:
-        return
-    if scene.chain is not None:
-        raise refusal("[chain]", "beside [model]", "[chain] or [model] in one scene")
-    file, name = scene.model.file, scene.model.name
+def _check_file(model: ModelTable) -> None:
+    """Refuse names that the file of a model does not have, or lacks."""
+    file, name = model.file, model.name
     if "\0" in file:
         raise refusal("[model] file", toml_repr(file), "the name of a file")
     if file.endswith(".json"):
@@ -58,8 +56,7 @@ def _check_subject(scene: Scene) -> None:
 
 
 def _check_method(scene: Scene) -> None:
-    method = scene.method
-    transcription = method.transcription or (TRIGONOMETRIC if scene.chain is not None and scene.family else None)
+    method, transcription = scene.method, scene.methods.transcription
     if method.degree is not None and transcription in (TRIGONOMETRIC, SHOOTING):
         given = f'{method.degree} with transcription = "{transcription}"'
         accepted = " or ".join(f'"{name}"' for name in COLLOCATION_TABLES)
@@ -67,14 +64,31 @@ def _check_method(scene: Scene) -> None:
     if method.walker == "series" and transcription not in (None, TRIGONOMETRIC):
         given = f'"series" with transcription = "{transcription}"'
         raise refusal("[method] walker", given, '"arclength", or transcription = "trigonometric"')
-    boundary = scene.orbit is not None or scene.solution is not None
-    if boundary and method.transcription not in (None, *COLLOCATION_TABLES):
-        accepted = ", ".join(f'"{name}"' for name in COLLOCATION_TABLES)
-        raise refusal("[method] transcription", f'"{method.transcription}" without [family]', accepted)
-    for name in ("tail", "walker") if boundary else ("intervals",):
-        if getattr(method, name) is not None and (boundary or scene.family is not None):
-            where = "beside [family]" if boundary else "beside [orbit] or [solution]"
-            raise refusal(f"[method] {name}", toml_repr(getattr(method, name)), where)
+    if scene.family is not None:
+        _check_family_method(method)
+    if scene.orbit is not None or scene.solution is not None:
+        _check_boundary_method(method)
+
+
+def _check_family_method(method: MethodTable) -> None:
+    """Refuse methods that families do not have."""
+    if method.degree is not None and method.degree < LOWEST_DEGREE:
+        accepted = f"with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"
+        raise refusal("[method] degree", toml_repr(method.degree), accepted)
+    if method.intervals is not None:
+        raise refusal("[method] intervals", toml_repr(method.intervals), "beside [orbit] or [solution]")
+    if method.flow not in (None, *FLOWS):
+        raise refusal("[method] flow", f"{toml_repr(method.flow)} with [family]", one_of(FLOWS))
+
+
+def _check_boundary_method(method: MethodTable) -> None:
+    """Refuse methods that orbits and solutions of boundary-value problems do not have."""
+    for name in ("tail", "walker"):
+        if getattr(method, name) is not None:
+            raise refusal(f"[method] {name}", toml_repr(getattr(method, name)), "beside [family]")
+    for name, known in (("transcription", COLLOCATION_TABLES), ("flow", FULL_PERIOD_FLOWS)):
+        if getattr(method, name) not in (None, *known):
+            raise refusal(f"[method] {name}", f"{toml_repr(getattr(method, name))} without [family]", one_of(known))
 
 
 def _check_sought(scene: Scene) -> None:
@@ -89,18 +103,19 @@ def _check_sought(scene: Scene) -> None:
         given = f'with file = "{scene.model.file}"'
         raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")
     if scene.stability is not None and scene.family is None and scene.orbit is None:
-        kind = "a [family]" if scene.chain is not None else "a [family] or an [orbit]"
-        raise refusal(
-            "[stability]", f"without {kind.split(maxsplit=1)[1]}", f"beside {kind}, whose stability it asks for"
-        )
+        accepted = "beside a [family] or an [orbit], whose stability it asks for"
+        raise refusal("[stability]", "without [family] or [orbit]", accepted)
     if scene.continuation is not None and scene.orbit is None and scene.solution is None:
-        raise refusal("[continuation]", "without what it follows", "beside an [orbit] or a [solution]")
+        accepted = "beside an [orbit] or a [solution], from which it follows a branch"
+        raise refusal("[continuation]", "without [orbit] or [solution]", accepted)
 
 
 def _check_orbit(scene: Scene) -> None:
     orbit = scene.orbit
     if orbit is None:
         return
+    if scene.chain is not None and not orbit.symmetric:
+        raise refusal("[orbit] symmetric", "false with [chain]", "true: the orbits of a chain come in families")
     if orbit.period is not None and orbit.transient is not None:
         raise refusal("[orbit]", "period and transient", "period or transient, one of them")
     if orbit.section is not None and orbit.symmetric:

@@ -47,9 +47,6 @@ def parse_scene(text: str, source: str = "scene") -> Scene:
     try:
         raw = _parse_toml(text)
         _check_names(raw)
-        if "chain" not in raw and "model" not in raw:
-            keys = ", ".join(ChainTable.__struct_fields__)
-            raise SceneError(f"[chain]: missing; accepted: a table with {keys}, or a table [model] with file")
         scene = _convert(raw)
         check_scene(scene)
     except SceneError as fault:
@@ -79,13 +76,18 @@ def _parse_toml(text: str) -> dict[str, Any]:
 
 
 def _check_names(raw: dict[str, Any]) -> None:
-    """Refuse unknown tables and keys, values in place of tables, and what is required but missing."""
+    """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
     places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
     for name, value in raw.items():
         if name not in places:
             fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
             near = nearest(name, places)
             raise SceneError(fault + did_you_mean(near and places[near], ", ".join(places.values())))
+    if "chain" in raw and "model" in raw:
+        raise refusal("[chain]", "beside [model]", "[chain] or [model] in one scene")
+    if "chain" not in raw and "model" not in raw:
+        keys = ", ".join(ChainTable.__struct_fields__)
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, or a table [model] with file")
     for name, table in TABLES.items():
         if name in raw:
             _check_keys(name, table, raw[name])

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
 from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
 from casadi_skin.scene.tables import (
     AccuracyTable,
@@ -50,9 +51,21 @@ class Scene(Table, frozen=True):
         asked = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
         return asked if self.sites is None else self.family.modes(self.sites)
 
+    @property
+    def methods(self) -> MethodTable:
+        """The table [method] with the names chosen where it leaves them out, as far as the scene alone tells."""
+        chosen: dict[str, str] = {}
+        if self.family is not None:
+            chosen = {"flow": SPLITTING} | ({} if self.chain is None else {"transcription": TRIGONOMETRIC})
+        elif self.orbit is not None or self.solution is not None:
+            chosen = {"flow": COLLOCATION, "transcription": GAUSS}
+        left_out = {name: value for name, value in chosen.items() if getattr(self.method, name) is None}
+        return msgspec.structs.replace(self.method, **left_out)
+
     def same_request(self, other: "Scene") -> bool:
-        """Whether the other scene is equal but for the title."""
-        return msgspec.structs.replace(self, title=None) == msgspec.structs.replace(other, title=None)
+        """Whether the other scene asks for the same, whatever its title."""
+        mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
+        return mine == theirs
 
 
 TABLES: Mapping[str, type[Table]] = MappingProxyType(

@@ -16,9 +16,8 @@ def check_dynamics(scene: Scene) -> None:
     if dynamics is None:
         return
     if scene.family is None and scene.orbit is None:
-        what = "a [family]" if scene.chain is not None else "a [family] or an [orbit]"
-        given = f"without {what.split(maxsplit=1)[1]}"
-        raise refusal("[dynamics]", given, f"beside {what}, one of whose orbits it follows in time")
+        accepted = "beside a [family] or an [orbit], which it follows in time"
+        raise refusal("[dynamics]", "without [family] or [orbit]", accepted)
     if scene.family is None:
         for name in ("S", "mode"):
             if getattr(dynamics, name) is not None:
@@ -37,12 +36,16 @@ def check_dynamics(scene: Scene) -> None:
 
 
 def _check_orbit_of_family(table: str, scene: Scene, family: FamilyTable, S: float, mode: int | None) -> None:
-    """An orbit at S of the family of a mode, which has to be told where there are several."""
+    """An orbit at S of the family of a mode, which has to be told where there are several.
+
+    Whether a model has a mode by the number of one that is named, as "last", shows with the model alone.
+    """
     followed = scene.modes()
     modes = f"one of the modes of [family], {toml_repr(list(followed))}"
     if mode is None and len(followed) > 1:
         raise SceneError(f"[{table}] mode: missing; accepted: {modes}")
-    if mode is not None and mode not in followed:
+    named = any(isinstance(known, str) for known in followed)
+    if mode is not None and mode not in followed and not named:
         raise refusal(f"[{table}] mode", toml_repr(mode), modes)
     if family.amplitude_max < S:
         raise refusal(f"[{table}] S", repr(S), f"a number <= amplitude_max = {family.amplitude_max!r}")

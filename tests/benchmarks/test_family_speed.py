@@ -19,7 +19,7 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
-from casadi_skin.orbits import multipliers
+from casadi_skin.orbits import family
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
@@ -52,11 +52,11 @@ def test_end_breather_family_with_and_without_multipliers(record: Record, correc
     tools.levels.corrector(tools.levels.problem(8))
     print(f"\n{corrector}, {walker}: first build {time.perf_counter() - started:.3f} s")
     walk = follow(tools, stability=True)
-    assert abs(walk.orbits[-1].Omega - 0.765958900020734) < 1e-9
+    assert abs(walk.solutions[-1].Omega - 0.765958900020734) < 1e-9
     for stability in (True, False):
         value = seconds(lambda s=stability: follow(tools, s), 9)  # type: ignore[misc]
         words = "with multipliers" if stability else "without"
-        record(f"end breather, {corrector}, {walker}, {words}", value, len(walk.orbits))
+        record(f"end breather, {corrector}, {walker}, {words}", value, len(walk.solutions))
 
 
 def test_twelve_families_with_stability(record: Record) -> None:
@@ -66,7 +66,7 @@ def test_twelve_families_with_stability(record: Record) -> None:
     for tools in every:
         follow(tools, stability=True)
     started = time.perf_counter()
-    points = sum(len(follow(tools, stability=True).orbits) for tools in every)
+    points = sum(len(follow(tools, stability=True).solutions) for tools in every)
     record("twelve families with stability", time.perf_counter() - started, points)
 
 
@@ -100,11 +100,11 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
     watch(TaylorRecursion, "series", "series")
     watch(Levels, "refined", "error estimates, but for the two above")
-    watch(multipliers, "floquets", "multipliers")
+    watch(family, "floquets", "multipliers")
     started = time.perf_counter()
     walk = follow(tools, stability=True)
     spent["the rest, Python"] = time.perf_counter() - started - sum(spent.values())
-    print(f"\n{walker}, {len(walk.orbits)} points")
+    print(f"\n{walker}, {len(walk.solutions)} points")
     for part, value in spent.most_common():
         print(f"  {part:<42} {value / unit:6.0f} solves, {calls[part] or '':>4}")
     assert calls["multipliers"] > 0
@@ -116,14 +116,15 @@ from casadi_skin import Chain
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
-tools = Family(family_request(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
+chain = Chain({sites}, 1.0, 0.25, 1.0)
+tools = Family(family_request(chain, {sites}, 3.0, at=(3.0,), tolerance=1e-9, corrector="{corrector}"))
 started = time.perf_counter()
 walk = Following(tools)
 for _ in walk:
     pass
-assert abs(walk.orbits[-1].Omega - 2.3200364277694) < 1e-8, walk.orbits[-1].Omega
+assert abs(walk.solutions[-1].Omega - 2.3200364277694) < 1e-8, walk.solutions[-1].Omega
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-print(time.perf_counter() - started, len(walk.orbits), memory)
+print(time.perf_counter() - started, len(walk.solutions), memory)
 """
 
 

@@ -44,6 +44,7 @@ def test_bratu_fold(load: Load, tmp_path: Path) -> None:
         assert abs(branch.at(1.0, which).evaluate(0.5)[0, 0] - 2.0 * np.log(np.cosh(theta / 4.0))) < 1e-7
 
 
+@pytest.mark.slow
 def test_van_der_pol(load: Load, tmp_path: Path) -> None:
     branch = load("van_der_pol").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -57,6 +58,7 @@ def test_van_der_pol(load: Load, tmp_path: Path) -> None:
     assert abs(orbit.period - 19.078369567) < 1e-8
 
 
+@pytest.mark.slow
 def test_forced_duffing(load: Load, tmp_path: Path) -> None:
     branch = load("forced_duffing").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.studies.stress import physical as extremes_physical
+from casadi_skin.studies.stress import physical
 from casadi_skin.studies.stress import study as study_module
-from casadi_skin.studies.stress import threshold as extremes_threshold
 from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
-from casadi_skin.studies.stress.study import COLUMNS, all_cases
+from casadi_skin.studies.stress.cases import all_cases
+from casadi_skin.studies.stress.study import COLUMNS
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 FILES = {
     *("extremes.csv", "extremes.png", "extremes.svg"),
@@ -30,9 +32,16 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases of gamma, and two small chains in physical coordinates."""
     chosen = [case for case in all_cases() if case.theme == "gamma"]
     monkeypatch.setattr(study_module, "all_cases", lambda: chosen)
-    monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4, 8))
-    monkeypatch.setattr(extremes_physical, "GAMMAS", (0.25,))
-    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.25, 0.5))
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4, 8))
+    monkeypatch.setattr(physical, "GAMMAS", (0.25,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.25, 0.5))
+
+
+@pytest.fixture
+def fewest(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with one chain and one threshold."""
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.5,))
 
 
 def test_every_case_has_a_name_of_its_own() -> None:
@@ -67,7 +76,7 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = Case("theme", "a wrong one", "asked", "check", lambda: Finding("it", 1e-3, 1e-6), quick=True)
     monkeypatch.setattr(study_module, "all_cases", lambda: [wrong])
@@ -77,7 +86,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,8 @@ from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """[chain]
 sites = 6
@@ -123,6 +125,7 @@ def test_a_search_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "beside [family]" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from hypothesis import assume, example, given, settings
+from effort import examples
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -15,7 +16,7 @@ from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
 
-few = settings(max_examples=25, deadline=None, derandomize=True)
+few = examples(25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 

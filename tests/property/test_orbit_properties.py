@@ -6,7 +6,8 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from hypothesis import assume, example, given, settings
+from effort import examples
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -16,8 +17,8 @@ from casadi_skin.theory import multiple_scales
 
 Array = NDArray[np.float64]
 
-few = settings(max_examples=12, deadline=None)
-fewer = settings(max_examples=6, deadline=None)
+few = examples(20)
+fewer = examples(10)
 
 
 @st.composite

@@ -318,6 +318,7 @@ def test_a_path_that_cannot_be_followed_is_named() -> None:
         problem.sample(z, np.array([1.0]))
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interruption_within_cvodes_is_heard() -> None:
     problem = ShootingProblem(Chain(8, 1.0, 0.3, -1.0).gauge_model(), 13, QUARTER)
     z = problem.pack(np.full(8, 0.3), 1.2, -1.0)
