@@ -166,7 +166,7 @@ class Cycle:
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times from the start of the cycle on, shape (time, component)."""
         times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
-        return self.evolution.evaluate(np.clip(self.start + times, self.start, self.simulation.t[-1]))
+        return self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
 
 
 class EvolutionError(ArithmeticError):

@@ -45,9 +45,8 @@ class Subject:
     @property
     def chain(self) -> Chain | None:
         """The chain, where it is one or an orbit of one."""
-        if isinstance(self.source, Orbit):
-            return self.source.chain
-        return self.source if isinstance(self.source, Chain) else None
+        found = self.source.model if isinstance(self.source, Orbit) else self.source
+        return found if isinstance(found, Chain) else None
 
     @property
     def orbit(self) -> Orbit | None:
@@ -110,7 +109,9 @@ def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
         raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an Orbit")
     if isinstance(source, OdeModel):
         return Subject(source, _name(source.name if name is None else name, name), harmonics)
-    chain = source if isinstance(source, Chain) else source.chain
+    chain = source if isinstance(source, Chain) else source.model
+    if not isinstance(chain, Chain):
+        raise TypeError(f"source: given an orbit of {chain.name}; accepted: an orbit of a Chain, or the model alone")
     if chain.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:

@@ -260,7 +260,9 @@ class BoundarySpace:
             return found
         start, values = self.states_at(point, np.zeros(1), None)[0], self.parameters(point)
         p = np.array([values[name] for name in periodic.model.parameter_names])
-        by_sensitivities: Floquet = compute(periodic.model, start, p, self.interval(point)[1], self.tolerance)
+        by_sensitivities: Floquet = compute(
+            periodic.model, start, p, self.interval(point)[1], periodic.symmetry, self.tolerance
+        )
         return by_sensitivities
 
     def floquet_vectors(self, floquet: Floquet) -> ComplexArray:

@@ -118,7 +118,6 @@ class _Bracket:
         while self.width > width and self.high - self.low > FINEST:
             self.gap(0.5 * (self.low + self.high))
 
-
     def _beside(self, fraction: float, off: float) -> None:
         """Narrow the bracket to an orbit a little off a fraction of the way, or farther off where none is found."""
         while self.low < fraction + off < self.high:

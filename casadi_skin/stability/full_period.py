@@ -40,7 +40,7 @@ def by_collocation(
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    return _multipliers(maps, model, tolerance, contraction)
+    return _multipliers(maps, _trivial(model, symmetry), tolerance, contraction)
 
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
@@ -84,7 +84,9 @@ def _whole(maps: Array, model: OdeModel, symmetry: SymmetryClass) -> Array:
     return np.concatenate([there, np.array([half @ m @ half for m in there])])
 
 
-def by_cvodes(model: OdeModel, start: Array, parameters: Array, period: float, tolerance: float) -> FullPeriodFloquet:
+def by_cvodes(
+    model: OdeModel, start: Array, parameters: Array, period: float, symmetry: SymmetryClass, tolerance: float
+) -> FullPeriodFloquet:
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
@@ -96,17 +98,23 @@ def by_cvodes(model: OdeModel, start: Array, parameters: Array, period: float, t
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
-    return _multipliers(matrix[None], model, tolerance)
+    return _multipliers(matrix[None], _trivial(model, symmetry), tolerance)
 
 
-def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:
+def _trivial(model: OdeModel, symmetry: SymmetryClass) -> int:
+    """How many multipliers are 1: two where orbits come in families, as those of a reversal that are symmetric do."""
+    if model.forced:
+        return 0
+    return 1 if model.hamiltonian is None and symmetry is SymmetryClass.FULL else 2
+
+
+def _multipliers(maps: Array, trivial: int, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
     _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
     balanced = maps * units / units[:, None]
     values = _eigenvalues(balanced, contraction)
-    trivial = 0 if model.forced else 1 if model.hamiltonian is None else 2
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
     is_other = _others(values, trivial)
     near = values[~is_other]
