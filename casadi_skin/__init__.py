@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
-    from casadi_skin.optimise.kick import smallest_kick
+    from casadi_skin.optimise.kick.smallest_kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
     from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.orbits.branch import Branch
@@ -63,7 +63,7 @@ def __getattr__(name: str) -> Any:
         "save_model": "models.saved",
         "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.kick",
+        "smallest_kick": "optimise.kick.smallest_kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
-    request = _bound(scene, arguments.scene)
+    request = bound(scene, arguments.scene)
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
     if not prepare(directory, scene, text, existing):
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 def check(arguments: argparse.Namespace) -> int:
     """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
     scene, _ = read_scene(arguments.scene)
-    request = _bound(scene, arguments.scene)
+    request = bound(scene, arguments.scene)
     from casadi_skin.runs.plan import plan_lines
 
     try:
@@ -69,7 +69,7 @@ def check(arguments: argparse.Namespace) -> int:
 def spectrum(arguments: argparse.Namespace) -> int:
     """Print the linear frequencies of a scene's model, and write them where a directory is given."""
     scene, text = read_scene(arguments.scene)
-    request = _bound(scene, arguments.scene)
+    request = bound(scene, arguments.scene)
     from casadi_skin.runs.binding import check_spectrum
 
     try:
@@ -96,7 +96,7 @@ def read_scene(path: Path) -> tuple[Scene, str]:
     return parse_scene(text, str(path)), text
 
 
-def _bound(scene: Scene, path: Path) -> Request:
+def bound(scene: Scene, path: Path) -> Request:
     """The request of a scene; raises SceneError and InputError that begin with its file."""
     from casadi_skin.runs.binding import bind
 

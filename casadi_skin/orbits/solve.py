@@ -16,6 +16,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
@@ -30,15 +31,20 @@ TOLERANCES = (1e-13, 1e-1)
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
 
 
-def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
-    """The space of solutions of a statement, measured by a guess; raises ValueError for options out of range."""
+def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
+    """Tolerance and methods; raises ValueError for options that are unknown or out of range."""
     for name in options:
         check_name("options", name, OPTIONS)
     low, high = TOLERANCES
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    method = boundary_method({name: v for name, v in options.items() if name != "tolerance" and v is not None})
+    return tolerance, boundary_method({k: v for k, v in options.items() if k != "tolerance" and v is not None})
+
+
+def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
+    """The space of solutions of a statement, measured by a guess; raises ValueError for options out of range."""
+    tolerance, method = accuracy_of(options)
     times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
     return BoundarySpace(statement, tolerance, method, Sizes.of(statement, sampled(statement, guess, times)))
 

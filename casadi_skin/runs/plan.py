@@ -38,7 +38,7 @@ def plan_lines(request: Request) -> Lines:
     elif scene.search is not None:
         from casadi_skin.runs.search import plan_search
 
-        lines += plan_search(scene)
+        lines += plan_search(request)
     else:
         lines.append(("not built", _nothing(request)))
     if scene.dynamics is not None:

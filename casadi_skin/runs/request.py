@@ -47,9 +47,9 @@ class Request:
         """The relative error allowed."""
         return self.scene.accuracy.relative_tolerance
 
-    @property
+    @cached_property
     def ode(self) -> OdeModel:
-        """The equations of motion of first order, in the coordinates of the model."""
+        """The equations of motion of first order, in the coordinates of the model; always the same symbols."""
         return (self.model.tunable_model() if isinstance(self.model, Chain) else self.model).first_order()
 
     @property

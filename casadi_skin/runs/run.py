@@ -30,7 +30,6 @@ from casadi_skin.results.journal import (
 )
 from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
-from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import write_branches, write_spectrum
 from casadi_skin.stability.flow import FlowError
@@ -140,6 +139,8 @@ class Run:
         scene, table = self.request.scene, self.request.scene.continuation
         if scene.orbit is None and scene.solution is None:
             return
+        from casadi_skin.runs.first_solution import first_solution
+
         self.progress.say("solving" if scene.orbit is None else "simulating and solving")
         first = first_solution(self.request)
         if table is not None:

@@ -40,7 +40,14 @@ def by_collocation(
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    return _multipliers(maps, _trivial(model, symmetry), tolerance, contraction)
+    return _multipliers(maps, trivial_multipliers(model, symmetry), tolerance, contraction)
+
+
+def trivial_multipliers(model: OdeModel, symmetry: SymmetryClass) -> int:
+    """How many multipliers of an orbit are 1: one of an autonomous model, two of orbits that come in families."""
+    if model.forced:
+        return 0
+    return 1 if model.hamiltonian is None and symmetry is SymmetryClass.FULL else 2
 
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
@@ -98,14 +105,7 @@ def by_cvodes(
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
-    return _multipliers(matrix[None], _trivial(model, symmetry), tolerance)
-
-
-def _trivial(model: OdeModel, symmetry: SymmetryClass) -> int:
-    """How many multipliers are 1: two where orbits come in families, as those of a reversal that are symmetric do."""
-    if model.forced:
-        return 0
-    return 1 if model.hamiltonian is None and symmetry is SymmetryClass.FULL else 2
+    return _multipliers(matrix[None], trivial_multipliers(model, symmetry), tolerance)
 
 
 def _multipliers(maps: Array, trivial: int, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:

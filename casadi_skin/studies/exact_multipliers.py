@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import ExactOrbit
 
 Extended = NDArray[np.longdouble]
@@ -19,6 +21,13 @@ PARTS = np.arange(1, COLUMNS + 1)
 MULTIPLE = 840  # of all numbers of parts
 AGREED = 1e-17  # difference of mu with two numbers of steps
 REFINEMENTS = 5
+
+
+def reduced(orbit: Orbit) -> ReversibleFloquet:
+    """The stability of an orbit of a family as its N x N problem gives it."""
+    found = orbit.floquet()
+    assert isinstance(found, ReversibleFloquet)
+    return found
 
 
 def paired(values: Complex, others: Complex) -> Complex:
@@ -43,7 +52,7 @@ def exact_mu(orbit: ExactOrbit) -> tuple[Complex, float]:
     """
     theta = PI / 2 * np.arange(65) / 64
     largest = np.max(np.abs(orbit.scale * _positions(orbit, theta)))
-    stiffest = 4 + orbit.model.alpha + 3 * abs(orbit.model.g) * float(largest) ** 2
+    stiffest = 4 + orbit.chain.alpha + 3 * abs(orbit.chain.g) * float(largest) ** 2
     steps = int(np.ceil(0.5 * np.pi * np.sqrt(stiffest) / float(orbit.Omega))) + 2
     mu, difference = _mu(orbit, steps), np.inf
     for _ in range(REFINEMENTS):
@@ -64,9 +73,9 @@ def _positions(orbit: ExactOrbit, theta: Extended) -> Extended:
 
 def _linear(orbit: ExactOrbit, q: Extended) -> Extended:
     """The linear restoring force L q in the gauge, shape of q, which is (sites, ...)."""
-    gamma = np.longdouble(orbit.model.gamma)
+    gamma = np.longdouble(orbit.chain.gamma)
     coupling = np.sqrt((1 - gamma) * (1 + gamma))
-    result = (2 + np.longdouble(orbit.model.alpha)) * q
+    result = (2 + np.longdouble(orbit.chain.alpha)) * q
     result[1:] -= coupling * q[:-1]
     result[:-1] -= coupling * q[1:]
     return np.asarray(result)
@@ -75,7 +84,7 @@ def _linear(orbit: ExactOrbit, q: Extended) -> Extended:
 def _mu(orbit: ExactOrbit, steps: int) -> Complex:
     """Eigenvalues without the trivial one, of left eigenvector q''(0), which a reflection takes out."""
     matrix, q = _half_cosines(orbit, steps), _positions(orbit, np.zeros(1, np.longdouble))[0]
-    u = _linear(orbit, q) + orbit.model.g * orbit.scale**2 * q**3
+    u = _linear(orbit, q) + orbit.chain.g * orbit.scale**2 * q**3
     u = u / np.sqrt(u @ u)
     u[0] += np.copysign(np.longdouble(1), u[0])
     u = u / np.sqrt(u @ u)
@@ -85,11 +94,11 @@ def _mu(orbit: ExactOrbit, steps: int) -> Complex:
 
 def _half_cosines(orbit: ExactOrbit, steps: int) -> Extended:
     """B^T C in `steps` equal steps of the phase, each by Stoermer's rule in 1 .. COLUMNS parts, extrapolated."""
-    n, h = orbit.model.sites, PI / 2 / steps
+    n, h = orbit.chain.sites, PI / 2 / steps
     weights = [np.prod([p**2 / np.longdouble(p**2 - r**2) for r in PARTS if r != p]) for p in PARTS]
     x, v = np.zeros((n, 2 * n), np.longdouble), np.zeros((n, 2 * n), np.longdouble)
     x[:, :n] = v[:, n:] = np.eye(n)
-    squared, cubic = orbit.Omega**2, 3 * orbit.model.g * orbit.scale**2
+    squared, cubic = orbit.Omega**2, 3 * orbit.chain.g * orbit.scale**2
     fractions = np.unique(np.concatenate([np.arange(p + 1) * MULTIPLE // p for p in PARTS]))
     for step in range(steps):
         theta = (step + fractions / np.longdouble(MULTIPLE)) * h

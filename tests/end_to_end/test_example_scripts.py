@@ -96,7 +96,7 @@ def test_smallest_kick(load: Load, tmp_path: Path) -> None:
     kick = load("smallest_kick").main(tmp_path / "picture.png", starts=2)
     assert drawn(tmp_path / "picture.png")
     orbit, n = kick.orbit, kick.orbit.model.sites
-    assert kick.best.optimum.strict
+    assert kick.best.strict
     assert abs(kick.norm / 6.52883e-4 - 1) < 1e-5
     # Dormand-Prince in physical coordinates: it escapes at the very end, the far end at the same norm does not.
     far_end = kick.far_end_kick * kick.norm / kick.far_end_norm

@@ -40,8 +40,8 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def fewest(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same with one chain and one threshold."""
-    monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4,))
-    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.5,))
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.5,))
 
 
 def test_every_case_has_a_name_of_its_own() -> None:

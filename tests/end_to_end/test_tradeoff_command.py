@@ -103,11 +103,16 @@ def test_a_few_settings_and_what_an_interruption_leaves(
 
 
 def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bare = tmp_path / "bare.toml"
-    bare.write_text(TINY, encoding="utf-8")
+    texts = {
+        "bare": TINY,
+        "endless": TINY.replace("sites = 2", "sites = inf") + FAMILY.replace("[1, 2]", '"first"'),
+        "model": '[model]\nfile = "pendulum.py"\nname = "pendulum"\n' + FAMILY,
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "out"
     for words, part in (
-        ([str(bare)], "bare.toml: asks for no family"),
+        *(([str(tmp_path / f"{name}.toml")], f"{name}.toml: asks for no family") for name in texts),
         ([str(scene), "--repeats", "0"], "--repeats 0"),
         ([str(tmp_path / "none.toml")], "none.toml"),
     ):

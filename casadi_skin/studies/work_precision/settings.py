@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from math import nan
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.scene import CORRECTORS, FLOWS, PRESET_TOLERANCES, TRANSCRIPTIONS, WALKERS
+from casadi_skin.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
+from casadi_skin.orbits.request import FamilyRequest, family_request
+from casadi_skin.scene import PRESET_TOLERANCES
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)
@@ -20,7 +22,7 @@ SMALLEST = 1e-16  # written for an error of exactly zero
 
 
 @dataclass(frozen=True)
-class Family:
+class FamilyCase:
     """A family from a linear mode to S = `amplitude_max`, whose errors are measured at the S of `at`."""
 
     chain: Chain
@@ -28,12 +30,16 @@ class Family:
     amplitude_max: float
     at: tuple[float, ...]
 
-    def with_points(self) -> Family:
+    def with_points(self) -> FamilyCase:
         """The family with its own points, or with equal parts of it where there are none."""
         if self.at:
             return self
         end = self.amplitude_max
         return replace(self, at=(*(end * k / PARTS_OF_FAMILY for k in range(1, PARTS_OF_FAMILY)), end))
+
+    def request(self, **methods: Any) -> FamilyRequest:
+        """The family as it is asked of the package, by the methods given."""
+        return family_request(self.chain, self.mode, self.amplitude_max, at=self.at, **methods)
 
     @property
     def shooting_left_out(self) -> bool:
@@ -41,7 +47,7 @@ class Family:
         return self.chain.sites > SHOOTING_SITES
 
 
-class Kind(Enum):
+class Kind(StrEnum):
     """What a setting computes."""
 
     ORBITS = "orbits"  # the family without multipliers
@@ -54,7 +60,7 @@ class Setting:
     """Methods and a tolerance for a family; `name` is that of a preset."""
 
     kind: Kind
-    family: Family
+    family: FamilyCase
     tolerance: float = 1e-8
     transcription: str = "trigonometric"
     walker: str = "series"
@@ -84,25 +90,25 @@ class Measured:
     """Cost and true errors of one setting.
 
     Processor times in seconds: the median of repeated runs with the least and the most, and apart from these what the
-    first run took longer to build; `processor` is their share in the time that passed. Memory in MB: the peak of a
-    process that does nothing else. Errors are relative, the largest over the points; nan where there is none.
-    `at_reference` says that the references differ by as much, `told` whether the program says of its own result that
-    the tolerance was out of reach; `failure` is the reason, in a line, why there is none.
+    first run took longer to build. Memory: the peak of a process that does nothing else. Errors are relative, the
+    largest over the points; nan where there is none. `processor_share` is the share of processor times in the time that
+    passed, `at_reference_round_off` says that the references differ by as much, and `told` that the program says of its
+    own result that the tolerance was out of reach; `failure` is the reason, in a line, why there is no result.
     """
 
     setting: Setting
     seconds: float = nan
-    fastest: float = nan
-    slowest: float = nan
-    building: float = nan
-    processor: float = nan
-    memory: float = nan
+    seconds_min: float = nan
+    seconds_max: float = nan
+    building_seconds: float = nan
+    memory_MB: float = nan
     unknowns: int = 0
     points: int = 0
     Omega_error: float = nan
     profile_error: float = nan
     mu_error: float = nan
-    at_reference: bool = False
+    processor_share: float = nan
+    at_reference_round_off: bool = False
     told: bool = False
     failure: str = ""
 
@@ -118,20 +124,14 @@ class Measured:
 
     def row(self) -> dict[str, object]:
         """Cells by column."""
-        setting = self.setting
-        orbits = setting.orbit_methods.split(", ") if setting.kind is not Kind.FLOW else ("", "", "")
-        flow = setting.flow if setting.kind is not Kind.ORBITS else ""
-        costs = (self.seconds, self.fastest, self.slowest, self.building, self.memory, self.unknowns, self.points)
-        errors = (self.Omega_error, self.profile_error, self.mu_error)
-        methods = (setting.kind.value, setting.method, *orbits, flow, setting.tolerance)
-        rest = (self.processor, self.at_reference, self.told, self.failure)
-        return dict(zip(COLUMNS, (*methods, *costs, *errors, *rest), strict=True))
+        kind = self.setting.kind
+        unused = {Kind.ORBITS: ("flow",), Kind.FLOW: ("transcription", "walker", "corrector")}.get(kind, ())
+        return {**vars(self.setting), "method": self.setting.method, **vars(self), **dict.fromkeys(unused)}
 
 
 COLUMNS = (
     *("kind", "method", "transcription", "walker", "corrector", "flow", "tolerance"),
-    *("seconds", "seconds_min", "seconds_max", "building_seconds", "memory_MB", "unknowns", "points"),
-    *("Omega_error", "profile_error", "mu_error", "processor_share", "at_reference_round_off", "told", "failure"),
+    *(field.name for field in fields(Measured) if field.name != "setting"),
 )
 
 
@@ -161,25 +161,25 @@ def front_of(measured: Sequence[Measured], kind: Kind, known: float) -> list[Mea
     return [asked[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in asked], SAME_ERROR)]
 
 
-def orbit_settings(family: Family, tolerances: Iterable[float]) -> list[Setting]:
+def orbit_settings(family: FamilyCase, tolerances: Iterable[float]) -> list[Setting]:
     """Every method that finds orbits at every tolerance; shooting for short chains."""
     return [
         Setting(Kind.ORBITS, family, tolerance, transcription, walker, corrector)
         for transcription in TRANSCRIPTIONS
-        if not (transcription == "shooting" and family.shooting_left_out)
-        for walker in (WALKERS if transcription == "trigonometric" else WALKERS[:1])
-        for corrector in CORRECTORS[::-1]
+        if not (transcription == SHOOTING and family.shooting_left_out)
+        for walker in (CONTINUATIONS if transcription == TRIGONOMETRIC else ("arclength",))
+        for corrector in reversed(list(CORRECTORS))
         for tolerance in tolerances
     ]
 
 
-def flow_settings(family: Family, tolerances: Iterable[float]) -> list[Setting]:
+def flow_settings(family: FamilyCase, tolerances: Iterable[float]) -> list[Setting]:
     """Every flow map at every tolerance; none where a single site moves."""
     if family.chain.sites == 1 or abs(family.chain.gamma) == 1.0:
         return []
     return [Setting(Kind.FLOW, family, tolerance, flow=flow) for flow in FLOWS for tolerance in tolerances]
 
 
-def preset_settings(family: Family, walker: str) -> list[Setting]:
+def preset_settings(family: FamilyCase, walker: str) -> list[Setting]:
     """The presets with the default methods, of which `walker` is one."""
     return [Setting(Kind.PRESET, family, tol, walker=walker, name=name) for name, tol in PRESET_TOLERANCES.items()]

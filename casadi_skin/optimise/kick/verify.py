@@ -1,4 +1,4 @@
-"""Kicks followed by CVODES, independently of the programme that found them: do they escape, and which size does."""
+"""Kicks followed by CVODES, independently of the search that found them: whether they escape, and at which size."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
-from casadi_skin.optimise.kick_flow import KickedFlow, PlainOrbit
+from casadi_skin.optimise.kick.flow import KickedFlow, PlainOrbit
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
@@ -57,7 +57,7 @@ def sampled(orbit: Orbit, time: float) -> Array:
 
 
 def farthest(orbit: Orbit, kick: Array, time: float) -> tuple[float, float]:
-    """Largest distance up to `time` after a kick (2N,), and when: sampled, then once more around the largest sample."""
+    """Largest distance up to `time` after a kick (2N,), and its time: sampled, then finer around the largest sample."""
     coarse = escape(orbit, kick, sampled(orbit, time))
     k = int(np.argmax(coarse.distance))
     around = coarse.t[max(0, k - 1)], coarse.t[min(k + 1, len(coarse.t) - 1)]
@@ -66,10 +66,9 @@ def farthest(orbit: Orbit, kick: Array, time: float) -> tuple[float, float]:
 
 
 def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float) -> tuple[float, float]:
-    """Smallest size of a kick along `direction` (2N,) that escapes, and when: bisection on CVODES runs.
+    """Smallest size of a kick along `direction` (2N,) that escapes, and its time of escape: bisection on CVODES runs.
 
-    The bracket comes from a scan of sizes around the one that linear growth gives. Raises ArithmeticError where no size
-    of the scan escapes.
+    The bracket comes from a scan of sizes around that of linear growth. Raises ArithmeticError where none escapes.
     """
     flow = KickedFlow.up_to(orbit, time)
     in_gauge = direction / (np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2))

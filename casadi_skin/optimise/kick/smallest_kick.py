@@ -1,63 +1,63 @@
 """The smallest kick that takes a linearly stable breather away within a given time.
 
 A breather is taken away when its phase-aligned distance (`dynamics.distance_from_orbit`) comes to a given fraction of
-it. Kerswell, Pringle and Willis (2014) review such minimal seeds in fluids. `kick_programme` states the problem;
-here its starts are chosen, its optima sorted and compared with the kick of the paper (Fig. 6b) and with what linear
-transient growth (Trefethen and Embree 2005, chapter 14) makes of it.
+it. Kerswell, Pringle and Willis (2014) review such minimal seeds in fluids. `kick.nlp` states the problem; here its
+starts are chosen, its optima sorted and compared with the kick of the paper (Fig. 6b) and with linear transient growth
+(Trefethen and Embree 2005, chapter 14).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Indices
-from casadi_skin.optimise.kick_arguments import check, check_processes, kicked_sites
-from casadi_skin.optimise.kick_flow import KickedFlow
-from casadi_skin.optimise.kick_nlp import Optimum
-from casadi_skin.optimise.kick_parallel import in_processes
-from casadi_skin.optimise.kick_search import KickProgress, KickSearch, directions
-from casadi_skin.optimise.kick_verify import Escape, escape, sampled, size_to_escape
+from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.kick.arguments import check, kicked_sites
+from casadi_skin.optimise.kick.flow import KickedFlow
+from casadi_skin.optimise.kick.nlp import KickOptimum
+from casadi_skin.optimise.kick.search import (
+    KickError,
+    KickOutcome,
+    KickSearch,
+    KickStart,
+    directions,
+    distinct,
+    verified,
+)
+from casadi_skin.optimise.kick.verify import Escape, escape, sampled, size_to_escape
+from casadi_skin.optimise.processes import Interruption, Report, SearchProgress, check_processes, run_jobs
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.theory.linear import Array
+from casadi_skin.threads import one_thread
 
 REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
 GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and its peak is missed by up to 0.01 %
 
 
 @dataclass(frozen=True, eq=False)
-class LocalOptimum:
-    """One kick (2N,) of positions and velocities in physical coordinates, its norm and time of escape.
-
-    `name` tells the start that led there, `optimum` how Ipopt ended.
-    """
-
-    name: str
-    kick: Array
-    norm: float
-    time: float
-    optimum: Optimum
-
-
-@dataclass(frozen=True, eq=False)
 class SmallestKick:
-    """The smallest kick found; dimensionless.
+    """The smallest kick found; dimensionless. After an interruption the comparisons that are missing are nan.
 
-    `distance` is the fraction asked for and `reached` what CVODES gives at `escape_time`. `linear_norm` is the norm
-    that linear transient growth predicts, `far_end_norm` that of the displacement of the far end alone which
-    escapes within the same time, at `far_end_time`. `optima` are all local optima, ascending; the first is this one.
-    What an interruption left undone of these comparisons is nan.
+    Attributes:
+        orbit, time, distance, norm_name: the arguments.
+        optima: all local optima, ascending; the first is this one.
+        reached: the distance that CVODES gives at `escape_time`.
+        linear_norm, linear_time, linear_kick: the kick that linear transient growth predicts.
+        far_end_size: displacement of the far end alone that escapes within the same time; `far_end_norm` is its norm,
+            `far_end_time` when it does.
+        interrupted: whether an interruption ended the search.
+        tried: number of starts that have ended.
     """
 
     orbit: Orbit
     time: float
     distance: float
     norm_name: str
-    optima: tuple[LocalOptimum, ...]
+    optima: tuple[KickOptimum, ...]
     reached: float
     linear_norm: float
     linear_time: float
@@ -69,18 +69,18 @@ class SmallestKick:
     tried: int
 
     @property
-    def best(self) -> LocalOptimum:
+    def best(self) -> KickOptimum:
         """The optimum of least norm."""
         return self.optima[0]
 
     @property
     def displacements(self) -> Array:
-        """What is added to the orbit's displacements at t = 0, shape (sites,)."""
+        """Change of the orbit's displacements at t = 0, shape (sites,)."""
         return self.best.kick[: self.orbit.model.sites]
 
     @property
     def velocities(self) -> Array:
-        """The velocities given at t = 0, where the orbit has none, shape (sites,)."""
+        """Velocities at t = 0, where the orbit has none, shape (sites,)."""
         return self.best.kick[self.orbit.model.sites :]
 
     @property
@@ -95,13 +95,13 @@ class SmallestKick:
 
     @property
     def kkt(self) -> float:
-        """Largest component of the gradient of the Lagrangian relative to that of the objective."""
-        return self.best.optimum.kkt
+        """Largest residual of the conditions of Karush, Kuhn and Tucker."""
+        return self.best.kkt
 
     @property
     def converged(self) -> bool:
-        """Whether the kick is a local optimum, not just one that escapes."""
-        return self.best.optimum.solved
+        """Whether the kick is a local optimum, not only one that escapes."""
+        return self.best.solved
 
     @property
     def far_end_kick(self) -> Array:
@@ -110,8 +110,8 @@ class SmallestKick:
 
     @cached_property
     def status(self) -> str:
-        """What was found and how far it is to be trusted, in a sentence."""
-        o = self.best.optimum
+        """The result and how far it can be trusted, in a sentence."""
+        o = self.best
         kind = "strict local minimum" if o.strict else "stationary point whose curvature is not checked"
         if self.converged:
             words = f"{kind} (KKT residual {o.kkt:.1e}, violation {o.violation:.1e}), least of {len(self.optima)} found"
@@ -139,18 +139,31 @@ def smallest_kick(
     *,
     starts: int = 8,
     seed: int = 0,
-    progress: Callable[[KickProgress], None] | None = None,
+    progress: Report | None = None,
     workers: int = 1,
     executor: Executor | None = None,
 ) -> SmallestKick:
     """The kick of least norm at phase zero whose distance from the orbit comes to `distance` at a time <= `time`.
 
-    `distance` is relative to ||y(0)||, below the orbit's reach (about 1), where the nearest phase is unique. `norm` is
-    that of (positions, velocities), or "energy": the root of twice the quadratic part of the Hamiltonian of the gauge.
-    `at` are the sites that may be kicked, counted from 1, all by default. Of the `starts`, the first are linear
-    optima and the far end, the others random of a `seed`; `workers` processes or an `executor` of processes share them.
-    An interruption ends the search with the best so far. Raises ValueError and TypeError for arguments out of range or
-    an orbit that is not linearly stable, KickError where nothing is found.
+    Arguments:
+        orbit: a linearly stable breather of a chain.
+        time: time allowed.
+        distance: relative to ||y(0)||, below the orbit's reach (about 1), where the nearest phase is unique.
+        norm: "physical", that of (positions, velocities), or "energy": the root of twice the quadratic part of the
+            Hamiltonian of the gauge.
+        at: sites that may be kicked, counted from 1; all by default.
+        starts: number of starts: first linear optima and the far end, then random directions.
+        seed: of these.
+        progress: called with a `SearchProgress`, whose objective is the norm, at iterations and ends of starts.
+        workers, executor: processes that share the starts.
+
+    Returns:
+        The kick with its checks. An interruption ends the search with the best so far.
+
+    Raises:
+        ValueError, TypeError: arguments out of range, or an orbit that is not linearly stable.
+        KickError: nothing is found.
+        KeyboardInterrupt: an interruption before any kick is known to escape.
     """
     check(orbit, time, distance, norm, starts)
     check_processes(workers, executor)
@@ -167,36 +180,58 @@ def smallest_kick(
     scale = float(distance / gains[peak, 0])
     far = _far_end(orbit)
     along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.model.rho, 2), rcond=None)[0], dtype=float)
-    named = directions(along_far, gains, vectors, starts, seed)
-    search = KickSearch(flow, distance, basis, scale, len(named), progress)
-    elsewhere = executor is not None or min(workers, len(named)) > 1
-    optima, interrupted = search.from_all(named, in_processes(search, named, workers, executor) if elsewhere else None)
-    best, reached, optima = search.verified(optima)
+    search = KickSearch(flow, distance, basis, scale)
+    outcomes, interrupted = _run(
+        search, directions(along_far, gains, vectors, starts, seed), progress, workers, executor
+    )
+    best, *others = distinct(outcomes)
+    checked = verified(search, best)
     try:
         far_size, far_time = size_to_escape(orbit, far, float(time), distance)
     except KeyboardInterrupt:
         far_size, far_time, interrupted = np.nan, np.nan, True
-
-    def physical(kick: Array) -> Array:
-        return np.asarray(S * np.tile(orbit.model.rho, 2) * (basis @ kick))
-
-    listed = tuple(LocalOptimum(n, physical(o.kick), S * o.norm, o.time, o) for n, o in (best, *optima))
+    optima = (checked.optimum, *others)
     return SmallestKick(
         orbit=orbit,
         time=float(time),
         distance=float(distance),
         norm_name=norm,
-        optima=listed,
-        reached=reached,
+        optima=tuple(replace(o, kick=search.physical(o.kick), norm=S * o.norm) for o in optima),
+        reached=checked.reached,
         linear_norm=S * scale,
         linear_time=float(t[peak]),
-        linear_kick=physical(scale * vectors[peak, 0]),
+        linear_kick=search.physical(scale * vectors[peak, 0]),
         far_end_size=far_size,
         far_end_norm=far_size * kick_norm(orbit, far, norm),
         far_end_time=far_time,
-        interrupted=interrupted or search.interrupted,
-        tried=search.tried,
+        interrupted=interrupted or checked.interrupted,
+        tried=len(outcomes),
     )
+
+
+def _run(
+    search: KickSearch, starts: list[KickStart], progress: Report | None, workers: int, executor: Executor | None
+) -> tuple[list[KickOutcome], bool]:
+    """Outcomes of the starts, and whether an interruption ended them; raises KickError where no start escapes."""
+    outcomes, interruption = list[KickOutcome](), Interruption()
+    with interruption.listening(), one_thread():
+        for outcome in run_jobs(search.solve, starts, interruption, progress, workers, executor):
+            outcomes.append(outcome)
+            last = outcome.found or outcome.first
+            if progress is not None and not interruption.received:
+                size = (0, np.inf, np.inf)
+                if last is not None:
+                    size = (last.iterations, float(np.sqrt(search.flow.orbit.S)) * last.norm, last.violation)
+                progress(SearchProgress(outcome.start.number, len(starts), len(outcomes), *size, outcome.start.name))
+    interrupted = interruption.received or any(outcome.interrupted for outcome in outcomes)
+    if not any(outcome.first is not None for outcome in outcomes):
+        if interrupted:
+            raise KeyboardInterrupt
+        raise KickError(
+            f"smallest_kick: none of {len(outcomes)} starts comes to the distance {search.distance:g} "
+            f"within t = {search.flow.time:g} at any size tried"
+        )
+    return outcomes, interrupted
 
 
 def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:
@@ -220,13 +255,13 @@ def _far_end(orbit: Orbit) -> Array:
 
 def _stiffness(orbit: Orbit) -> Array:
     """L of the gauge, shape (sites, sites)."""
-    chain = orbit.model
+    chain: Chain = orbit.model
     off = np.full(chain.sites - 1, -chain.coupling)
     return np.diag(np.full(chain.sites, 2.0 + chain.alpha)) + np.diag(off, 1) + np.diag(off, -1)
 
 
 def _basis(orbit: Orbit, norm: str, sites: Indices) -> Array:
-    """Kicks of the gauge, shape (2N, 2 sites), orthonormal in the norm asked for: a kick is `basis` times unknowns."""
+    """Kicks of the gauge, shape (2N, 2 sites), orthonormal in the norm: a kick is `basis` times unknowns."""
     n = orbit.model.sites
     moved = np.eye(n)[:, sites]
     if norm == "physical":

@@ -1,14 +1,14 @@
-"""What the search for the smallest kick may be asked, and what is refused in a line."""
+"""Arguments of the search for the smallest kick, checked."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 
 from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.problem import Indices
+from casadi_skin.optimise.search_arguments import whole
 from casadi_skin.orbits.orbit import Orbit
 
 NORMS = ("physical", "energy")
@@ -36,8 +36,7 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) ->
         raise ValueError(f"norm: given {short_repr(norm)}; accepted: {', '.join(NORMS)}")
     if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
         raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
-    if isinstance(starts, bool) or not isinstance(starts, int | np.integer) or starts < 1:
-        raise ValueError(f"starts: given {short_repr(starts)}; accepted: a whole number >= 1")
+    whole("starts", starts, 1)
     if not orbit.floquet().stable:
         largest = orbit.floquet().max_abs_multiplier
         raise ValueError(
@@ -55,11 +54,3 @@ def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
     if not given or not whole or len(set(given)) < len(given):
         raise ValueError(f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}")
     return np.array(sorted(given)) - 1
-
-
-def check_processes(workers: object, executor: object) -> None:
-    """Raises TypeError or ValueError for a number of workers or an executor that cannot be used."""
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
-    if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
-        raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor of processes")

@@ -1,7 +1,7 @@
-"""What a kicked orbit does: the flow over many steps with exact derivatives, and how far it is from the orbit.
+"""The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit.
 
-States are (q, q') of the gauge in units of sqrt(S), y_n = sqrt(S) rho_n q_n, where an orbit and what it takes to
-destroy it are of order one at any gamma: a kick z of the site n is z/(sqrt(S) rho_n) there.
+States are (q, q') of the gauge in units of sqrt(S), y_n = sqrt(S) rho_n q_n, where an orbit and the kicks that destroy
+it are of order one at any gamma: a kick z of the site n is z/(sqrt(S) rho_n) there.
 """
 
 from __future__ import annotations
@@ -18,20 +18,18 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
-STEP = (
-    0.75  # radians of the fastest linear vibration in a step: measured against CVODES, 2e-8 of the state in 5 periods
-)
+STEP = 0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
 PHASES = 720  # of the orbit, between which its reach is sought
 
 
 @dataclass(frozen=True, eq=False)
 class PlainOrbit:
-    """An orbit in arrays and numbers, without the programme that found it, which no other process can be sent.
+    """An orbit in arrays and numbers, without the solver that found it, which cannot be sent to another process.
 
     `cosines` are the coefficients of cos((2k+1) Omega t), shape (harmonics, sites), `profile` displacements at t = 0.
     """
 
-    chain: Chain
+    model: Chain
     S: float
     Omega: float
     profile: Array
@@ -39,7 +37,7 @@ class PlainOrbit:
 
     @classmethod
     def of(cls, orbit: Orbit) -> PlainOrbit:
-        """What is left of an orbit."""
+        """The arrays and numbers of an orbit."""
         return cls(orbit.model, orbit.S, orbit.Omega, orbit.profile, orbit.coefficients(orbit.harmonics))
 
     @property
@@ -48,7 +46,7 @@ class PlainOrbit:
         return len(self.cosines)
 
     def coefficients(self, harmonics: int) -> Array:
-        """The coefficients, as `dynamics.distance_from_orbit` asks for them; raises ValueError for another number."""
+        """The coefficients, as `dynamics.distance_from_orbit` needs them; raises ValueError for another number."""
         if harmonics != self.harmonics:
             raise ValueError(f"harmonics: given {harmonics}; accepted: {self.harmonics}, those that are kept")
         return self.cosines
@@ -105,7 +103,7 @@ class KickedFlow:
 
     @classmethod
     def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
-        """With as many steps as the fastest linear vibration asks for."""
+        """With as many steps as the fastest linear vibration needs."""
         fastest = float(np.sqrt(orbit.model.alpha + 2.0 * (1.0 + orbit.model.coupling)))
         return cls(PlainOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
 
@@ -138,7 +136,7 @@ class KickedFlow:
     def step(self) -> ca.Function:
         """Function (state with h below) -> the same one step later, by the splitting of order 6 (Blanes and Moan 2002).
 
-        h goes along unchanged, so that one input is all that a repetition has to repeat.
+        h goes along unchanged, so that a repetition has one input.
         """
         model, h = self.orbit.model.gauge_model(), ca.SX.sym("h")
         q, v = model.state, model.velocity
@@ -167,25 +165,24 @@ class KickedFlow:
         points, _ = self.loop.points(theta)
         return float(theta[np.argmin(np.linalg.norm(points - self.output_scale * state, axis=1))])
 
-    def first_to_escape(self, direction: Array, distance: float, near: float) -> tuple[float, int, Array] | None:
-        """Smallest multiple of a direction (2N,) that comes to the distance, the step at which, and its states.
+    def first_to_escape(self, direction: Array, distance: float, near: float) -> tuple[float, int] | None:
+        """Smallest multiple of a direction (2N,) that comes to the distance, and the step at which it does.
 
         Sizes from 1/30 to 1000 times `near` are tried, ever closer ones around the first that escapes; None if none.
         """
         sizes = near * np.geomspace(1 / 30, 1000, 60)
         for _ in range(3):
-            states = self.run(sizes[:, None] * direction)
-            farthest = self.distances(states)
+            farthest = self.distances(self.run(sizes[:, None] * direction))
             escapes = np.max(farthest, axis=1) >= distance
             if not np.any(escapes):
                 return None
             first = int(np.argmax(escapes))
-            found = float(sizes[first]), int(np.argmax(farthest[first] >= distance)), states[first]
+            found = float(sizes[first]), int(np.argmax(farthest[first] >= distance))
             sizes = np.linspace(sizes[first - 1] if first else 0.0, sizes[first], 20)
         return found
 
     def linear_images(self, directions: Array) -> Array:
-        """What the linearised flow makes of the columns of `directions` (2N, m), shape (steps + 1, 2N, m)."""
+        """Images of the columns of `directions` (2N, m) under the linearised flow, shape (steps + 1, 2N, m)."""
         jacobian, h = self.step.jacobian(), self.time / self.steps
         images = [directions]
         for state in self.run(np.zeros((1, self.size)))[0, :-1]:
@@ -195,8 +192,8 @@ class KickedFlow:
     def linear_gains(self, directions: Array) -> tuple[Array, Array, Array]:
         """Largest growth of distance from kicks in the span of `directions` (2N, m), linearised, at each step.
 
-        Returns the times (steps + 1,), the singular values (steps + 1, k) and what makes them, (steps + 1, k, m):
-        singular values of what is normal to the orbit in (y, y'/Omega)/sqrt(S), k the smaller of m and 2.
+        Returns the times (steps + 1,), the k = min(m, 2) largest singular values (steps + 1, k) of the part that is
+        normal to the orbit in (y, y'/Omega)/sqrt(S), and their right singular vectors (steps + 1, k, m).
         """
         t = np.linspace(0.0, self.time, self.steps + 1)
         tangents = self.loop.points(self.orbit.Omega * t)[1]
