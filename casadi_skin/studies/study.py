@@ -7,17 +7,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from rich.table import Table
+
+from casadi_skin.figures.style import save
 from casadi_skin.files import replacing
 from casadi_skin.results.dataset import Cell, write_csv
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from rich.table import Table
-
 Case = TypeVar("Case")
+Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
 
 
 @dataclass
@@ -72,8 +75,6 @@ class Study(ABC):
 
     def write_figure(self, stem: str, figure: Figure) -> None:
         """Replace STEM.png and STEM.svg."""
-        from casadi_skin.figures import save
-
         self._written(save(figure, self.directory / stem))
 
     def _written(self, paths: Iterable[Path]) -> None:
@@ -90,13 +91,22 @@ def cell(value: object) -> Cell:
     return value if finite else str(value)  # type: ignore[return-value]
 
 
-def text_table(heads: Sequence[str]) -> Table:
-    """An empty table for the terminal; the first column is words, the others are numbers."""
-    from rich.table import Table
+def table(**columns: ArrayLike) -> Rows:
+    """Names and rows of columns of one length; a single value stands in all rows."""
+    values = [column.tolist() for column in np.broadcast_arrays(*columns.values())]
+    return list(columns), [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
+
+def stacked(tables: Sequence[Rows]) -> Rows:
+    """Tables with the same columns, one below the other."""
+    return tables[0][0], [row for _, rows in tables for row in rows]
+
+
+def text_table(heads: Sequence[str], words: Sequence[int] = (0,)) -> Table:
+    """An empty table for the terminal; `words` are the places of columns that do not hold numbers."""
     table = Table(box=None, header_style="bold", padding=(0, 1))
     for place, head in enumerate(heads):
-        table.add_column(head, justify="right" if place else "left", no_wrap=True)
+        table.add_column(head, justify="left" if place in words else "right", no_wrap=True)
     return table
 
 

@@ -11,7 +11,7 @@ import pytest
 from casadi_skin import Chain
 from casadi_skin.cli import main
 from casadi_skin.studies.paper import paper_data
-from casadi_skin.studies.paper.figures_sensitivity import sensitivity_figure
+from casadi_skin.studies.paper.figures_families import sensitivity_figure
 from casadi_skin.studies.paper.paper_data import PaperData
 from casadi_skin.studies.paper.reproduce import FIGURES, PaperReproduction
 from casadi_skin.theory import multiple_scales

@@ -137,7 +137,7 @@ def test_the_far_end_alone_needs_more() -> None:
 
 
 def test_energy_norm_is_that_of_the_hamiltonian() -> None:
-    kick, chain = found(3.0, 0.5, "energy"), breather().chain
+    kick, chain = found(3.0, 0.5, "energy"), breather().model
     eta = kick.best.kick / np.tile(chain.rho, 2)
     padded = np.pad(eta[:6], 1)
     springs = chain.coupling * np.sum(np.diff(padded) ** 2)  # potential energy of neighbours, ends fixed, and on site
@@ -156,7 +156,7 @@ def test_reach_is_the_least_radius_of_curvature_of_a_bent_loop() -> None:
 def test_steps_that_are_too_long_are_halved_until_cvodes_agrees() -> None:
     fine = KickedFlow.up_to(breather(), 2.0 * breather().period)
     coarse = replace(fine, steps=12)
-    basis = np.diag(1 / np.tile(breather().chain.rho, 2))
+    basis = np.diag(1 / np.tile(breather().model.rho, 2))
     gains, vectors = coarse.linear_gains(basis)[1:]
     scale = float(0.5 / gains[:, 0].max())
     search = KickSearch(coarse, 0.5, basis, scale)
@@ -223,7 +223,7 @@ def test_what_is_kept_of_an_orbit_has_its_distances() -> None:
 
 def test_a_start_that_was_sent_is_followed_to_the_same_optimum() -> None:
     flow = KickedFlow.up_to(breather(), 2.0 * breather().period)
-    search = KickSearch(flow, 0.5, np.diag(1 / np.tile(breather().chain.rho, 2)), 0.1)
+    search = KickSearch(flow, 0.5, np.diag(1 / np.tile(breather().model.rho, 2)), 0.1)
     start = KickStart(1, "far end", np.eye(12)[0])
     here = search.solve(start)  # builds the programme
     data = pickle.dumps(search.solve)

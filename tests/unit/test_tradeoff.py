@@ -15,7 +15,6 @@ from casadi_skin.results.dataset import write_csv
 from casadi_skin.studies.exact_multipliers import paired
 from casadi_skin.studies.study import cell
 from casadi_skin.studies.work_precision.computing import Computation, requested_orbits
-from casadi_skin.studies.work_precision.figure import work_precision_figure
 from casadi_skin.studies.work_precision.measuring import measure, memory_of, peak_memory, timed
 from casadi_skin.studies.work_precision.reference import Errors, Reference
 from casadi_skin.studies.work_precision.settings import (
@@ -33,7 +32,7 @@ from casadi_skin.studies.work_precision.settings import (
     pareto_front,
     preset_settings,
 )
-from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, WorkPrecision
+from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, WorkPrecision, work_precision_figure
 from casadi_skin.studies.work_precision.words import (
     MU,
     OMEGA,
@@ -54,18 +53,18 @@ KNOWN = Errors(1e-15, 2e-15, 3e-15)
 
 def orbits(transcription: str, walker: str, tolerance: float, seconds: float, error: float) -> Measured:
     setting = Setting(Kind.ORBITS, FAMILY, tolerance, transcription, walker, "newton")
-    times = (seconds, 0.95 * seconds, 1.05 * seconds, 0.1, 1.0)
-    return Measured(setting, *times, 50.0, 10, 40, error, error, error)
+    times = (seconds, 0.95 * seconds, 1.05 * seconds, 0.1)
+    return Measured(setting, *times, 50.0, 10, 40, error, error, error, 1.0)
 
 
 def flow(name: str, tolerance: float, seconds: float, error: float) -> Measured:
     setting = Setting(Kind.FLOW, FAMILY, tolerance, flow=name)
-    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 1.0, 50.0, 16, 2, nan, nan, error)
+    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 50.0, 16, 2, nan, nan, error, 1.0)
 
 
 def preset(seconds: float, error: float) -> Measured:
     setting = Setting(Kind.PRESET, FAMILY, 1e-8, walker="arclength", name="standard")
-    return Measured(setting, seconds, seconds, seconds, 0.0, 1.0, 60.0, 10, 40, error, error, error)
+    return Measured(setting, seconds, seconds, seconds, 0.0, 60.0, 10, 40, error, error, error, 1.0)
 
 
 def made() -> list[Measured]:
@@ -130,9 +129,11 @@ def test_times_that_overlap_are_not_told_apart() -> None:
         orbits("gauss", "arclength", 1e-8, 0.103, 1e-9),
     ]
     assert "not told apart by these times from gauss, arclength, newton (103 ms)" in advice(near, 1e-8, OMEGA)
-    single = [replace(m, seconds=s, fastest=s, slowest=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
+    single = [replace(m, seconds=s, seconds_min=s, seconds_max=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
     assert "not told apart" in advice(single, 1e-8, OMEGA)
-    assert "faster" in advice([single[0], replace(single[1], seconds=0.2, fastest=0.2, slowest=0.2)], 1e-8, OMEGA)
+    assert "faster" in advice(
+        [single[0], replace(single[1], seconds=0.2, seconds_min=0.2, seconds_max=0.2)], 1e-8, OMEGA
+    )
 
 
 def test_equal_advice_is_given_once() -> None:
@@ -171,7 +172,7 @@ def test_fronts_and_broken_promises_in_words() -> None:
     assert line == "cvodes, tolerance 1e-08: true error 4.0e-08, 4 times that; the program does not tell."
     told = [replace(m, told=True) for m in made()]
     assert broken_promises(told)[0].endswith("; the program tells.")
-    assert broken_promises([replace(m, at_reference=True) for m in made()]) == []
+    assert broken_promises([replace(m, at_reference_round_off=True) for m in made()]) == []
     failed = Measured(default_orbits(1e-12), failure="no step")
     assert broken_promises([failed]) == ["trigonometric, arclength, ipopt, tolerance 1e-12: no result: no step."]
     assert by_transcription(made(), 1e-8).endswith("trigonometric 14 ms, gauss 500 ms.")
@@ -237,18 +238,18 @@ def test_rows_are_cells_of_a_table(tmp_path: Path) -> None:
 
 def test_times_of_repeated_runs() -> None:
     calls = []
-    result, (middle, least, most, building, share) = timed(lambda: calls.append(sum(range(10_000))) or len(calls), 3)
+    result, times = timed(lambda: calls.append(sum(range(10_000))) or len(calls), 3)
     assert result == len(calls) > 3  # a run this short is many, timed together
-    assert 0 < least <= middle <= most
-    assert building >= 0
-    assert 0 < share < 1.5
-    assert all(isnan(value) for value in timed(int, 0)[1])
+    assert 0 < times["seconds_min"] <= times["seconds"] <= times["seconds_max"]
+    assert times["building_seconds"] >= 0
+    assert 0 < times["processor_share"] < 1.5
+    assert timed(int, 0) == (0, {})
 
 
 def test_a_busy_machine_is_told() -> None:
     assert busy(made()) == ""
-    assert busy([replace(m, processor=0.99) for m in made()]) == ""
-    assert "for 50% of the time" in busy([replace(m, processor=0.5) for m in made()])
+    assert busy([replace(m, processor_share=0.99) for m in made()]) == ""
+    assert "for 50% of the time" in busy([replace(m, processor_share=0.5) for m in made()])
 
 
 def test_values_are_paired_before_they_are_compared() -> None:
@@ -286,10 +287,10 @@ def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
 
 def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> None:
     quick = measure(orbit_settings(FAMILY, (1e-4,))[0], reference, 1, with_memory=False)
-    assert 0 < quick.fastest <= quick.seconds <= quick.slowest
+    assert 0 < quick.seconds_min <= quick.seconds <= quick.seconds_max
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
-    assert isnan(quick.memory)
+    assert isnan(quick.memory_MB)
     steep = Setting(Kind.ORBITS, replace(FAMILY, amplitude_max=1e3), 1e-2, walker="arclength", corrector="newton")
     failed = measure(steep, reference, 1, with_memory=False)
     assert failed.failure

@@ -78,23 +78,10 @@ def draw(seed: int, index: int) -> Case:
     g = float(random.choice([-1.0, 1.0])) * log_uniform(0.3, 3.0)
     amplitude_max = log_uniform(0.03, 10.0) / abs(g)
     at_S, S = bool(random.random() < 0.5), amplitude_max * float(random.uniform(0.02, 1.0))
-    return Case(
-        seed=seed,
-        index=index,
-        sites=sites,
-        alpha=alpha,
-        gamma=gamma,
-        g=g,
-        mode=int(random.integers(1, sites + 1)),
-        amplitude_max=amplitude_max,
-        S=S if at_S else None,
-        place=float(random.random()),
-        tolerance=log_uniform(1e-12, 1e-3),
-        transcription=transcription,
-        corrector=corrector,
-        walker=series if transcription == "trigonometric" else "arclength",
-        flow=flow,
-    )
+    mode, place, tolerance = int(random.integers(1, sites + 1)), float(random.random()), log_uniform(1e-12, 1e-3)
+    family = (sites, alpha, gamma, g, mode, amplitude_max, S if at_S else None, place, tolerance)
+    walker = series if transcription == "trigonometric" else "arclength"
+    return Case(seed, index, *family, transcription, corrector, walker, flow)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from casadi_skin.dynamics import distance_from_orbit
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.studies.integration import monodromy_eigenvalues
-from casadi_skin.studies.paper.claim import Claim, Verdict, claim, holds
+from casadi_skin.studies.paper.claim import Claim, Verdict, claim
 from casadi_skin.studies.paper.paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
 
 
@@ -27,31 +27,31 @@ def _multipliers(data: PaperData) -> Iterator[Claim]:
     first = branch.changes[0]
     yield claim(
         "Fig. 5(a)", "j = 1, g = -1 is stable at weak amplitude", "stable", f"stable up to S = {first.S:.6f}",
-        holds(bool(first.stable_before)), "where the energy has a maximum along the family", first.S_width,
+        first.stable_before, "where the energy has a maximum along the family", first.S_width,
     )  # fmt: skip
     at_one, at_three = (branch.at(S=S).floquet() for S in (1.0, 3.0))
     yield claim(
         "Fig. 5(b)", "real instability at S = 1", "real",
         f"{at_one.unstable_real} real and {at_one.unstable_complex} complex multipliers outside, "
         f"largest {at_one.max_abs_multiplier:.9f}",
-        holds(at_one.unstable_real > 0 and at_one.unstable_complex == 0), error=TOLERANCE,
+        at_one.unstable_real > 0 and at_one.unstable_complex == 0, error=TOLERANCE,
     )  # fmt: skip
     yield claim(
         "Fig. 5(c)", "real and complex instabilities at S = 3", "both",
         f"{at_three.unstable_real} real and {at_three.unstable_complex} complex multipliers outside, "
         f"largest {at_three.max_abs_multiplier:.9f}",
-        holds(at_three.unstable_real > 0 and at_three.unstable_complex > 0), error=TOLERANCE,
+        at_three.unstable_real > 0 and at_three.unstable_complex > 0, error=TOLERANCE,
     )  # fmt: skip
     windows = ", ".join(f"{c.S:.4f} ({c.kind})" for c in branch.changes)
     yield claim(
         "Fig. 5(a)", "stable and unstable windows alternate at moderate amplitude", "alternating",
-        f"{len(branch.changes)} changes located to S = 3: {windows}", holds(len(branch.changes) >= 3),
+        f"{len(branch.changes)} changes located to S = 3: {windows}", len(branch.changes) >= 3,
         "a lower bound: narrow windows between two points are not seen", 1e-6,
     )  # fmt: skip
     distance = _quadruples(branch.at(S=3.0))
     yield claim(
         "Sec. III", "with lambda also 1/lambda and their conjugates are multipliers", "quadruples",
-        f"largest distance of a reciprocal or conjugate from the set at S = 3: {distance:.0e}", holds(distance < 1e-4),
+        f"largest distance of a reciprocal or conjugate from the set at S = 3: {distance:.0e}", distance < 1e-4,
         "eigenvalues of the full 2N x 2N monodromy matrix, integrated over the period without using any symmetry; the "
         "trivial pair is split by the root of the integration error",
         1e-5,
@@ -92,7 +92,7 @@ def _vectors(data: PaperData) -> Iterator[Claim]:
         "Fig. 5(d)", "Floquet vectors have skin profiles at the favoured end", "all",
         f"{100 * share:.0f} per cent have their mean site in the right half; mean sites "
         f"{centres.min():.1f} to {centres.max():.1f}",
-        holds(share == 1.0), error=1e-6,
+        share == 1.0, error=1e-6,
     )  # fmt: skip
     sine = np.sin(np.pi * n / SITES)
     right = np.sin(np.pi * n / (SITES + 1))
@@ -113,7 +113,7 @@ def _kicks(data: PaperData) -> Iterator[Claim]:
     yield claim(
         "Fig. 6(a)", "a kick of 0.005 at the right end leaves the mode coherent up to t = 40", "stable dynamics",
         f"largest deviation {100 * deviations[SITES].max():.2f} per cent of the mode's norm",
-        holds(deviations[SITES].max() < 0.05), error=1e-6,
+        deviations[SITES].max() < 0.05, error=1e-6,
     )  # fmt: skip
     growth = data.growth
     kick = np.zeros(2 * SITES)
@@ -124,7 +124,7 @@ def _kicks(data: PaperData) -> Iterator[Claim]:
     yield claim(
         "Fig. 6(b)", "a kick of 0.005 at the left end destroys the linearly stable mode", "unstable dynamics",
         f"deviation reaches {100 * deviations[1].max():.0f} per cent of the mode's norm by t = 40",
-        holds(deviations[1].max() > 0.5),
+        deviations[1].max() > 0.5,
         f"transient growth, not instability: the linear flow amplifies this kick {kicked:.0f} times, any perturbation "
         f"at most {10 ** growth.log10_bounded[inside].max():.0f} times by t = 40; r^((N-1)/2) = {10**bound:.0f}; the "
         f"kick times its growth is {KICK * kicked / norm:.1f} of the mode's norm",

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.style import blank, finished, number_sites, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.paper.panels import Drawn, stacked, table
+from casadi_skin.studies.paper.figures_families import Drawn
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
-from casadi_skin.studies.study import letter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from casadi_skin.studies.study import letter, stacked, table
 
 RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; told apart by arrows as well
 
@@ -174,6 +172,6 @@ def procedure_figure(data: PaperData) -> Drawn:
         figure.suptitle(title(chain))
         finished(figure, (), 1)
     spectrum = table(mode=j, omega=omega, omega_closed_form=chain.linear_frequencies())
-    profiles = [table(mode=np.full(SITES, mode), site=j, u=u) for mode, u in modes.items()]
+    profiles = [table(mode=mode, site=j, u=u) for mode, u in modes.items()]
     sketch = table(**dict(zip(("Omega_over_omega", "S"), _family(np.array(STEPS)).T, strict=True)))
     return figure, {"fig2_spectrum": spectrum, "fig2_modes": stacked(profiles), "fig2_sketch": sketch}

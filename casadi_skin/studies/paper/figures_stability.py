@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
@@ -14,14 +16,15 @@ from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style,
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.studies.paper.figures_families import changes_table, families_table
-from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, sites_table, stacked, table
+from casadi_skin.studies.paper.figures_families import (
+    Drawn,
+    changes_table,
+    draw_space_time,
+    families_table,
+    sites_table,
+)
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
-from casadi_skin.studies.study import letter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from casadi_skin.studies.study import Rows, letter, stacked, table
 
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5
 KICKED_SITES = (SITES, 1)
@@ -82,15 +85,13 @@ def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
     figure.colorbar(image, ax=axes, label=r"$|z_{l,n}|$ over its largest value", aspect=25, pad=0.02)
 
 
-def _multipliers_table(orbit: Orbit) -> Table:
+def _multipliers_table(orbit: Orbit) -> Rows:
     values, _, trivial = sorted_vectors(orbit)
-    columns = {"S": np.full(values.size, orbit.S), "vector": np.arange(1, values.size + 1)}
-    return table(
-        **columns, real=values.real, imaginary=values.imag, modulus=np.abs(values), trivial=trivial.astype(int)
-    )
+    vector, parts = np.arange(1, values.size + 1), {"real": values.real, "imaginary": values.imag}
+    return table(S=orbit.S, vector=vector, **parts, modulus=np.abs(values), trivial=trivial.astype(int))
 
 
-def _vectors_table(orbit: Orbit) -> Table:
+def _vectors_table(orbit: Orbit) -> Rows:
     values, sizes, _ = sorted_vectors(orbit)
     sites = {f"z_{n}": column for n, column in enumerate(sizes.T, start=1)}
     return table(vector=np.arange(1, values.size + 1), modulus=np.abs(values), **sites)
@@ -115,7 +116,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
-        figure.suptitle(f"family $j = 1$; {title(branch.space.model)}")
+        figure.suptitle(f"family $j = 1$; {title(orbits[0].model)}")
         finished(figure, panels.values(), 5)
     families = {-1.0: {1: branch}}
     return figure, {

@@ -15,6 +15,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.studies.study import Rows, table
 from casadi_skin.theory import multiple_scales
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25
@@ -43,9 +44,24 @@ EVOLUTION_TIME = 50.0
 class Sensitivity:
     """Sensitivity factor of mode 1, g = 1: `numerical` from a two-point difference, `analytical` by multiple scales."""
 
-    abscissa: Array
+    gamma: Array
+    N: Array
     numerical: Array
     analytical: Array
+
+    @property
+    def cube(self) -> Array:
+        """(N+1)^3."""
+        return np.asarray((self.N + 1.0) ** 3)
+
+    @property
+    def cube_limit(self) -> Array:
+        """Limit of (N+1)^3 times the factor for large N."""
+        return np.array([multiple_scales.sensitivity_limit(ALPHA, float(gamma), 1.0, 1) for gamma in self.gamma])
+
+    def table(self) -> Rows:
+        """All of it as columns."""
+        return table(**vars(self), cube_times_analytical=self.cube * self.analytical, cube_limit=self.cube_limit)
 
 
 def analytical_sensitivity(N: int, gamma: float) -> float:
@@ -131,18 +147,19 @@ class PaperData:
     @cached_property
     def sensitivity_by_size(self) -> dict[float, Sensitivity]:
         """Sensitivity against N for each gamma of figure 4."""
-        return {gamma: self._sensitivity([(N, gamma) for N in SIZES], SIZES) for gamma in SIZE_GAMMAS}
+        return {gamma: self._sensitivity([(N, gamma) for N in SIZES]) for gamma in SIZE_GAMMAS}
 
     @cached_property
     def sensitivity_by_gamma(self) -> dict[int, Sensitivity]:
         """Sensitivity against gamma for each N of the inset of figure 4."""
-        return {N: self._sensitivity([(N, gamma) for gamma in GAMMAS], GAMMAS) for N in GAMMA_SIZES}
+        return {N: self._sensitivity([(N, gamma) for gamma in GAMMAS]) for N in GAMMA_SIZES}
 
-    def _sensitivity(self, cases: list[tuple[int, float]], abscissa: tuple[float, ...]) -> Sensitivity:
+    def _sensitivity(self, cases: list[tuple[int, float]]) -> Sensitivity:
         self._say(f"sensitivity at N = {cases[0][0]}, gamma = {cases[0][1]:g} and on")
         numerical = np.array([self._two_point_slope(Chain(N, ALPHA, gamma, 1.0)) for N, gamma in cases])
         analytical = np.array([analytical_sensitivity(N, gamma) for N, gamma in cases])
-        return Sensitivity(np.array(abscissa, dtype=float), numerical, analytical)
+        N, gamma = zip(*cases, strict=True)
+        return Sensitivity(np.array(gamma), np.array(N), numerical, analytical)
 
     @staticmethod
     def _two_point_slope(chain: Chain) -> float:

@@ -10,15 +10,12 @@ from itertools import chain
 from types import MappingProxyType
 
 from casadi_skin.studies.paper.claim import COLUMNS, Claim
-from casadi_skin.studies.paper.claims_families import family_claims
+from casadi_skin.studies.paper.claims_families import family_claims, sensitivity_claims
 from casadi_skin.studies.paper.claims_linear import linear_claims
-from casadi_skin.studies.paper.claims_sensitivity import sensitivity_claims
 from casadi_skin.studies.paper.claims_stability import stability_claims
-from casadi_skin.studies.paper.figures_families import families_figure, theory_figure
+from casadi_skin.studies.paper.figures_families import Drawn, families_figure, sensitivity_figure, theory_figure
 from casadi_skin.studies.paper.figures_model import chain_figure, procedure_figure
-from casadi_skin.studies.paper.figures_sensitivity import sensitivity_figure
 from casadi_skin.studies.paper.figures_stability import floquet_figure, kick_figure
-from casadi_skin.studies.paper.panels import Drawn
 from casadi_skin.studies.paper.paper_data import PaperData
 from casadi_skin.studies.study import Study
 

@@ -14,25 +14,9 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.harmonics import third_harmonic_leads
 from casadi_skin.studies.exact import exact_orbit
-from casadi_skin.studies.stress.case import Case, Finding, Refusal, RefusedError, relative
-from casadi_skin.studies.stress.checks import (
-    CHECKS,
-    TOLERANCE,
-    Check,
-    Setup,
-    against_digits,
-    against_duffing,
-    against_first_order,
-    against_long_double,
-    against_mirror,
-    against_physical,
-    against_scaled,
-    against_short_chain,
-    orbit_words,
-    returning,
-    shift_against_digits,
-    with_third_harmonic,
-)
+from casadi_skin.studies.stress import checks
+from casadi_skin.studies.stress.case import Case, Finding, RefusedError, relative
+from casadi_skin.studies.stress.checks import TOLERANCE, Check, Setup, against_digits
 
 GAMMA, SIZE, ALPHA, MODES = "gamma", "number of sites", "alpha", "modes that nearly meet"
 SMALL, LARGE, SIZE_OF_G, RESONANCE = "tiny S", "large S", "size of g", "internal resonance"
@@ -60,7 +44,6 @@ def _case(
     check: Check = against_digits,
     asked: str = "",
     work: Callable[[Setup], Finding] | None = None,
-    by: str = "",
     **options: Any,
 ) -> Case:
     """The orbit of a setup, checked; or other work on the setup, as a rule by the same means."""
@@ -68,7 +51,7 @@ def _case(
     def compute() -> Finding:
         return check(setup.orbit(), setup) if work is None else work(setup)
 
-    return Case(theme, name, f"{setup}, {asked or f'S = {setup.S:g}'}", by or CHECKS[check], compute, **options)
+    return Case(theme, name, f"{setup}, {asked or f'S = {setup.S:g}'}", checks.CHECKS[check], compute, **options)
 
 
 def _refused(theme: str, name: str, asked: str, compute: Callable[[], object], words: str) -> Case:
@@ -77,7 +60,7 @@ def _refused(theme: str, name: str, asked: str, compute: Callable[[], object], w
     def finding() -> Finding:
         return Finding(str(compute()), 0.0, 1.0)
 
-    return Case(theme, name, asked, "is to be refused", finding, Refusal.EXPECTED, words, quick=True)
+    return Case(theme, name, asked, "is to be refused", finding, words, quick=True)
 
 
 # Parameters of the chain --------------------------------------------------------------------------------------------
@@ -100,13 +83,13 @@ def _gamma_cases() -> Iterator[Case]:
         for g, mode in ((1.0, 24), (-1.0, 1)):
             setup, name = Setup(Chain(24, 1.0, gamma, g), mode, 1.0), f"{_gamma_words(gamma)}, g = {g:g}"
             if gamma == 1.0:
-                yield _case(GAMMA, name, setup, against_duffing, quick=True)
+                yield _case(GAMMA, name, setup, checks.against_duffing, quick=True)
             else:
                 yield _case(GAMMA, name, replace(setup, tolerance=tolerance), quick=gamma in (0.0, 0.999))
             if gamma > 0:
                 mirrored = Setup(Chain(24, 1.0, -gamma, g), mode, 1.0, tolerance)
                 name = f"{_gamma_words(-gamma)}, g = {g:g}"
-                yield _case(GAMMA, name, mirrored, against_mirror, quick=gamma in (0.9, 1.0))
+                yield _case(GAMMA, name, mirrored, checks.against_mirror, quick=gamma in (0.9, 1.0))
     for gamma in (1.0, -1.0):
         setup, words = Setup(Chain(24, 1.0, gamma, 1.0), 12, 1.0), "only the family in which the edge site alone moves"
         yield _refused(GAMMA, f"gamma = {gamma:g}, j = 12", f"{setup}, S = 1", setup.orbit, words)
@@ -121,7 +104,7 @@ def _size_cases() -> Iterator[Case]:
         for gamma, g in ((0.25, -1.0), (0.7, 1.0))[sites == SIZES[-1] :]:
             tolerance = 1e-12 if sites < 1000 else 1e-9
             setup = Setup(Chain(sites, 1.0, gamma, g), sites if g > 0 else 1, 1.0, tolerance)
-            check = against_duffing if sites == 1 else against_digits
+            check = checks.against_duffing if sites == 1 else against_digits
             quick = sites in (1, 2, 24) or (sites == 200 and g > 0)
             yield _case(SIZE, f"N = {sites}, gamma = {gamma:g}", setup, check, quick=quick)
 
@@ -143,16 +126,15 @@ def _mode_cases() -> Iterator[Case]:
     for sites, gamma, S in ((200, 0.25, 0.01), (1000, 0.25, 0.1), (1000, 0.7, 0.1)):
         setup = Setup(Chain(sites, 1.0, gamma, 1.0), sites // 2, S)
         name, quick = f"N = {sites}, gamma = {gamma:g}, j = {setup.mode}", sites == 200
-        yield _case(MODES, f"{name}: its own", setup, against_first_order, quick=quick)
+        yield _case(MODES, f"{name}: its own", setup, checks.against_first_order, quick=quick)
         yield _case(MODES, name, setup, quick=quick)
     for gamma in (0.99, 0.999, 1.0 - 1e-9):
         for g in (1.0, -1.0):
-            allowed: dict[str, Any] = {"refusal": Refusal.ALLOWED, "words": "S = "} if gamma > 0.9999 else {}
-            name = f"{_gamma_words(gamma)}, j = 12, g = {g:g}"
-            yield _case(MODES, name, Setup(Chain(24, 1.0, gamma, g), 12, 1.0), **allowed)
+            name, refusal = f"{_gamma_words(gamma)}, j = 12, g = {g:g}", "S = " if gamma > 0.9999 else ""
+            yield _case(MODES, name, Setup(Chain(24, 1.0, gamma, g), 12, 1.0), refusal=refusal, may_hold=True)
     for sites in (200, 1000):
         setup = Setup(Chain(sites, 1.0, 0.25, -1.0), 1, 3.0)
-        yield _case(MODES, f"N = {sites}: as N = 24", setup, against_short_chain, quick=sites == 200)
+        yield _case(MODES, f"N = {sites}: as N = 24", setup, checks.against_short_chain, quick=sites == 200)
 
 
 # Amplitude ----------------------------------------------------------------------------------------------------------
@@ -164,7 +146,7 @@ def _small_cases() -> Iterator[Case]:
         for sites, g, mode in ((24, 1.0, 24), (24, -1.0, 1), (24, -1.0, 12), (1000, -1.0, 1)):
             setup, name = Setup(Chain(sites, 1.0, 0.25, g), mode, S), f"S = {S:g}, N = {sites}, j = {mode}"
             quick = sites == 24 and mode != 12
-            yield _case(SMALL, name, setup, shift_against_digits, "shift", quick=quick)
+            yield _case(SMALL, name, setup, checks.shift_against_digits, "shift", quick=quick)
 
 
 def _large_cases() -> Iterator[Case]:
@@ -172,14 +154,14 @@ def _large_cases() -> Iterator[Case]:
     for sites, mode, S in ((1, 1, 1e4), (24, 24, 1e2), (24, 24, 1e4), (24, 1, 1e4), (6, 3, 1e4), (3, 2, 1e4)):
         setup, name = Setup(Chain(sites, 1.0, 0.25, 1.0), mode, S), f"S = {S:g}, N = {sites}, j = {mode}"
         if sites == 1:
-            yield _case(LARGE, name, setup, against_duffing, quick=True)
+            yield _case(LARGE, name, setup, checks.against_duffing, quick=True)
         else:
             yield _case(LARGE, name, setup, work=_with_folds, quick=sites == 3)
     yield _case(LARGE, "S = 20, N = 8, alpha = 0, j = 1", Setup(Chain(8, 0.0, 0.25, 1.0), 1, 20.0), work=_with_folds)
     for sites in (1, 2):
         setup = Setup(Chain(sites, 1.0, 0.25, -1.0), 1, 10.0, LOOSER)
-        ends: dict[str, Any] = {"refusal": Refusal.EXPECTED, "words": "does not exist", "quick": sites == 1}
-        yield _case(LARGE, f"g < 0, N = {sites}: where it ends", setup, work=_to_the_end, by="equilibrium", **ends)
+        case = _case(LARGE, f"g < 0, N = {sites}: where it ends", setup, work=_to_the_end, refusal="does not exist")
+        yield replace(case, check="equilibrium", quick=sites == 1)
     yield _case(LARGE, "g < 0, N = 24, j = 24, S = 10", Setup(Chain(24, 1.0, 0.25, -1.0), 24, 10.0))
 
 
@@ -229,7 +211,7 @@ def _coupling_cases() -> Iterator[Case]:
     """g from 1e-8 to 1e8 in magnitude at the same g S."""
     for g in (1e-8, 1e8, -1e-8, -1e8, 1e-300, -1e300):
         setup = Setup(Chain(24, 1.0, 0.25, g), 24 if g > 0 else 1, 1.0 / abs(g))
-        yield _case(SIZE_OF_G, f"g = {g:g}", setup, against_scaled, quick=abs(g) == 1e8)
+        yield _case(SIZE_OF_G, f"g = {g:g}", setup, checks.against_scaled, quick=abs(g) == 1e8)
     none = Setup(Chain(24, 1.0, 0.25, 0.0), 1, 1.0)
     yield _refused(SIZE_OF_G, "g = 0", "N = 24, g = 0, j = 1", none.orbit, "linear mode at every amplitude")
 
@@ -240,12 +222,12 @@ def _resonance_cases() -> Iterator[Case]:
         setup = Setup(Chain(24, 1.0, gamma, -1.0), 1, 4.0)
         for S in through:
             name = f"gamma = {gamma:g}, S = {S:g}"
-            yield _case(RESONANCE, name, replace(setup, S=S), with_third_harmonic, quick=S in (2.8, 3.2))
+            yield _case(RESONANCE, name, replace(setup, S=S), checks.with_third_harmonic, quick=S in (2.8, 3.2))
         name = f"gamma = {gamma:g}: third leads"
         yield _case(RESONANCE, name, setup, asked="to S = 4", work=_takeover, quick=gamma < 0.5)
-        yield _case(RESONANCE, f"gamma = {gamma:g}, S = 4, in time", setup, returning)
+        yield _case(RESONANCE, f"gamma = {gamma:g}, S = 4, in time", setup, checks.returning)
     name, soft = "alpha = 0.1: in the band from the start", Setup(Chain(24, 0.1, 0.25, -1.0), 1, 1.0)
-    yield _case(RESONANCE, name, soft, with_third_harmonic)
+    yield _case(RESONANCE, name, soft, checks.with_third_harmonic)
 
 
 def _takeover(setup: Setup) -> Finding:
@@ -255,7 +237,7 @@ def _takeover(setup: Setup) -> Finding:
         return Finding("the third harmonic never leads", 1.0, SHARES_ALLOWED)
     gauge = np.asarray(exact_orbit(orbit).scaled[:, :2], dtype=float)
     first, third = np.sum(gauge**2, axis=0)
-    return Finding(f"the third harmonic leads from {orbit_words(orbit)}", relative(third, first), SHARES_ALLOWED)
+    return Finding(f"the third harmonic leads from {checks.orbit_words(orbit)}", relative(third, first), SHARES_ALLOWED)
 
 
 # Stability and time -------------------------------------------------------------------------------------------------
@@ -273,7 +255,7 @@ def _multiplier_cases() -> Iterator[Case]:
         ("gamma = 0.999, N = 24, S = 1", Chain(24, 1.0, 0.999, -1.0), 1, 1.0),
     ):
         setup = Setup(chain, mode, S, LOOSER)
-        yield _case(MULTIPLIERS, name, setup, against_long_double, quick=S == 3.6)
+        yield _case(MULTIPLIERS, name, setup, checks.against_long_double, quick=S == 3.6)
     for name, chain, mode, S in (
         ("lambda(M) = 1: N = 2, S = 2.6", softening, 1, 3.0),
         ("lambda(M) = -1: N = 3, S = 2.5", Chain(3, 1.0, 0.25, -1.0), 1, 3.0),
@@ -281,14 +263,14 @@ def _multiplier_cases() -> Iterator[Case]:
     ):
         setup = Setup(chain, mode, S, LOOSER)
         asked = "first change of stability"
-        yield _case(MULTIPLIERS, name, setup, against_long_double, asked, _at_first_change, quick=True)
+        yield _case(MULTIPLIERS, name, setup, checks.against_long_double, asked, _at_first_change, quick=True)
 
 
 def _at_first_change(setup: Setup) -> Finding:
     """The orbit where the stability changes, as near as it is located."""
     branch = setup.family(stability=True)
     change = branch.changes[0]
-    finding = against_long_double(branch.at(S=change.S), setup)
+    finding = checks.against_long_double(branch.at(S=change.S), setup)
     return replace(finding, got=f"S = {change.S:.7g}, {change.kind}: {finding.got}")
 
 
@@ -300,10 +282,10 @@ def _physical_cases() -> Iterator[Case]:
     ):
         setup = Setup(Chain(sites, 1.0, gamma, g), mode, S, LOOSER)
         name = f"N = {sites}, gamma = {gamma:g}, j = {mode}: multipliers"
-        yield _case(PHYSICAL, name, setup, against_physical, quick=sites < 8)
+        yield _case(PHYSICAL, name, setup, checks.against_physical, quick=sites < 8)
     for sites, g, mode, S in ((3, 1.0, 2, 5.0), (24, -1.0, 1, 3.0), (24, 1.0, 24, 100.0)):
         setup, name = Setup(Chain(sites, 1.0, 0.25, g), mode, S), f"N = {sites}, S = {S:g}, j = {mode}: comes back"
-        yield _case(PHYSICAL, name, setup, returning, quick=sites == 3)
+        yield _case(PHYSICAL, name, setup, checks.returning, quick=sites == 3)
     one_way = Setup(Chain(24, 1.0, 1.0, 1.0), 24, 1.0)
 
     def vectors() -> object:

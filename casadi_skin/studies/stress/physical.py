@@ -6,15 +6,20 @@ Both sides take the same orbit, the same steps and the same eigenvalue routine; 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from casadi_skin.figures.style import blank, colours, finished, style
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.studies.exact import DOUBLES, Array, CosineEquations, NotSolvedError
 from casadi_skin.studies.integration import couplings, monodromy_eigenvalues
+from casadi_skin.studies.study import letter
 
 RELATIVE = 1e-12  # local tolerance of DOP853
 HARMONICS = 6  # of the orbits that Newton's method finds
@@ -24,6 +29,14 @@ SIZES = (4, 8, 12, 16, 24, 32, 40, 48, 60, 80)
 QUICK_SIZES = (4, 12, 24, 48)
 AMPLITUDE = 0.05
 EPSILON = float(np.finfo(float).eps)
+MARKERS = "os^D"
+HIGHEST = 1e2
+LOWEST = 1e-17  # of the axes, where smaller errors are drawn
+PHYSICAL_PANELS = {
+    "multiplier": "largest |multiplier| of a stable orbit",
+    "frequency": "linear frequencies",
+    "orbit": r"$\Omega$ of orbits found from linear modes",
+}
 
 
 @dataclass(frozen=True)
@@ -101,3 +114,41 @@ def _orbit_error(orbit: Orbit, mode: int, D: Array, gauge: bool) -> float:
         except NotSolvedError:
             return math.nan
     return abs(abs(Omega) - orbit.Omega) / orbit.Omega
+
+
+# The picture ----------------------------------------------------------------------------------------------------------
+
+
+def physical_figure(compared: Sequence[Comparison]) -> Figure:
+    """Errors in physical coordinates against the number of sites, a line a gamma; in the gauge as crosses."""
+    with style():
+        figure = blank(10.6, 4.1)
+        panels = figure.subplots(1, 3, sharey=True)
+        for axes, name, panel in zip(panels, PHYSICAL_PANELS, "abc", strict=True):
+            _draw_errors(axes, compared, name)
+            letter(axes, panel, PHYSICAL_PANELS[name])
+        panels[0].set_ylabel("error")
+        return finished(figure, panels, 6)
+
+
+def _draw_errors(axes: Axes, compared: Sequence[Comparison], name: str) -> None:
+    gammas = sorted({c.gamma for c in compared})
+    for gamma, colour, marker in zip(gammas, colours(len(gammas)), MARKERS * len(gammas), strict=False):
+        of_gamma = [c for c in compared if c.gamma == gamma]
+        sites = [c.sites for c in of_gamma]
+        physical = [_drawn(getattr(c, f"{name}_physical")) for c in of_gamma]
+        gauge = [_drawn(getattr(c, f"{name}_gauge")) for c in of_gamma]
+        label = rf"physical, $\gamma = {gamma:g}$"
+        axes.plot(sites, physical, marker=marker, color=colour, ms=4.5, lw=1.0, label=label, zorder=3)
+        axes.plot(sites, gauge, "+", color="black", ms=6, label="gauge", zorder=4)
+        if name != "orbit":
+            n = np.linspace(min(sites), max(sites), 100)
+            law = 0.1 * EPSILON * np.exp((n - 1) * np.arctanh(gamma))
+            label = r"$0.1\,\varepsilon\, r^{(N-1)/2}$" if gamma == gammas[-1] else "_"
+            axes.plot(n, law, ":", color=colour, lw=1.0, label=label)
+    axes.set(yscale="log", ylim=(LOWEST / 2.0, HIGHEST), xlabel="sites $N$", yticks=10.0 ** np.arange(-16, 3, 4))
+
+
+def _drawn(error: float) -> float:
+    """An error within the axes; where there is no result, at the upper edge."""
+    return min(max(error, LOWEST), HIGHEST) if not math.isnan(error) else HIGHEST

@@ -15,6 +15,7 @@ from dataclasses import asdict, replace
 from math import nan
 from pathlib import Path
 from statistics import median
+from timeit import Timer
 from typing import TypeVar
 
 import numpy as np
@@ -30,7 +31,6 @@ from casadi_skin.studies.work_precision.reference import Errors, Reference
 from casadi_skin.studies.work_precision.settings import SMALLEST, Kind, Measured, Setting, bounded
 
 Result = TypeVar("Result")
-Times = tuple[float, float, float, float, float]
 TICK = 1e-6  # seconds, which no processor time is below
 SHORTEST = 0.02  # seconds that one timing lasts
 MEGABYTE = 1e6
@@ -43,34 +43,25 @@ def measure(setting: Setting, reference: Reference, repeats: int, with_memory: b
         measured = (_measure_flow if setting.kind is Kind.FLOW else _measure_family)(setting, reference, repeats)
     except ArithmeticError as error:
         return Measured(setting, failure=" ".join(str(error).split()))
-    return replace(measured, memory=memory_of(setting)) if with_memory else measured
+    return replace(measured, memory_MB=memory_of(setting)) if with_memory else measured
 
 
-def timed(act: Callable[[], Result], repeats: int) -> tuple[Result, Times]:
-    """The last result, and the times of `Measured` in its order, of `repeats` runs after a first one.
+def timed(act: Callable[[], Result], repeats: int) -> tuple[Result, dict[str, float]]:
+    """The last result, and the times of `Measured` by name, of `repeats` runs after a first one.
 
     Of a short run several are timed together; without repeats there is no time.
     """
-    started = time.process_time()
-    result = act()
-    first = time.process_time() - started
-    together = 1
-    times: list[float] = []
-    elapsed = 0.0
-    while len(times) < repeats:
-        started, clock = time.process_time(), time.perf_counter()
-        for _ in range(together):
-            result = act()
-        seconds = max((time.process_time() - started) / together, TICK)
-        if together == 1 and seconds < SHORTEST:
-            together = math.ceil(SHORTEST / seconds) + 1
-            continue
-        times.append(seconds)
-        elapsed += (time.perf_counter() - clock) / together
-    if not times:
-        return result, (nan, nan, nan, nan, nan)
-    middle = median(times)
-    return result, (middle, min(times), max(times), max(first - middle, 0.0), sum(times) / elapsed)
+    results: list[Result] = []
+    timer = Timer(lambda: results.__setitem__(slice(0, 1), [act()]), timer=time.process_time)
+    first, clock = timer.timeit(1), time.perf_counter()
+    if not repeats:
+        return results[0], {}
+    once = timer.timeit(1)
+    together = 1 if once >= SHORTEST else math.ceil(SHORTEST / max(once, TICK)) + 1
+    times = [max(seconds / together, TICK) for seconds in timer.repeat(repeats, together)]
+    share, middle = (once + together * sum(times)) / (time.perf_counter() - clock), median(times)
+    known = {"seconds": middle, "seconds_min": min(times), "seconds_max": max(times), "processor_share": share}
+    return results[0], {**known, "building_seconds": max(first - middle, 0.0)}
 
 
 def _measure_family(setting: Setting, reference: Reference, repeats: int) -> Measured:
@@ -85,7 +76,7 @@ def _measure_family(setting: Setting, reference: Reference, repeats: int) -> Mea
     found = [reduced(orbit) for orbit in orbits] if stability else reference.multipliers(orbits)
     told = any(orbit.at_round_off for orbit in orbits) or (stability and any(_over(f, setting) for f in found))
     size = max(orbit.point.problem.size for orbit in branch.orbits)
-    measured = Measured(setting, *times, unknowns=size, points=len(branch), told=told)
+    measured = Measured(setting, **times, unknowns=size, points=len(branch), told=told)  # type: ignore[arg-type]
     return _judged(measured, reference.errors_of(orbits, found), reference.agreement)
 
 
@@ -95,7 +86,7 @@ def _measure_flow(setting: Setting, reference: Reference, repeats: int) -> Measu
     found, times = timed(lambda: computation.multipliers(orbits), repeats)
     errors = Errors(nan, nan, reference.errors_of(orbits, found).mu)
     told, size = any(_over(floquet, setting) for floquet in found), 2 * setting.family.chain.sites
-    measured = Measured(setting, *times, unknowns=size**2, points=len(orbits), told=told)
+    measured = Measured(setting, **times, unknowns=size**2, points=len(orbits), told=told)  # type: ignore[arg-type]
     return _judged(measured, errors, reference.agreement)
 
 
@@ -108,7 +99,7 @@ def _judged(measured: Measured, errors: Errors, known: Errors) -> Measured:
     """With its errors, marked where the reference is not known well enough for those that the tolerance bounds."""
     Omega, profile, mu = (max(error, SMALLEST) if error == error else error for error in errors)
     judged = replace(measured, Omega_error=Omega, profile_error=profile, mu_error=mu)
-    return replace(judged, at_reference=judged.error <= bounded(measured.setting.kind, *known))
+    return replace(judged, at_reference_round_off=judged.error <= bounded(measured.setting.kind, *known))
 
 
 # Memory -------------------------------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from math import nan
 from typing import Any
 
@@ -47,7 +47,7 @@ class FamilyCase:
         return self.chain.sites > SHOOTING_SITES
 
 
-class Kind(Enum):
+class Kind(StrEnum):
     """What a setting computes."""
 
     ORBITS = "orbits"  # the family without multipliers
@@ -90,25 +90,25 @@ class Measured:
     """Cost and true errors of one setting.
 
     Processor times in seconds: the median of repeated runs with the least and the most, and apart from these what the
-    first run took longer to build; `processor` is their share in the time that passed. Memory in MB: the peak of a
-    process that does nothing else. Errors are relative, the largest over the points; nan where there is none.
-    `at_reference` says that the references differ by as much, `told` whether the program says of its own result that
-    the tolerance was out of reach; `failure` is the reason, in a line, why there is none.
+    first run took longer to build. Memory: the peak of a process that does nothing else. Errors are relative, the
+    largest over the points; nan where there is none. `processor_share` is the share of processor times in the time that
+    passed, `at_reference_round_off` says that the references differ by as much, and `told` that the program says of its
+    own result that the tolerance was out of reach; `failure` is the reason, in a line, why there is no result.
     """
 
     setting: Setting
     seconds: float = nan
-    fastest: float = nan
-    slowest: float = nan
-    building: float = nan
-    processor: float = nan
-    memory: float = nan
+    seconds_min: float = nan
+    seconds_max: float = nan
+    building_seconds: float = nan
+    memory_MB: float = nan
     unknowns: int = 0
     points: int = 0
     Omega_error: float = nan
     profile_error: float = nan
     mu_error: float = nan
-    at_reference: bool = False
+    processor_share: float = nan
+    at_reference_round_off: bool = False
     told: bool = False
     failure: str = ""
 
@@ -124,20 +124,14 @@ class Measured:
 
     def row(self) -> dict[str, object]:
         """Cells by column."""
-        setting = self.setting
-        orbits = setting.orbit_methods.split(", ") if setting.kind is not Kind.FLOW else ("", "", "")
-        flow = setting.flow if setting.kind is not Kind.ORBITS else ""
-        costs = (self.seconds, self.fastest, self.slowest, self.building, self.memory, self.unknowns, self.points)
-        errors = (self.Omega_error, self.profile_error, self.mu_error)
-        methods = (setting.kind.value, setting.method, *orbits, flow, setting.tolerance)
-        rest = (self.processor, self.at_reference, self.told, self.failure)
-        return dict(zip(COLUMNS, (*methods, *costs, *errors, *rest), strict=True))
+        kind = self.setting.kind
+        unused = {Kind.ORBITS: ("flow",), Kind.FLOW: ("transcription", "walker", "corrector")}.get(kind, ())
+        return {**vars(self.setting), "method": self.setting.method, **vars(self), **dict.fromkeys(unused)}
 
 
 COLUMNS = (
     *("kind", "method", "transcription", "walker", "corrector", "flow", "tolerance"),
-    *("seconds", "seconds_min", "seconds_max", "building_seconds", "memory_MB", "unknowns", "points"),
-    *("Omega_error", "profile_error", "mu_error", "processor_share", "at_reference_round_off", "told", "failure"),
+    *(field.name for field in fields(Measured) if field.name != "setting"),
 )
 
 

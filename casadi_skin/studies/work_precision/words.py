@@ -41,8 +41,8 @@ def fastest(measured: Iterable[Measured], wanted: float, error: str) -> Measured
 
 def told_apart(faster: Measured, slower: Measured) -> bool:
     """Whether the times differ by more than noise, and the median is below all of the other's."""
-    noise = SINGLE_RUN if slower.fastest == slower.slowest else SEVERAL_RUNS
-    return faster.seconds < slower.fastest and noise * faster.seconds < slower.seconds
+    noise = SINGLE_RUN if slower.seconds_min == slower.seconds_max else SEVERAL_RUNS
+    return faster.seconds < slower.seconds_min and noise * faster.seconds < slower.seconds
 
 
 def advice(measured: Sequence[Measured], wanted: float, quantity: Quantity) -> str:
@@ -139,7 +139,7 @@ def broken_promises(measured: Sequence[Measured]) -> list[str]:
         where = f"{m.setting.method}, tolerance {m.setting.tolerance:.0e}"
         if m.failure:
             lines.append(f"{where}: no result: {m.failure}.")
-        elif m.error > m.setting.tolerance and not m.at_reference:
+        elif m.error > m.setting.tolerance and not m.at_reference_round_off:
             told = "the program tells" if m.told else "the program does not tell"
             lines.append(f"{where}: true error {m.error:.1e}, {m.error / m.setting.tolerance:.2g} times that; {told}.")
     return lines
@@ -147,8 +147,8 @@ def broken_promises(measured: Sequence[Measured]) -> list[str]:
 
 def busy(measured: Sequence[Measured]) -> str:
     """A sentence where other work kept the process from a processor for more than a little of the time."""
-    timed = [m for m in measured if m.processor == m.processor]
-    share = sum(m.processor * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
+    timed = [m for m in measured if m.processor_share == m.processor_share]
+    share = sum(m.processor_share * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
     if not timed or share > IDLE:
         return ""
     return f" The machine was busy: the process had a processor for {share:.0%} of the time that passed."
@@ -165,12 +165,19 @@ def table(measured: Sequence[Measured], tolerances: Sequence[float]) -> list[str
         name = f"preset {m.setting.name}" if m.setting.kind is Kind.PRESET else m.setting.method
         name = f"flow {name}" if m.setting.kind is Kind.FLOW else name
         spread = duration(m.seconds)
-        if m.fastest < m.slowest:
-            spread += f" ({duration(m.fastest)} to {duration(m.slowest)})"
-        memory = f"{m.memory:.0f} MB" if m.memory == m.memory else ""
+        if m.seconds_min < m.seconds_max:
+            spread += f" ({duration(m.seconds_min)} to {duration(m.seconds_max)})"
+        memory = f"{m.memory_MB:.0f} MB" if m.memory_MB == m.memory_MB else ""
         errors = [_error(value) for value in (m.Omega_error, m.profile_error, m.mu_error)]
-        mark = "*" if m.at_reference else ""
-        cells = (f"{name}{mark}", f"{m.setting.tolerance:.0e}", spread, duration(m.building), memory, f"{m.unknowns}")
+        mark = "*" if m.at_reference_round_off else ""
+        cells = (
+            f"{name}{mark}",
+            f"{m.setting.tolerance:.0e}",
+            spread,
+            duration(m.building_seconds),
+            memory,
+            f"{m.unknowns}",
+        )
         lines.append(f"| {' | '.join((*cells, *errors))} |")
     return lines
 
