@@ -274,7 +274,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
     assert isnan(quick.memory)
-    steep = replace(REQUEST, amplitude_max=1e3, tolerance=1e-2, corrector="newton", walker="arclength")
+    steep = replace(REQUEST, max_points=3, tolerance=1e-2, corrector="newton", walker="arclength")
     failed = measure(Setting(Kind.ORBITS, steep), reference, 1, with_memory=False)
     assert failed.failure
     assert "\n" not in failed.failure
@@ -282,7 +282,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
 
 
 def test_memory_is_that_of_another_process() -> None:
-    held = np.ones(30_000_000)
+    held = np.ones(15_000_000)
     ours, started = peak_memory(), memory_of(None)
     assert held.nbytes / 1e6 < ours
     assert 10 < started < ours
