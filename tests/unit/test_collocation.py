@@ -193,6 +193,7 @@ def never_placed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CollocationProblem, "expected_error", OrbitProblem.expected_error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "most"), [("gauss", 0.55), ("radau", 0.55)])
 def test_placing_saves_intervals_where_the_orbit_rests_for_long(
     kind: str, most: float, monkeypatch: pytest.MonkeyPatch

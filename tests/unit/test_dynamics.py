@@ -257,7 +257,7 @@ def test_at_gamma_one_the_edge_moves_alone_in_the_gauge(method: str) -> None:
     assert not np.any(found.displacements[:, :2])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow) if m != "cvodes" else m for m in METHODS])
 def test_at_gamma_one_other_sites_move_in_physical_coordinates_only(method: str) -> None:
     chain, start, t = Chain(3, 1.0, -1.0, 1.0), [0.1, 0.4, -0.3], np.linspace(0.0, 10.0, 21)
     with pytest.raises(ValueError, match=r'no image in the gauge; accepted: zero there, or coordinates = "physical"'):

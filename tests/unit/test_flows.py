@@ -451,8 +451,9 @@ def check_honesty(true: Array, estimated: Array) -> None:
     assert np.median(estimated / true) < 30
 
 
-def test_the_errors_of_the_multipliers_are_honest() -> None:
-    check_honesty(*errors_of_random_orbits(15, 11))
+@pytest.mark.parametrize("number", [5, pytest.param(15, marks=pytest.mark.slow)])
+def test_the_errors_of_the_multipliers_are_honest(number: int) -> None:
+    check_honesty(*errors_of_random_orbits(number, 11))
 
 
 @pytest.mark.slow

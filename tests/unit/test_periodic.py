@@ -118,6 +118,7 @@ def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
         assert found.trivial_deviation < 1e-8
 
 
+@pytest.mark.slow
 def test_van_der_pol_at_10() -> None:
     """Period 19.0783695669..., and the multiplier, by DOP853: return map and integral of the divergence."""
     first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)

@@ -265,7 +265,7 @@ WANDERING = Chain(5, 0.71, 0.3, -1.0)
 
 
 @WALKERS
-@pytest.mark.parametrize("limit", [1, 137])
+@pytest.mark.parametrize("limit", [1, pytest.param(137, marks=pytest.mark.slow)])
 def test_a_family_ends_after_its_points_and_tells_what_it_did(walker: str, limit: int) -> None:
     branch = follow_family(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=limit)
     assert len(branch) == limit

@@ -299,7 +299,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
 
 
 def test_memory_is_that_of_another_process() -> None:
-    held = np.ones(30_000_000)
+    held = np.ones(15_000_000)
     ours, started = peak_memory(), memory_of(None)
     assert held.nbytes / 1e6 < ours
     assert 10 < started < ours
