@@ -6,10 +6,10 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeAlias
+from typing import NoReturn
 
 from casadi_skin._version import __version__
 from casadi_skin.commands import scene_commands, study_commands
@@ -21,63 +21,6 @@ from casadi_skin.scene import SceneError
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(WRONG_INPUT, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
-
-
-_Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
-
-
-def _of_study(parser: argparse.ArgumentParser, directory: str, act: Callable[[argparse.Namespace], int]) -> None:
-    """What every study takes, and its act."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"directory of the results (default: {directory})")
-    parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
-    parser.add_argument("--quiet", action="store_true", help="no progress on the terminal")
-    parser.set_defaults(act=act)
-
-
-def _add_studies(commands: _Commands) -> None:
-    again = commands.add_parser(
-        "reproduce",
-        help="the paper's figures and claims, recomputed",
-        description="Recompute the figures of arXiv:2512.17483, fig1 to fig7, and check its claims.",
-    )
-    again.add_argument("targets", nargs="*", metavar="TARGET", help="fig1 ... fig7, claims (default: all)")
-    _of_study(again, "results/paper", study_commands.reproduce_paper)
-
-    trade = commands.add_parser(
-        "tradeoff",
-        help="what accuracy costs, method by method",
-        description="Measure time, memory and true errors of every method and tolerance on one family.",
-    )
-    trade.add_argument(
-        "scene",
-        type=Path,
-        nargs="?",
-        metavar="SCENE.toml",
-        help="scene whose family is measured, the first of several; its accuracy and methods do not matter "
-        "(default: j = 1, g = -1, N = 24 to S = 1)",
-    )
-    trade.add_argument("--quick", action="store_true", help="three tolerances, each timed once")
-    trade.add_argument("--repeats", type=int, metavar="K", help="timed runs of each setting (default: 5; 1 if quick)")
-    _of_study(trade, "results/tradeoff", study_commands.measure_tradeoff)
-
-    honest = commands.add_parser(
-        "honesty",
-        help="whether estimated errors are honest, on random cases",
-        description="Compare estimated with true errors of random orbits; exit status 1 where they are not honest.",
-    )
-    honest.add_argument("--cases", type=int, default=200, metavar="K", help="number of cases (default: 200)")
-    honest.add_argument("--seed", type=int, default=0, metavar="K", help="of the draw (default: 0)")
-    honest.add_argument("--first", type=int, default=0, metavar="K", help="index of the first case (default: 0)")
-    _of_study(honest, "results/honesty", study_commands.measure_honesty)
-
-    hard = commands.add_parser(
-        "extremes",
-        help="hard cases: where results hold, and where they are refused",
-        description="Check orbits and multipliers at the extremes of every parameter by independent means; exit "
-        "status 1 where a case neither holds nor is refused as expected.",
-    )
-    hard.add_argument("--quick", action="store_true", help="the shorter cases alone")
-    _of_study(hard, "results/extremes", study_commands.measure_extremes)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -114,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     spectrum.set_defaults(act=scene_commands.spectrum)
 
-    _add_studies(commands)
+    study_commands.add_studies(commands)
     return parser
 
 

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from casadi_skin.studies.paper.claim import Claim, Verdict
-from casadi_skin.studies.paper.claims import COLUMNS, all_claims
+from casadi_skin.studies.paper.claim import COLUMNS, Claim, Verdict
 from casadi_skin.studies.paper.paper_data import PaperData
+from casadi_skin.studies.paper.reproduce import all_claims
 
 PAGE = Path(__file__).with_name("paper_claims.md")
 HEADINGS = {"number": "", "ours": "computed"}

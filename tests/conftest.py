@@ -14,7 +14,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
     os.environ.setdefault(_name, "1")  # each core has a worker of its own
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from casadi_skin.orbits import tools  # noqa: E402  numpy is imported with it, which reads them
+from casadi_skin.orbits import family  # noqa: E402  numpy is imported with it, which reads them
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -63,5 +63,5 @@ def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 def harmonics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """In quick tests at most 48 harmonics: families of which the period grows without bound run out of them soon."""
     if request.param == "few":
-        monkeypatch.setattr(tools, "HARMONICS", tuple(count for count in tools.HARMONICS if count <= 48))
-        monkeypatch.setattr(tools, "MANY_HARMONICS", ())
+        monkeypatch.setattr(family, "HARMONICS", tuple(count for count in family.HARMONICS if count <= 48))
+        monkeypatch.setattr(family, "MANY_HARMONICS", ())

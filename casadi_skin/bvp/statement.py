@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.declared import Expression, is_comparison
+from casadi_skin.models.expressions import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.guesses import Guess
-    from casadi_skin.orbits.solution import BoundarySolution
 
 Bounds = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class BoundaryValueProblem:
+class Statement:
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
 
     `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
@@ -183,24 +178,11 @@ class BoundaryValueProblem:
             return np.array(entries, dtype=float)
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
-    def with_parameters(self, **values: float) -> BoundaryValueProblem:
+    def with_parameters(self, **values: float) -> Statement:
         """The same problem at other values of parameters."""
         return replace(self, parameters={**self.parameters, **values})
 
     # What can be asked of it ----------------------------------------------------------------------------------------
-
-    def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
-        """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
-
-        See `casadi_skin.orbits.solve.solve` for the guess, the options, and what is raised.
-        """
-        if self.optimises or self.bounds:
-            from casadi_skin.optimise.boundary_nlp import optimise
-
-            return optimise(self, guess, **options)
-        from casadi_skin.orbits.solve import solve
-
-        return solve(self, guess, **options)
 
 
 def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
@@ -223,14 +205,6 @@ def _count(expressions: Iterable[Expression]) -> int:
 
 def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
     return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
-
-
-def check_name(label: str, name: object, known: Sequence[str]) -> None:
-    """Raises ValueError, with the nearest known name, for an unknown one."""
-    if name not in known:
-        near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
-        hint = f"did you mean {near}? " if near else ""
-        raise ValueError(f"{label}: given {short_repr(name)}; {hint}accepted: {', '.join(known) or 'none'}")
 
 
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:

@@ -3,145 +3,148 @@
 from __future__ import annotations
 
 import argparse
-import difflib
+import math
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from casadi_skin.commands.scene_commands import read_scene
+from casadi_skin.commands.scene_commands import bound, read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.runs.directory import prepare_study
 
+if TYPE_CHECKING:
+    from casadi_skin.studies.study import Study
 
-def reproduce_paper(arguments: argparse.Namespace) -> int:
-    from casadi_skin.studies.paper.reproduce import TARGETS, reproduce
+Commands: TypeAlias = "argparse._SubParsersAction[Any]"
 
-    for name in arguments.targets:
-        if name not in TARGETS:
-            near = next(iter(difflib.get_close_matches(name[:40].lower(), TARGETS, n=1)), None)
-            hint = f"did you mean {near}? " if near else ""
-            raise InputError(f"reproduce: given {name[:40]!r}; {hint}accepted: {', '.join(TARGETS)}")
-    directory = arguments.out or Path("results") / "paper"
-    prepare_study(directory, arguments.overwrite)
+
+def add_studies(commands: Commands) -> None:
+    """Add the commands of all studies to those of a parser."""
+    paper = commands.add_parser(
+        "reproduce",
+        help="the paper's figures and claims, recomputed",
+        description="Recompute the figures of arXiv:2512.17483, fig1 to fig7, and check its claims.",
+    )
+    paper.add_argument("targets", nargs="*", metavar="TARGET", help="fig1 ... fig7, claims (default: all)")
+    paper.set_defaults(study=_paper, out=Path("results/paper"))
+
+    work = commands.add_parser(
+        "tradeoff",
+        help="what accuracy costs, method by method",
+        description="Measure time, memory and true errors of every method and tolerance on one family.",
+    )
+    work.add_argument(
+        "scene",
+        type=Path,
+        nargs="?",
+        metavar="SCENE.toml",
+        help="scene whose family is measured, the first of several; its accuracy and methods do not matter "
+        "(default: j = 1, g = -1, N = 24 to S = 1)",
+    )
+    work.add_argument("--quick", action="store_true", help="three tolerances, each timed once")
+    work.add_argument("--repeats", type=int, metavar="K", help="timed runs of each setting (default: 5; 1 if quick)")
+    work.set_defaults(study=_work_precision, out=Path("results/tradeoff"))
+
+    errors = commands.add_parser(
+        "honesty",
+        help="whether estimated errors are honest, on random cases",
+        description="Compare estimated with true errors of random orbits; exit status 1 where they are not honest.",
+    )
+    errors.add_argument("--cases", type=int, default=200, metavar="K", help="number of cases (default: 200)")
+    errors.add_argument("--seed", type=int, default=0, metavar="K", help="of the draw (default: 0)")
+    errors.add_argument("--first", type=int, default=0, metavar="K", help="index of the first case (default: 0)")
+    errors.set_defaults(study=_error_calibration, out=Path("results/honesty"))
+
+    hard = commands.add_parser(
+        "extremes",
+        help="hard cases: where results hold, and where they are refused",
+        description="Check orbits and multipliers at the extremes of every parameter by independent means; exit "
+        "status 1 where a case neither holds nor is refused as expected.",
+    )
+    hard.add_argument("--quick", action="store_true", help="the shorter cases alone")
+    hard.set_defaults(study=_stress_test, out=Path("results/extremes"))
+
+    for parser in (paper, work, errors, hard):
+        default = parser.get_default("out")
+        parser.add_argument("--out", type=Path, metavar="DIR", help=f"directory of the results (default: {default})")
+        parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
+        parser.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+        parser.set_defaults(act=run_study)
+
+
+def run_study(arguments: argparse.Namespace) -> int:
+    """Run the study that the arguments ask for, show its report, and return the exit status."""
+    study: Study = arguments.study(arguments)
+    prepare_study(study.directory, arguments.overwrite)
+
+    from rich.console import Console
 
     from casadi_skin.progress import Progress
 
     with Progress(arguments.quiet) as progress:
+        study.say = progress.say
         try:
-            made = reproduce(arguments.targets, directory, progress.say)
-        except KeyboardInterrupt:
+            study.run()
+        except (KeyboardInterrupt, ArithmeticError) as error:
             progress.__exit__(None, None, None)
-            print(f"interrupted; what was computed is in {directory}", file=sys.stderr)
-            return INTERRUPTED
-        except ArithmeticError as error:
-            progress.__exit__(None, None, None)
-            print(f"casadi-skin: {error}; what was computed is in {directory}", file=sys.stderr)
-            return FAILED
-    if made.claims:
-        counts = ", ".join(f"{verdict}: {count}" for verdict, count in made.verdicts.items())
-        print(f"{len(made.claims)} claims; {counts}")
-    print(f"{len(made.files)} files in {directory}")
-    return DONE
+            interrupted = isinstance(error, KeyboardInterrupt)
+            words = f"interrupted after {study.done} {study.part}" if interrupted else f"casadi-skin: {error}"
+            print(f"{words}; the results so far are in {study.directory}", file=sys.stderr)
+            return INTERRUPTED if interrupted else FAILED
+    for item in study.report():
+        if isinstance(item, str):
+            print(item)
+        else:
+            Console().print(item)
+    print(f"{study.done} {study.part}; {len(study.files)} files in {study.directory}")
+    return FAILED if study.faults else DONE
 
 
-def measure_tradeoff(arguments: argparse.Namespace) -> int:
+# The study of a command ---------------------------------------------------------------------------------------------
+
+
+def _paper(arguments: argparse.Namespace) -> Study:
+    from casadi_skin.studies.paper.reproduce import PaperReproduction
+
+    try:
+        return PaperReproduction(arguments.out, arguments.targets)
+    except ValueError as error:
+        raise InputError(f"reproduce: {error}") from error
+
+
+def _work_precision(arguments: argparse.Namespace) -> Study:
     scene = None if arguments.scene is None else read_scene(arguments.scene)[0]
-    if scene is not None and scene.family is None:
-        raise InputError(f"{arguments.scene}: asks for no family to measure; accepted: a scene with a table [family]")
+    if scene is not None and (scene.family is None or scene.chain is None or scene.chain.sites == math.inf):
+        accepted = "a scene with a table [family], and a [chain] of finite length"
+        raise InputError(f"{arguments.scene}: asks for no family that can be measured; accepted: {accepted}")
     if arguments.repeats is not None and arguments.repeats < 1:
         raise InputError(f"tradeoff: given --repeats {arguments.repeats}; accepted: a whole number >= 1")
-    directory = arguments.out or Path("results") / "tradeoff"
-    prepare_study(directory, arguments.overwrite)
 
-    from casadi_skin.progress import Progress
-    from casadi_skin.runs.request import scene_requests
-    from casadi_skin.studies.work_precision.study import REPEATS, Tradeoff, default_request, with_points
+    from casadi_skin.runs.request import chain_of
+    from casadi_skin.studies.work_precision.settings import FamilyCase
+    from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, REPEATS, WorkPrecision
 
-    request = default_request() if scene is None else with_points(scene_requests(scene)[0])
+    family = DEFAULT_FAMILY
+    if scene is not None:
+        request = bound(scene, arguments.scene).families[0]
+        family = FamilyCase(
+            chain_of(scene), int(request.mode), request.amplitude_max, tuple(request.targets.at)
+        ).with_points()
     repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
-    with Progress(arguments.quiet) as progress:
-        study = Tradeoff(request, directory, arguments.quick, repeats, progress.say)
-        try:
-            study.execute()
-        except KeyboardInterrupt:
-            progress.__exit__(None, None, None)
-            print(f"interrupted; what was measured is in {directory}", file=sys.stderr)
-            return INTERRUPTED
-        except ArithmeticError as error:
-            progress.__exit__(None, None, None)
-            print(f"casadi-skin: {error}; what was measured is in {directory}", file=sys.stderr)
-            return FAILED
-    for line in study.advice():
-        print(line)
-    print(f"{len(study.measured)} settings; {len(study.files)} files in {directory}")
-    return DONE
+    return WorkPrecision(arguments.out, family, arguments.quick, repeats)
 
 
-def measure_honesty(arguments: argparse.Namespace) -> int:
+def _error_calibration(arguments: argparse.Namespace) -> Study:
     for name, least in (("cases", 1), ("seed", 0), ("first", 0)):
         if getattr(arguments, name) < least:
             raise InputError(f"honesty: given --{name} {getattr(arguments, name)}; accepted: a whole number >= {least}")
-    directory = arguments.out or Path("results") / "honesty"
-    prepare_study(directory, arguments.overwrite)
 
-    from rich.console import Console
+    from casadi_skin.studies.calibration.study import ErrorCalibration
 
-    from casadi_skin.studies.calibration.study import Honesty, honesty, honesty_table
-
-    study = Honesty(directory, arguments.cases)
-    if _interrupted(lambda say: honesty(study, arguments.seed, say, arguments.first), study, arguments.quiet):
-        return INTERRUPTED
-    Console().print(honesty_table(study))
-    for outcome in study.failures:
-        print(f"case {outcome.case.index}: {outcome.reason}")
-    for fault in study.faults:
-        print(f"not honest: {fault}")
-    print(f"{len(study.outcomes)} cases; {len(study.files)} files in {directory}")
-    return FAILED if study.faults else DONE
+    return ErrorCalibration(arguments.out, arguments.cases, arguments.seed, arguments.first)
 
 
-def measure_extremes(arguments: argparse.Namespace) -> int:
-    directory = arguments.out or Path("results") / "extremes"
-    prepare_study(directory, arguments.overwrite)
+def _stress_test(arguments: argparse.Namespace) -> Study:
+    from casadi_skin.studies.stress.study import StressTest
 
-    from rich.console import Console
-
-    from casadi_skin.studies.stress.study import Extremes, extremes, extremes_table
-
-    study = Extremes(directory)
-    if _interrupted(lambda say: extremes(study, arguments.quick, say), study, arguments.quiet):
-        return INTERRUPTED
-    Console().print(extremes_table(study))
-    for outcome in study.refusals:
-        print(f"refused: {outcome.case.name}: {outcome.refused}")
-    for outcome in study.faults:
-        print(f"not as expected: {outcome.case.theme}, {outcome.case.name}: {outcome.fault}")
-    held = len(study.outcomes) - len(study.refusals) - len(study.faults)
-    counts = f"{held} hold, {len(study.refusals)} are refused, {len(study.faults)} not as expected"
-    print(f"{len(study.outcomes)} cases: {counts}")
-    print(f"{len(study.files)} files in {directory}")
-    return FAILED if study.faults else DONE
-
-
-class _Cases(Protocol):
-    """A study of cases that are written as they come."""
-
-    directory: Path
-
-    @property
-    def outcomes(self) -> Sequence[object]: ...
-
-
-def _interrupted(act: Callable[[Callable[[str], None]], None], study: _Cases, quiet: bool) -> bool:
-    """Whether a study, which `act` carries out, was interrupted; what it has then is told."""
-    from casadi_skin.progress import Progress
-
-    with Progress(quiet) as progress:
-        try:
-            act(progress.say)
-        except KeyboardInterrupt:
-            progress.__exit__(None, None, None)
-            print(f"interrupted after {len(study.outcomes)} cases; they are in {study.directory}", file=sys.stderr)
-            return True
-    return False
+    return StressTest(arguments.out, arguments.quick)

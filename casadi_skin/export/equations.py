@@ -7,9 +7,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from casadi_skin.export.ctext import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
+from casadi_skin.export.c_text import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, Size, called, declared
-from casadi_skin.export.subject import Subject
+from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 
@@ -160,12 +161,21 @@ def flow_part(subject: Subject) -> Part:
     work = model.size + sparsity.nnz() + force.work
     sizes += [Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"),
               Size("FLOW_WORK", work, "doubles of work")]  # fmt: skip
-    inner = f"{declared(force.prototype, 'Used by the flow.')}\n{pattern_declaration('@p_force', sparsity, BY_ROWS)}"
+    drifts, kicks = srkn_coefficients()
+    inner = (
+        f"{declared(force.prototype, 'Used by the flow.')}\n{pattern_declaration('@p_force', sparsity, BY_ROWS)}\n"
+        f"extern const double @p_flow_drifts[{drifts.size}];\nextern const double @p_flow_kicks[{kicks.size}];"
+    )
     part = Part(
         "Flow",
         tuple(sizes),
         (declared(prototype, words), inner),
-        (pattern("@p_force", sparsity, BY_ROWS), force.text()),
+        (
+            pattern("@p_force", sparsity, BY_ROWS),
+            doubles("@p_flow_drifts", drifts),
+            doubles("@p_flow_kicks", kicks),
+            force.text(),
+        ),
         (force.function,),
         ("flow_splitting",),
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from casadi_skin.export.ctext import Call
+from casadi_skin.export.c_text import Call
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, called
-from casadi_skin.export.subject import Subject
+from casadi_skin.solvers.nlp import nlp_solver
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
 
@@ -23,11 +24,9 @@ def ipopt_part(subject: Subject) -> Part:
     options = {
         "jac_g": ca.Function("jac_g", [z, held], [equations, ca.vertcat(jacobian, row)]),
         "hess_lag": ca.Function("hess_lag", [z, held, weights, multipliers], [ca.MX(size, size)]),
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-12},
-        "print_time": False,
     }
     program = {"x": z, "p": held, "f": ca.MX(0), "g": equations}
-    solver = ca.nlpsol("solver", "ipopt", program, options)
+    solver = nlp_solver("solver", program, 1e-12, options, exact=False)
     start, value = ca.MX.sym("start", size), ca.MX.sym("value")
     solved = solver(x0=start, p=value, lbg=0, ubg=0)
     function = ca.Function(f"{subject.name}_generated_ipopt", [start, value], [solved["x"], solved["g"]])

@@ -92,7 +92,10 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
             return float(value) if value.is_constant() else None
         return None
 
-    ring = _Ring(add, multiply, lambda value: {0: ca.SX(value)} if value else {}, constant)
+    def of_constant(value: float) -> _Parts:
+        return {0: ca.SX(value)} if value else {}
+
+    ring = _Ring(add, multiply, of_constant, constant)
     entries = _evaluate(expression, [state], ring, lambda k: {1: state[k]})
     degrees = sorted({degree for entry in entries for degree in entry})
     parts = {d: ca.vertcat(*(entry.get(d, ca.SX(0)) for entry in entries)) for d in degrees}
@@ -104,7 +107,9 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
 
 def _expand(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> list[_Terms]:
     """Terms of each component of a column."""
-    ring = _Ring(_sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add)
+    ring: _Ring[_Terms] = _Ring(
+        _sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add
+    )
     expanded = _evaluate(expression, [state, parameter], ring, lambda k: {(k,): 1.0})
     return [{v: c for v, c in terms.items() if c != 0.0} for terms in expanded]
 

@@ -8,9 +8,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import BoundaryValueProblem, check_name
+from casadi_skin.bvp.statement import Statement
 
 
 @runtime_checkable
@@ -29,7 +29,7 @@ ACCEPTED = (
 )
 
 
-def sampled(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     """The guess at times t, shape (time, component); raises ValueError for what is no guess."""
     n = statement.model.full_size
     values = _values(statement, guess, t)
@@ -40,7 +40,7 @@ def sampled(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
     return values
 
 
-def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
     if isinstance(guess, Evaluated):
         return np.asarray(guess.evaluate(t), dtype=float)

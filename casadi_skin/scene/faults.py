@@ -1,15 +1,13 @@
 """How a fault of a scene is told: one line with the place, what was given and what is accepted."""
 
-import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_type_hints
 
 from msgspec import Meta
 
+from casadi_skin.arguments import LONGEST, cut, nearest
 from casadi_skin.scene.tables import Table
-
-LONGEST = 60  # characters of a given value or name that a message shows
 
 
 class SceneError(ValueError):
@@ -28,8 +26,12 @@ def did_you_mean(near: str | None, accepted: str) -> str:
     return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    return next(iter(difflib.get_close_matches(name[:LONGEST].lower(), list(known), n=1)), None)
+def check_known(place: str, name: str, known: Sequence[str]) -> None:
+    """Raises SceneError, with the nearest known name, for an unknown one."""
+    if name not in known:
+        near = nearest(name, known)
+        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
+        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")
 
 
 def accepted_words(table: type[Table], key: str) -> str:
@@ -39,10 +41,6 @@ def accepted_words(table: type[Table], key: str) -> str:
 
 def is_table(value: object) -> bool:
     return isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
-
-
-def cut(text: str) -> str:
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
 
 
 def toml_repr(value: object, depth: int = 3) -> str:

@@ -63,8 +63,8 @@ def test_forced_duffing(load: Load, tmp_path: Path) -> None:
     branch = load("forced_duffing").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     for fold in branch.folds:  # where a multiplier is 1
-        assert np.abs(fold.multipliers().values - 1.0).min() < 1e-3
-    assert [branch.at(2.0, which).multipliers().stable for which in range(3)] == [True, False, True]
+        assert np.abs(fold.floquet().multipliers - 1.0).min() < 1e-3
+    assert [branch.at(2.0, which).floquet().stable for which in range(3)] == [True, False, True]
     for which in range(3):
         orbit = branch.at(2.0, which)
         run = solve_ivp(

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.studies.stress import physical as extremes_physical
+from casadi_skin.studies.stress import physical
 from casadi_skin.studies.stress import study as study_module
-from casadi_skin.studies.stress import threshold as extremes_threshold
 from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
-from casadi_skin.studies.stress.study import COLUMNS, all_cases
+from casadi_skin.studies.stress.cases import all_cases
+from casadi_skin.studies.stress.study import COLUMNS
 
 pytestmark = pytest.mark.usefixtures("pictures")
 
@@ -32,16 +32,16 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases of gamma, and two small chains in physical coordinates."""
     chosen = [case for case in all_cases() if case.theme == "gamma"]
     monkeypatch.setattr(study_module, "all_cases", lambda: chosen)
-    monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4, 8))
-    monkeypatch.setattr(extremes_physical, "GAMMAS", (0.25,))
-    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.25, 0.5))
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4, 8))
+    monkeypatch.setattr(physical, "GAMMAS", (0.25,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.25, 0.5))
 
 
 @pytest.fixture
 def fewest(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same with one chain and one threshold."""
-    monkeypatch.setattr(extremes_physical, "QUICK_SIZES", (4,))
-    monkeypatch.setattr(extremes_threshold, "QUICK_GAMMAS", (0.5,))
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.5,))
 
 
 def test_every_case_has_a_name_of_its_own() -> None:

@@ -138,7 +138,7 @@ def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) ->
     assert main(["run", str(write_scene(tmp_path, "problem", rest)), "--out", str(out)]) == 1
     table = rows(out)
     assert {path.name for path in out.iterdir()} == PICTURES | {
-        "branch.csv", "branch.nc", "scene.toml", "scene_model.py", "journal.msgpack",
+        "branch.csv", "branch.nc", "special_points.csv", "scene.toml", "scene_model.py", "journal.msgpack",
     }  # fmt: skip
     assert not {"period", *STABILITY} & set(table[0])
     fold = next(r for r in table if r["fold"] == "1")
@@ -235,7 +235,7 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
         assert main([command, str(scene)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["check", str(write_scene(tmp_path, "van_der_pol", ""))]) == 0
-    assert "no [orbit] or [solution]" in capsys.readouterr().out
+    assert "no [family], [orbit] or [solution]" in capsys.readouterr().out
     assert main(["run", str(scene)]) == 2
     assert "asks for nothing to compute" in capsys.readouterr().err
 

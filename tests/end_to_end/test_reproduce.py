@@ -11,9 +11,9 @@ import pytest
 from casadi_skin import Chain
 from casadi_skin.cli import main
 from casadi_skin.studies.paper import paper_data
-from casadi_skin.studies.paper.figures_sensitivity import sensitivity_figure
+from casadi_skin.studies.paper.figures_families import sensitivity_figure
 from casadi_skin.studies.paper.paper_data import PaperData
-from casadi_skin.studies.paper.reproduce import FIGURES, reproduce
+from casadi_skin.studies.paper.reproduce import FIGURES, PaperReproduction
 from casadi_skin.theory import multiple_scales
 
 
@@ -47,7 +47,7 @@ def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.slow
 def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
     for name in ("first", "second"):
-        reproduce(["fig2"], tmp_path / name)
+        assert main(["reproduce", "fig2", "--out", str(tmp_path / name), "--quiet"]) == 0
     for path in (tmp_path / "first").iterdir():
         assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
 
@@ -96,7 +96,7 @@ def test_an_unknown_target_is_refused_in_one_line(
     assert near in told.err
     assert not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match="targets"):
-        reproduce([given], tmp_path / "out")
+        PaperReproduction(tmp_path / "out", [given])
 
 
 @pytest.mark.usefixtures("pictures")

@@ -113,8 +113,8 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
     def refuse(*_: object) -> None:
         raise AssertionError("a variational system was built")
 
-    monkeypatch.setattr("casadi_skin.orbits.tools.SplittingFlow", refuse)
-    monkeypatch.setattr("casadi_skin.orbits.tools.CvodesFlow", refuse)
+    monkeypatch.setattr("casadi_skin.stability.splitting.SplittingFlow", refuse)
+    monkeypatch.setattr("casadi_skin.stability.cvodes.CvodesFlow", refuse)
     scene = write_scene(tmp_path / "small.toml")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
     assert not set(STABILITY_COLUMNS) & set(rows(tmp_path / "out" / "family.csv")[0])

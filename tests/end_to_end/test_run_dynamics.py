@@ -141,7 +141,6 @@ def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "plain.toml", "")
     modules = (
         "casadi_skin.dynamics",
-        "casadi_skin.integrators",
         "casadi_skin.runs.dynamics",
         "casadi_skin.figures.spacetime",
     )

@@ -8,11 +8,9 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.studies.work_precision import measured as tradeoff_measured
-from casadi_skin.studies.work_precision import study as tradeoff
-from casadi_skin.studies.work_precision.measured import Measured, flow_settings, orbit_settings
-
-pytestmark = pytest.mark.usefixtures("pictures")
+from casadi_skin.studies.work_precision import measuring, settings
+from casadi_skin.studies.work_precision import study as study_module
+from casadi_skin.studies.work_precision.settings import Measured
 
 TINY = """
 [chain]
@@ -47,10 +45,10 @@ def read(path: Path) -> list[dict[str, str]]:
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tolerance of each method in place of three, no shooting, and no memory."""
-    monkeypatch.setattr(tradeoff_measured, "SHOOTING_SITES", 1)
-    monkeypatch.setattr(tradeoff, "QUICK_TOLERANCES", (1e-6,))
-    monkeypatch.setattr(tradeoff, "memory_of", lambda setting: 40.0)
-    monkeypatch.setattr("casadi_skin.studies.work_precision.cases.memory_of", lambda setting: 50.0)
+    monkeypatch.setattr(settings, "SHOOTING_SITES", 1)
+    monkeypatch.setattr(study_module, "QUICK_TOLERANCES", (1e-6,))
+    monkeypatch.setattr(study_module, "memory_of", lambda setting: 40.0)
+    monkeypatch.setattr(measuring, "memory_of", lambda setting: 50.0)
 
 
 @pytest.mark.slow
@@ -76,19 +74,11 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
     assert max(differences) < 1e-13
 
 
-@pytest.mark.parametrize(("methods", "flows"), [(2, 1), pytest.param(8, 4, marks=pytest.mark.slow)])
 def test_a_few_settings_and_what_an_interruption_leaves(
-    scene: Path,
-    tmp_path: Path,
-    methods: int,
-    flows: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     few(monkeypatch)
-    monkeypatch.setattr(tradeoff, "orbit_settings", lambda *asked: orbit_settings(*asked)[:methods])
-    monkeypatch.setattr(tradeoff, "flow_settings", lambda *asked: flow_settings(*asked)[:flows])
-    real, count = tradeoff.measure, 0
+    real, count = study_module.measure, 0
 
     def interrupted(*arguments: object, **named: object) -> Measured:
         nonlocal count
@@ -97,28 +87,32 @@ def test_a_few_settings_and_what_an_interruption_leaves(
             raise KeyboardInterrupt
         return real(*arguments, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tradeoff, "measure", interrupted)
+    monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
     assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 130
     told = capsys.readouterr()
-    assert told.err == f"interrupted; what was measured is in {out}\n"
+    assert told.err == f"interrupted after 4 settings; the results so far are in {out}\n"
     assert {path.name for path in out.iterdir()} == FILES - {"flows.csv"}
     assert len(read(out / "tradeoff.csv")) == 4
 
-    monkeypatch.setattr(tradeoff, "measure", real)
+    monkeypatch.setattr(study_module, "measure", real)
     assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
-    assert len(read(out / "tradeoff.csv")) == 3 + methods
-    assert len(read(out / "flows.csv")) == flows
+    assert len(read(out / "tradeoff.csv")) == 11
     assert {row["memory_MB"] for row in read(out / "flows.csv")} == {"50"}
 
 
 def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bare = tmp_path / "bare.toml"
-    bare.write_text(TINY, encoding="utf-8")
+    texts = {
+        "bare": TINY,
+        "endless": TINY.replace("sites = 2", "sites = inf") + FAMILY.replace("[1, 2]", '"first"'),
+        "model": '[model]\nfile = "pendulum.py"\nname = "pendulum"\n' + FAMILY,
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "out"
     for words, part in (
-        ([str(bare)], "bare.toml: asks for no family"),
+        *(([str(tmp_path / f"{name}.toml")], f"{name}.toml: asks for no family") for name in texts),
         ([str(scene), "--repeats", "0"], "--repeats 0"),
         ([str(tmp_path / "none.toml")], "none.toml"),
     ):
@@ -140,7 +134,7 @@ def test_a_family_that_ends_early_is_told_in_one_line(
     def lost(*_: object) -> None:
         raise ArithmeticError("no step, however short, stays on the family")
 
-    monkeypatch.setattr(tradeoff, "Reference", lost)
+    monkeypatch.setattr(study_module, "Reference", lost)
     assert main(["tradeoff", str(scene), "--quick", "--out", str(tmp_path / "out"), "--quiet"]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1

@@ -15,8 +15,9 @@ from casadi_skin.cli import main
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.studies.calibration import study as study_module
 from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, find, measure, reference_of
-from casadi_skin.studies.calibration.reference import paired, reference_mu, reference_orbit
-from casadi_skin.studies.calibration.study import QUANTITIES, Honesty, Tally, columns, honesty, honesty_table
+from casadi_skin.studies.calibration.study import COLUMNS, QUANTITIES, ErrorCalibration, Tally
+from casadi_skin.studies.exact import LONG_DOUBLES, exact_orbit
+from casadi_skin.studies.exact_multipliers import exact_mu, paired
 
 CASES, SEED = 12, 2026
 
@@ -32,25 +33,24 @@ def error(
     return Quantity(name, true, estimate, 1.0, tolerance, true, estimate, excused)
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(CASES, marks=pytest.mark.slow)])
-def test_estimates_of_random_cases_are_honest(tmp_path: Path, count: int) -> None:
-    study = Honesty(tmp_path, count)
-    honesty(study, SEED)
+def test_estimates_of_random_cases_are_honest(tmp_path: Path) -> None:
+    study = ErrorCalibration(tmp_path, CASES, SEED)
+    study.run()
     assert study.faults == []
-    assert [outcome.reason for outcome in study.outcomes] == [""] * count
+    assert [outcome.reason for outcome in study.outcomes] == [""] * CASES
     assert all(q.true <= 2.0 * q.estimate for q in study.errors())
-    assert len(study.errors("Omega")) == len(study.errors("profile")) == count
+    assert len(study.errors("Omega")) == len(study.errors("profile")) == CASES
     assert len(study.errors("multipliers")) == sum(outcome.case.sites > 1 for outcome in study.outcomes)
     written = rows(tmp_path / "honesty.csv")
-    assert list(written[0]) == columns()
-    assert [int(row["index"]) for row in written] == list(range(count))
+    assert list(written[0]) == list(COLUMNS)
+    assert [int(row["index"]) for row in written] == list(range(CASES))
     for row, outcome in zip(written, study.outcomes, strict=True):
         assert float(row["Omega_true"]) == outcome.quantities[0].true
         assert float(row["tolerance"]) == outcome.case.tolerance
         assert row["profile_verdict"] in ("covered", "low")
     assert {path.name for path in study.files} == {"honesty.csv", "honesty.png", "honesty.svg"}
     assert all(path.stat().st_size > 1000 for path in study.files)
-    assert honesty_table(study).row_count > len(QUANTITIES) + 4
+    assert study.table().row_count > len(QUANTITIES) + 4
 
 
 def test_a_case_depends_on_seed_and_index_alone() -> None:
@@ -85,10 +85,11 @@ def test_the_reference_of_one_site_is_the_exact_oscillator(g: float, S: float) -
 def test_the_reference_is_the_orbit_and_the_multipliers_that_tight_runs_find() -> None:
     chain = Chain(6, 0.9, 0.3, -1.0)
     orbit = follow_family(chain, 2, 2.0, tolerance=1e-12, corrector="newton").orbits[-1]
-    start = follow_family(chain, 2, 2.0, tolerance=1e-4, transcription="gauss", corrector="newton").orbits[-1].point
-    reference = reference_orbit(chain, -2.0, start.Omega, lambda theta: start.problem.sample(start.z, theta))
-    assert abs(float(reference.Omega) - orbit.Omega) < 1e-14
-    mu, uncertain = reference_mu(reference)
+    start = follow_family(chain, 2, 2.0, tolerance=1e-4, transcription="gauss", corrector="newton").orbits[-1]
+    reference = exact_orbit(start, LONG_DOUBLES)
+    assert reference.Omega_error(orbit.Omega) < 1e-14
+    assert reference.profile_error(orbit) < 1e-12
+    mu, uncertain = exact_mu(reference)
     assert uncertain < 1e-15
     found = orbit.floquet().mu
     assert np.max(np.abs(paired(found.astype(np.clongdouble), mu) - found)) < 1e-12
@@ -112,7 +113,6 @@ def test_what_tallies_hold_against_estimates() -> None:
     assert len(Tally.of("all", [error(float("nan"), 1e-8)]).faults) == 3
 
 
-@pytest.mark.usefixtures("pictures")
 def test_estimates_that_are_too_small_are_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -124,7 +124,6 @@ def test_estimates_that_are_too_small_are_found_out(
     assert any("far off" in row["Omega_verdict"] for row in rows(tmp_path / "out" / "honesty.csv"))
 
 
-@pytest.mark.usefixtures("pictures")
 def test_a_case_that_fails_is_a_row_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,7 +143,6 @@ def test_a_case_that_fails_is_a_row_with_its_reason(
     assert "1 of 1 cases could not be judged" in told
 
 
-@pytest.mark.usefixtures("pictures")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,9 +14,9 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 
 def second_order(name: str, rhs: Any, *parameters: ca.SX, time: ca.SX | None = None) -> tuple[OdeModel, ca.SX, ca.SX]:
@@ -203,12 +203,12 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.orbits.solve import Method, Sizes, build_levels, packed
+    from casadi_skin.orbits.solve import packed, space_of
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)
-    method = Method(1e-12, transcription, degree, "newton")
-    levels = build_levels(problem, method, Sizes(np.ones(2), np.ones(0)))
+    options = {"tolerance": 1e-12, "transcription": transcription, "degree": degree, "corrector": "newton"}
+    levels = space_of(problem, [0.0, 0.0], options).levels
     errors = []
     for intervals in (5, 8, 12):
         equations = levels.problem(intervals)
@@ -293,7 +293,7 @@ def test_a_solution_as_guess_brings_its_mesh() -> None:
 
 def test_a_solution_reads_like_a_table() -> None:
     solution = bratu().solve([0.0, 0.0])
-    assert isinstance(solution, BoundarySolution)
+    assert isinstance(solution, Solution)
     assert solution.interval == (0.0, 1.0)
     assert solution["lambda"] == 1.0
     np.testing.assert_array_equal(solution["u"], solution.states[:, 0])

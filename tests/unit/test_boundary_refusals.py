@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.refined import BoundaryError
 
 U, V, K = ca.SX.sym("u"), ca.SX.sym("v"), ca.SX.sym("stiffness")
 STRING = OdeModel("string", ca.vertcat(U, V), ca.vertcat(V, -K * U), K)
@@ -136,13 +136,13 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"parameter": "stifness", "end": 2.0}, "parameter: given 'stifness'; did you mean stiffness?"),
-        ({"parameter": "stiffness", "end": 1.0}, "end: given 1.0, where the branch starts; accepted: another value"),
-        ({"parameter": "stiffness", "end": np.inf}, "end: given inf; accepted: a finite number"),
-        ({"parameter": "stiffness", "end": 2.0, "at": [3.0]}, "at: given 3; accepted: values from 1 to 2"),
-        ({"parameter": "stiffness", "end": 2.0, "at": ["a"]}, "at: given 'a'; accepted: a list of finite numbers"),
-        ({"parameter": "stiffness", "end": 2.0, "max_points": 0}, "max_points: given 0; accepted: a whole number >= 2"),
-        ({"parameter": "stiffness", "end": 2.0, "max_step": -1.0}, "max_step: given -1.0; accepted: a number > 0"),
+        ({"parameter": "stifness", "to": 2.0}, "parameter: given 'stifness'; did you mean stiffness?"),
+        ({"parameter": "stiffness", "to": 1.0}, "to: given 1.0, where the branch starts; accepted: another value"),
+        ({"parameter": "stiffness", "to": np.inf}, "to: given inf; accepted: a finite number"),
+        ({"parameter": "stiffness", "to": 2.0, "at": [3.0]}, "at: given 3; accepted: values from 1 to 2"),
+        ({"parameter": "stiffness", "to": 2.0, "at": ["a"]}, "at: given 'a'; accepted: a list of finite numbers"),
+        ({"parameter": "stiffness", "to": 2.0, "max_points": 0}, "max_points: given 0; accepted: a whole number >= 2"),
+        ({"parameter": "stiffness", "to": 2.0, "max_step": -1.0}, "max_step: given -1.0; accepted: a number > 0"),
     ],
 )
 def test_branches_that_cannot_be_are_refused(arguments: dict[str, Any], words: str) -> None:

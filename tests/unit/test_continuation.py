@@ -15,9 +15,9 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.hermite import LocalCurve, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
@@ -59,7 +59,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
 
 def worst_relative_error(branch: Branch) -> float:
     """Of a family of one site, against the Duffing oscillator at every point's S."""
-    exact = np.array([exact_frequency(branch.tools.request.chain, S) for S in branch.S])
+    exact = np.array([exact_frequency(branch.space.model, S) for S in branch.S])
     return float(np.max(np.abs(branch.Omega / exact - 1.0)))
 
 
@@ -153,9 +153,9 @@ def walked_with(
     chain: Chain, mode: int, amplitude_max: float, **changes: float
 ) -> tuple[ArclengthContinuation, list[Point]]:
     """A walk with changed settings and its points."""
-    tools = FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
+    tools = Family(family_request(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
     point_solver = PointSolver(tools.levels, replace(tools.request.continuation_settings(), **changes))  # type: ignore[arg-type]
-    start = point_solver.start(tools.layout.mode, tools.core.linear_frequency(mode))
+    start = point_solver.start(tools.coordinates.mode, tools.coordinates.core.linear_frequency(mode))
     walk = ArclengthContinuation(point_solver, (start,))
     return walk, list(walk)
 
@@ -345,7 +345,7 @@ def test_a_walk_whose_guard_lets_nothing_pass_ends_by_name(guard: str) -> None:
 
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     """Two resolutions only: what a stronger nonlinearity needs is not there."""
-    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
+    tools = Family(family_request(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
     tools.levels.resolutions = (4, 6)
     walk = ArclengthContinuation(tools.point_solver, (tools.start,))
     points = list(walk)
@@ -354,8 +354,8 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
 
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, (0.3, 0.9), 1e-8, corrector="newton"))
-    whole = [o for o in FamilyContinuation(tools) if isinstance(o, Orbit)]
+    tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, at=(0.3, 0.9), tolerance=1e-8, corrector="newton"))
+    whole = [o for o in Following(tools) if isinstance(o, Orbit)]
     for kept in (1, 7, 20):
         # Broken off after a point walked: one that was asked for is not yet followed by its successor.
         known = whole[:kept]
@@ -363,7 +363,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = FamilyContinuation(FamilyTools(tools.request), orbits=known)
+        again = Following(Family(tools.request), solutions=known)
         list(again)
         branch = again.branch()
         assert branch.complete
@@ -372,7 +372,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 
 
 def test_what_was_computed_before_an_interruption_is_kept() -> None:
-    walk = FamilyContinuation(FamilyTools(FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
+    walk = Following(Family(family_request(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
     for k, _ in enumerate(walk):
         if k == 4:
             break

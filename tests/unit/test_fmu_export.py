@@ -23,7 +23,7 @@ from scipy.integrate import solve_ivp
 from casadi_skin import Chain, OdeModel, follow_family
 from casadi_skin.dynamics import evolve
 from casadi_skin.export.fmu import build, export_fmu
-from casadi_skin.export.fmu.subject import chain_with_outputs
+from casadi_skin.export.fmu.initial_value_problem import chain_with_outputs
 
 CHAIN = Chain(sites=5, alpha=0.8, gamma=0.3, g=1.0)
 START = (0.4, -0.2, 0.3, 0.1, 0.6)

@@ -13,8 +13,8 @@ from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.style import save
 from casadi_skin.lattice.log_profile import _continued
-from casadi_skin.results.netcdf import EMPTY, write_netcdf
-from casadi_skin.results.tables import write_csv
+from casadi_skin.results.dataset import EMPTY, write_csv, write_netcdf
+from casadi_skin.results.quantities import dataset_of
 from casadi_skin.theory.multiple_scales import frequency_slope
 
 Array = NDArray[np.float64]
@@ -26,12 +26,12 @@ def breather(sites: int, gamma: float, g: float, **options: str) -> Orbit:
 
 
 def far_to_near(orbit: Orbit, values: Array) -> Array:
-    return values if orbit.chain.gamma >= 0 else values[::-1]
+    return values if orbit.model.gamma >= 0 else values[::-1]
 
 
 def tail(orbit: Orbit) -> Array:
     """log10 of the fundamental of the linear tail but for a constant, from the far end on, by 2 s cosh(kappa)."""
-    chain, n = orbit.chain, np.arange(1, orbit.chain.sites + 1)
+    chain, n = orbit.model, np.arange(1, orbit.model.sites + 1)
     kappa = np.arccosh(abs(orbit.Omega**2 - 2.0 - chain.alpha) / (2.0 * chain.coupling))
     growth = kappa * n + np.log1p(-np.exp(-2.0 * kappa * n))
     return np.asarray((far_to_near(orbit, chain.log_rho) + growth) / np.log(10.0))
@@ -97,7 +97,7 @@ def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
 
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
     branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         assert file.variables["log10_profile"][-1].min() < -1000.0
         assert set(np.unique(file.variables["profile_sign"][:])) == {-1, 1}
@@ -109,7 +109,7 @@ def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
 
 def test_sites_at_rest_are_empty(tmp_path: Path) -> None:
     branch = follow_family(Chain(3, 1.0, 1.0, 1.0), 3, 0.5, corrector="newton")
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         logs = file.variables["log10_profile"]
         assert np.all(logs[:, :2] == EMPTY)

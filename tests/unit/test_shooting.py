@@ -19,23 +19,23 @@ from orbit_problems import (
     corrector_of,
     dense_jacobian,
     differences,
+    gauss_problem,
     moved,
     predator_and_prey,
     solved,
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.follow import FamilyContinuation, follow_family
+from casadi_skin.orbits.family import DIGITS, Family
+from casadi_skin.orbits.follow import Following, follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import DIGITS, FamilyTools
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
 from casadi_skin.solvers.levels import Levels
@@ -175,7 +175,7 @@ def test_an_orbit_that_is_not_odd_is_found_on_half_and_full_period() -> None:
 
 def test_a_model_of_first_order_without_reversal_is_found_on_the_full_period() -> None:
     model = predator_and_prey()
-    problem, reference = ShootingProblem(model, 13, FULL), GaussProblem(model, 24, FULL, degree=6)
+    problem, reference = ShootingProblem(model, 13, FULL), gauss_problem(model, 24, FULL, degree=6)
     guesses = []
     for p in (problem, reference):
         theta = 2 * np.pi * np.arange(17) / 16 if isinstance(p, ShootingProblem) else reference._phases()
@@ -213,15 +213,15 @@ def test_samples_at_the_segments_starts_are_the_unknowns_and_paths_join_them(sym
 
 def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> list[tuple[float, float]]:
     """Estimated and true error of an orbit, relative, by digits; truth from odd cosines."""
-    tools = FamilyTools(FamilyRequest(chain, mode, S, tolerance=1e-13, corrector="newton"))
+    tools = Family(family_request(chain, mode, S, tolerance=1e-13, corrector="newton"))
     orbit = follow_family(chain, mode, S, at=(S,), tolerance=1e-13, corrector="newton").orbits[-1]
-    exact, model = orbit.point, tools.model
+    exact, model = orbit.point, tools.coordinates.scaled
     levels = Levels(lambda d: ShootingProblem(model, d, QUARTER), corrector_of, digits)
     found = []
     for d in digits[:-1]:
         problem = levels.problem(d)
         assert isinstance(problem, ShootingProblem)
-        guess = problem.pack(orbit._gauge(np.zeros(1))[0], orbit.Omega, exact.parameter)
+        guess = problem.pack(exact.problem.sample(exact.z, np.zeros(1))[0], orbit.Omega, exact.parameter)
         correction = levels.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
         if not correction.converged:
             continue
@@ -390,11 +390,11 @@ def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -
 def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     folds = []
     for name in ("shooting", "trigonometric"):
-        request = FamilyRequest(
+        request = family_request(
             Chain(4, 1.0, 0.2, -1.0), 1, 8.0, tolerance=1e-6, transcription=name, corrector="newton"
         )
         S: list[float] = []
-        for result in FamilyContinuation(FamilyTools(request)):
+        for result in Following(Family(request)):
             assert isinstance(result, Orbit)
             S.append(result.S)
             turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
@@ -426,12 +426,14 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
 
 
 def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
     assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = FamilyTools(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
+    newton = Family(
+        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
+    ).levels
     assert newton.resolutions == (12, 14, 15)
-    corrector = newton.corrector(ShootingProblem(tools.model, 9, QUARTER))
+    corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)
     assert corrector.tolerance == pytest.approx(1e-8)
 
@@ -443,7 +445,7 @@ def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryCla
         follow_family(chain, 2, 1.0, at=(1.0,), transcription="shooting", corrector="newton", symmetry=kind)
         for kind in (None, symmetry)
     ]
-    assert symmetry_class(branches[0].tools.model) is QUARTER
+    assert symmetry_class(branches[0].space.coordinates.scaled) is QUARTER
     assert isinstance(branches[1].start.problem, ShootingProblem)
     assert branches[1].start.problem.symmetry is symmetry
     assert branches[1].at(1.0).Omega == pytest.approx(branches[0].at(1.0).Omega, rel=1e-8)

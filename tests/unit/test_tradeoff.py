@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import isnan, nan
 from pathlib import Path
 
@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
-from casadi_skin.results.tables import write_csv
-from casadi_skin.studies.work_precision.cases import measure, timed
-from casadi_skin.studies.work_precision.figure import tradeoff_figure
-from casadi_skin.studies.work_precision.measured import (
+from casadi_skin.results.dataset import write_csv
+from casadi_skin.studies.exact_multipliers import paired
+from casadi_skin.studies.study import cell
+from casadi_skin.studies.work_precision.computing import Computation, requested_orbits
+from casadi_skin.studies.work_precision.measuring import measure, memory_of, peak_memory, timed
+from casadi_skin.studies.work_precision.reference import Errors, Reference
+from casadi_skin.studies.work_precision.settings import (
     COLUMNS,
+    PARTS_OF_FAMILY,
     QUICK_TOLERANCES,
     TOLERANCES,
+    FamilyCase,
     Kind,
     Measured,
     Setting,
@@ -29,9 +32,7 @@ from casadi_skin.studies.work_precision.measured import (
     pareto_front,
     preset_settings,
 )
-from casadi_skin.studies.work_precision.memory import memory_of, peak_memory
-from casadi_skin.studies.work_precision.reference import Errors, Reference, mu_distance, requested_orbits, walked
-from casadi_skin.studies.work_precision.study import PARTS_OF_FAMILY, Tradeoff, default_request, with_points
+from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, WorkPrecision, work_precision_figure
 from casadi_skin.studies.work_precision.words import (
     MU,
     OMEGA,
@@ -46,24 +47,24 @@ from casadi_skin.studies.work_precision.words import (
     table,
 )
 
-REQUEST = FamilyRequest(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, (0.2, 0.4))
+FAMILY = FamilyCase(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, (0.2, 0.4))
 KNOWN = Errors(1e-15, 2e-15, 3e-15)
 
 
 def orbits(transcription: str, walker: str, tolerance: float, seconds: float, error: float) -> Measured:
-    request = replace(REQUEST, transcription=transcription, walker=walker, corrector="newton", tolerance=tolerance)
-    times = (seconds, 0.95 * seconds, 1.05 * seconds, 0.1, 1.0)
-    return Measured(Setting(Kind.ORBITS, request), *times, 50.0, 10, 40, error, error, error)
+    setting = Setting(Kind.ORBITS, FAMILY, tolerance, transcription, walker, "newton")
+    times = (seconds, 0.95 * seconds, 1.05 * seconds, 0.1)
+    return Measured(setting, *times, 50.0, 10, 40, error, error, error, 1.0)
 
 
 def flow(name: str, tolerance: float, seconds: float, error: float) -> Measured:
-    setting = Setting(Kind.FLOW, replace(REQUEST, flow=name, tolerance=tolerance))
-    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 1.0, 50.0, 16, 2, nan, nan, error)
+    setting = Setting(Kind.FLOW, FAMILY, tolerance, flow=name)
+    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 50.0, 16, 2, nan, nan, error, 1.0)
 
 
 def preset(seconds: float, error: float) -> Measured:
-    setting = Setting(Kind.PRESET, replace(REQUEST, walker="arclength", tolerance=1e-8), "standard")
-    return Measured(setting, seconds, seconds, seconds, 0.0, 1.0, 60.0, 10, 40, error, error, error)
+    setting = Setting(Kind.PRESET, FAMILY, 1e-8, walker="arclength", name="standard")
+    return Measured(setting, seconds, seconds, seconds, 0.0, 60.0, 10, 40, error, error, error, 1.0)
 
 
 def made() -> list[Measured]:
@@ -80,7 +81,7 @@ def made() -> list[Measured]:
 
 
 def default_orbits(tolerance: float) -> Setting:
-    return Setting(Kind.ORBITS, replace(REQUEST, walker="arclength", tolerance=tolerance))
+    return Setting(Kind.ORBITS, FAMILY, tolerance, walker="arclength")
 
 
 # The front ----------------------------------------------------------------------------------------------------------
@@ -128,9 +129,11 @@ def test_times_that_overlap_are_not_told_apart() -> None:
         orbits("gauss", "arclength", 1e-8, 0.103, 1e-9),
     ]
     assert "not told apart by these times from gauss, arclength, newton (103 ms)" in advice(near, 1e-8, OMEGA)
-    single = [replace(m, seconds=s, fastest=s, slowest=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
+    single = [replace(m, seconds=s, seconds_min=s, seconds_max=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
     assert "not told apart" in advice(single, 1e-8, OMEGA)
-    assert "faster" in advice([single[0], replace(single[1], seconds=0.2, fastest=0.2, slowest=0.2)], 1e-8, OMEGA)
+    assert "faster" in advice(
+        [single[0], replace(single[1], seconds=0.2, seconds_min=0.2, seconds_max=0.2)], 1e-8, OMEGA
+    )
 
 
 def test_equal_advice_is_given_once() -> None:
@@ -156,7 +159,7 @@ def test_where_a_preset_sits() -> None:
     assert "missed by a factor 5" in preset_words(preset(0.2, 5e-8), made())
     failed = Measured(preset(0.2, nan).setting, failure="the family ended")
     assert preset_words(failed, made()) == "`standard` (1e-08): the family ended."
-    alone = [m for m in made() if m.setting.request.way == "arclength"]
+    alone = [m for m in made() if m.setting.walker == "arclength"]
     assert "nothing measured here is faster" in preset_words(preset(0.2, 2e-9), alone)
 
 
@@ -169,7 +172,7 @@ def test_fronts_and_broken_promises_in_words() -> None:
     assert line == "cvodes, tolerance 1e-08: true error 4.0e-08, 4 times that; the program does not tell."
     told = [replace(m, told=True) for m in made()]
     assert broken_promises(told)[0].endswith("; the program tells.")
-    assert broken_promises([replace(m, at_reference=True) for m in made()]) == []
+    assert broken_promises([replace(m, at_reference_round_off=True) for m in made()]) == []
     failed = Measured(default_orbits(1e-12), failure="no step")
     assert broken_promises([failed]) == ["trigonometric, arclength, ipopt, tolerance 1e-12: no result: no step."]
     assert by_transcription(made(), 1e-8).endswith("trigonometric 14 ms, gauss 500 ms.")
@@ -177,12 +180,12 @@ def test_fronts_and_broken_promises_in_words() -> None:
 
 
 def test_recommendations_hold_all_sections_and_a_table() -> None:
-    text = recommendations(REQUEST, made(), KNOWN, 45.0, 5)
+    text = recommendations(FAMILY, made(), KNOWN, 45.0, 5)
     for words in ("What to use", "Where the presets sit", "Pareto fronts", "Not kept", "Measured"):
         assert f"## {words}\n" in text
-    assert "agree to 1.0e-15 of Omega and 2.0e-15 of the profile" in text
+    assert "agree to 1.0e-15 of Omega and 2.0e-15 of the profile, and their mu to 3.0e-15" in text
     assert "Shooting is left out" not in text
-    assert "Shooting is left out: the chain has 24 sites" in recommendations(default_request(), made(), KNOWN, 45.0, 5)
+    assert "Shooting is left out: the chain has 24 sites" in recommendations(DEFAULT_FAMILY, made(), KNOWN, 45.0, 5)
     rows = [line for line in table(made(), (1e-4,)) if line.startswith(("| trig", "| gauss", "| flow", "| preset"))]
     assert len(rows) == 4
     assert {row.count("|") for row in table(made(), (1e-4, 1e-8))} == {10}
@@ -193,29 +196,31 @@ def test_recommendations_hold_all_sections_and_a_table() -> None:
 
 
 def test_settings_are_every_method_at_every_tolerance() -> None:
-    methods = [s.method for s in orbit_settings(REQUEST, (1e-4,))]
+    methods = [s.method for s in orbit_settings(FAMILY, (1e-4,))]
     assert len(methods) == len(set(methods)) == 10
     assert "shooting, arclength, newton" in methods
-    assert len(orbit_settings(default_request(), TOLERANCES)) == 8 * 10
-    assert not any("shooting" in s.method for s in orbit_settings(default_request(), TOLERANCES))
-    assert len(flow_settings(REQUEST, QUICK_TOLERANCES)) == 4 * 3
-    presets = preset_settings(replace(REQUEST, transcription="gauss", degree=5))
+    assert len(orbit_settings(DEFAULT_FAMILY, TOLERANCES)) == 8 * 10
+    assert not any("shooting" in s.method for s in orbit_settings(DEFAULT_FAMILY, TOLERANCES))
+    assert len(flow_settings(FAMILY, QUICK_TOLERANCES)) == 4 * 3
+    assert FAMILY.request().method.walker == "series"
+    presets = preset_settings(FAMILY, "series")
     assert [(s.name, s.tolerance) for s in presets] == [("draft", 1e-4), ("standard", 1e-8), ("reference", 1e-12)]
-    assert {s.request.transcription for s in presets} == {"trigonometric"}
-    lonely = Tradeoff(FamilyRequest(Chain(3, 1.0, 1.0, -1.0), 1, 0.4, (0.2,)), Path("."), quick=True)
-    assert not any(s.kind is Kind.FLOW for s in lonely.settings)
+    assert {s.orbit_methods for s in presets} == {"trigonometric, series, ipopt"}
+    lonely = WorkPrecision(Path("."), FamilyCase(Chain(3, 1.0, 1.0, -1.0), 1, 0.4, (0.2,)), quick=True)
+    assert not any(s.kind is Kind.FLOW for s in lonely.settings())
 
 
 def test_points_are_made_where_a_scene_asks_for_none() -> None:
-    assert with_points(REQUEST) is REQUEST
-    at = with_points(replace(REQUEST, at=())).at
+    assert FAMILY.with_points() is FAMILY
+    at = replace(FAMILY, at=()).with_points().at
     assert len(at) == PARTS_OF_FAMILY
-    assert at[-1] == REQUEST.amplitude_max
+    assert at[-1] == FAMILY.amplitude_max
 
 
 def test_rows_are_cells_of_a_table(tmp_path: Path) -> None:
     failed = Measured(default_orbits(1e-8), failure="no step, however short")
-    write_csv(tmp_path / "rows.csv", COLUMNS, [m.row() for m in (*made(), failed)])
+    rows = [{name: cell(value) for name, value in m.row().items()} for m in (*made(), failed)]
+    write_csv(tmp_path / "rows.csv", COLUMNS, rows)
     with (tmp_path / "rows.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["kind"] for row in rows] == ["preset", *["orbits"] * 5, *["flow"] * 4, "orbits"]
@@ -233,49 +238,61 @@ def test_rows_are_cells_of_a_table(tmp_path: Path) -> None:
 
 def test_times_of_repeated_runs() -> None:
     calls = []
-    result, (middle, least, most, building, share) = timed(lambda: calls.append(sum(range(10_000))) or len(calls), 3)
+    result, times = timed(lambda: calls.append(sum(range(10_000))) or len(calls), 3)
     assert result == len(calls) > 3  # a run this short is many, timed together
-    assert 0 < least <= middle <= most
-    assert building >= 0
-    assert 0 < share < 1.5
-    assert all(isnan(value) for value in timed(int, 0)[1])
+    assert 0 < times["seconds_min"] <= times["seconds"] <= times["seconds_max"]
+    assert times["building_seconds"] >= 0
+    assert 0 < times["processor_share"] < 1.5
+    assert timed(int, 0) == (0, {})
 
 
 def test_a_busy_machine_is_told() -> None:
     assert busy(made()) == ""
-    assert busy([replace(m, processor=0.99) for m in made()]) == ""
-    assert "for 50% of the time" in busy([replace(m, processor=0.5) for m in made()])
+    assert busy([replace(m, processor_share=0.99) for m in made()]) == ""
+    assert "for 50% of the time" in busy([replace(m, processor_share=0.5) for m in made()])
 
 
-def test_mu_are_paired_before_they_are_compared() -> None:
+def test_values_are_paired_before_they_are_compared() -> None:
     true = np.array([-0.5, -0.2 + 0.1j, 4.0])
-    assert mu_distance(true, np.array([4.0 + 4e-8, -0.5, -0.2 + 0.1j])) == pytest.approx(1e-8, rel=1e-6)
-    assert isnan(mu_distance(np.zeros(0, complex), np.zeros(0, complex)))
+    np.testing.assert_array_equal(paired(true, true[[2, 0, 1]]), true)
+    assert paired(np.zeros(0, complex), np.zeros(0, complex)).size == 0
 
 
 @pytest.fixture(scope="module")
 def reference() -> Reference:
-    return Reference(REQUEST)
+    return Reference(FAMILY)
 
 
 def test_reference_and_the_methods_that_confirm_it_agree(reference: Reference) -> None:
-    assert max(asdict(reference.agreement).values()) < 1e-13
+    assert max(reference.agreement) < 1e-13
     assert [row["S"] for row in reference.rows()] == [0.2, 0.4]
-    found = requested_orbits(walked(FamilyTools(replace(REQUEST, tolerance=1e-6, corrector="newton"))))
-    assert found[-1].Omega == pytest.approx(reference.orbits[-1].Omega, rel=1e-6)
-    assert reference.harmonics > max(orbit.point.problem.resolution for orbit in found)
+    computation = Computation(Setting(Kind.ORBITS, FAMILY, 1e-6, corrector="newton"))
+    found = requested_orbits(computation.follow())
+    errors = reference.errors_of(found, computation.multipliers(found))
+    assert 1e-13 < max(errors) < 1e-6
+    assert [float(exact.Omega) for exact in reference.exact] == pytest.approx([o.Omega for o in found], rel=1e-6)
     with pytest.raises(ArithmeticError, match="1 points"):
-        reference.errors_of(reference.truths[:1])
+        reference.errors_of(found[:1], computation.multipliers(found[:1]))
+
+
+def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
+    computation = Computation(Setting(Kind.ORBITS, FAMILY, 1e-13, corrector="newton"))
+    known = computation.multipliers(reference.orbits)
+    assert reference.errors_of(reference.orbits, known).mu < 1e-13
+    off = [replace(floquet, mu=floquet.mu + 1e-6) for floquet in known]
+    assert reference.errors_of(reference.orbits, off).mu == pytest.approx(1e-6, rel=1e-6)
+    none = [replace(floquet, mu=np.zeros(0, complex)) for floquet in known]
+    assert isnan(reference.errors_of(reference.orbits, none).mu)
 
 
 def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> None:
-    quick = measure(orbit_settings(REQUEST, (1e-4,))[0], reference, 1, with_memory=False)
-    assert 0 < quick.fastest <= quick.seconds <= quick.slowest
+    quick = measure(orbit_settings(FAMILY, (1e-4,))[0], reference, 1, with_memory=False)
+    assert 0 < quick.seconds_min <= quick.seconds <= quick.seconds_max
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
-    assert isnan(quick.memory)
-    steep = replace(REQUEST, max_points=3, tolerance=1e-2, corrector="newton", walker="arclength")
-    failed = measure(Setting(Kind.ORBITS, steep), reference, 1, with_memory=False)
+    assert isnan(quick.memory_MB)
+    steep = Setting(Kind.ORBITS, replace(FAMILY, max_points=3), 1e-2, walker="arclength", corrector="newton")
+    failed = measure(steep, reference, 1, with_memory=False)
     assert failed.failure
     assert "\n" not in failed.failure
     assert isnan(failed.seconds)
@@ -292,11 +309,11 @@ def test_memory_is_that_of_another_process() -> None:
 
 
 def test_the_picture_shows_methods_presets_and_fronts() -> None:
-    figure = tradeoff_figure(REQUEST, [*made(), Measured(default_orbits(1e-12), failure="none")], KNOWN)
+    figure = work_precision_figure(FAMILY, [*made(), Measured(default_orbits(1e-12), failure="none")], KNOWN)
     labels = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"Pareto front", "preset, orbits and multipliers", "at the reference's round-off"} <= labels
     assert {"trigonometric, series, newton", "gauss, arclength, newton", "flow: splitting", "flow: cvodes"} <= labels
     assert [text.get_text() for axes in figure.axes for text in axes.texts] == ["standard", "standard"]
     assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim()
-    lonely = tradeoff_figure(REQUEST, [m for m in made() if m.setting.kind is Kind.ORBITS], replace(KNOWN, mu=nan))
+    lonely = work_precision_figure(FAMILY, [m for m in made() if m.setting.kind is Kind.ORBITS], KNOWN._replace(mu=nan))
     assert [text.get_text() for text in lonely.axes[1].texts] == ["no multipliers measured"]

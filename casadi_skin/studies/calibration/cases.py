@@ -1,4 +1,4 @@
-"""Random orbits of random chains by random methods: the errors that they have, and those that they say they have."""
+"""Random orbits of random chains by random methods: their true errors, and the errors that they estimate."""
 
 from __future__ import annotations
 
@@ -7,22 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
-from casadi_skin.stability.result import Floquet
-from casadi_skin.studies.calibration.reference import (
-    PI,
-    ExtendedComplex,
-    ReferenceOrbit,
-    UnjudgedError,
-    paired,
-    reference_mu,
-    reference_orbit,
-)
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
+from casadi_skin.studies.exact_multipliers import Complex, exact_mu, paired, reduced
 
 POINTS = 100  # of a family, at most: softening families may fold again and again
 NEAR = 0.1  # of the state and of Omega: farther away the reference is another orbit
@@ -32,12 +22,20 @@ LARGEST_SITES = {"trigonometric": 60, "gauss": 24, "radau": 24, "shooting": 4}
 LARGEST_SITES_OF_FLOW = {"splitting": 60, "cvodes": 12, "gauss": 24, "rk4": 16}
 
 
+class UnjudgedError(ArithmeticError):
+    """No reference that can judge was found."""
+
+
+class _Enough(Exception):  # noqa: N818
+    """Raised by a progress callback where the family has all orbits that a case needs."""
+
+
 @dataclass(frozen=True)
 class Case:
     """One orbit to compute: case `index` of the draw `seed`.
 
-    Either the family's point at `S` is asked for, or, where `S` is None or is not met within POINTS points, that at
-    `place`, a part of the points found.
+    It is the family's point at `S` or, where `S` is None or is not met within POINTS points, that at `place`, a
+    fraction of the points.
     """
 
     seed: int
@@ -56,16 +54,8 @@ class Case:
     walker: str
     flow: str
 
-    @property
-    def chain(self) -> Chain:
-        """The chain."""
-        return Chain(self.sites, self.alpha, self.gamma, self.g)
-
-    def request(self) -> FamilyRequest:
-        """The family whose orbit is judged."""
-        at = () if self.S is None else (self.S,)
-        methods = {name: getattr(self, name) for name in ("transcription", "corrector", "walker", "flow")}
-        return FamilyRequest(self.chain, self.mode, self.amplitude_max, at, self.tolerance, **methods)
+    def __str__(self) -> str:
+        return f"N = {self.sites}, g = {self.g:.2g}, tolerance {self.tolerance:.0e}, {self.transcription}"
 
 
 def draw(seed: int, index: int) -> Case:
@@ -87,31 +77,19 @@ def draw(seed: int, index: int) -> Case:
     alpha, gamma = float(random.uniform(0.0, 5.0)), float(random.uniform(-0.9, 0.95))
     g = float(random.choice([-1.0, 1.0])) * log_uniform(0.3, 3.0)
     amplitude_max = log_uniform(0.03, 10.0) / abs(g)
-    asked, S = bool(random.random() < 0.5), amplitude_max * float(random.uniform(0.02, 1.0))
-    return Case(
-        seed=seed,
-        index=index,
-        sites=sites,
-        alpha=alpha,
-        gamma=gamma,
-        g=g,
-        mode=int(random.integers(1, sites + 1)),
-        amplitude_max=amplitude_max,
-        S=S if asked else None,
-        place=float(random.random()),
-        tolerance=log_uniform(1e-12, 1e-3),
-        transcription=transcription,
-        corrector=corrector,
-        walker=series if transcription == "trigonometric" else "arclength",
-        flow=flow,
-    )
+    at_S, S = bool(random.random() < 0.5), amplitude_max * float(random.uniform(0.02, 1.0))
+    mode, place, tolerance = int(random.integers(1, sites + 1)), float(random.random()), log_uniform(1e-12, 1e-3)
+    family = (sites, alpha, gamma, g, mode, amplitude_max, S if at_S else None, place, tolerance)
+    walker = series if transcription == "trigonometric" else "arclength"
+    return Case(seed, index, *family, transcription, corrector, walker, flow)
 
 
 @dataclass(frozen=True)
 class Quantity:
     """True and estimated error, absolute, of something of size `scale`.
 
-    `bounded` is the relative error that the tolerance is to bound, `expected` what the result says of that one.
+    `bounded` is the relative error that the tolerance is to bound, `expected` the result's own estimate of that one.
+    `excused` tells whether the result says that round-off keeps it from the tolerance.
     """
 
     name: str
@@ -121,7 +99,7 @@ class Quantity:
     tolerance: float
     bounded: float
     expected: float
-    excused: bool = False  # the result says that round-off keeps it from the tolerance
+    excused: bool = False
 
     @property
     def relative(self) -> float:
@@ -145,13 +123,21 @@ class Quantity:
 
     @property
     def announced(self) -> bool:
-        """Whether the estimate tells that the tolerance is missed."""
-        return self.expected > self.tolerance
+        """Whether the tolerance is missed and the estimate of the multipliers says so."""
+        return self.name == "multipliers" and self.misses_tolerance and self.expected > self.tolerance
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in a word or two."""
+        words = "far off" if self.far_off else "covered" if self.covered else "low"
+        if not self.misses_tolerance:
+            return words
+        return f"{words}, tolerance missed{' as told' if self.announced else ''}"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with what came out; `reason` tells what could not be computed or judged, and is empty where all was."""
+    """A case with its results; `reason` says what could not be computed or judged, and is empty where all was."""
 
     case: Case
     quantities: tuple[Quantity, ...] = ()
@@ -163,27 +149,23 @@ class Outcome:
     reference_stable: bool | None = None
     reason: str = ""
 
-    def quantity(self, name: str) -> Quantity | None:
-        """One of the quantities by its name, where it is known."""
-        return next((q for q in self.quantities if q.name == name), None)
-
 
 def measure(case: Case) -> Outcome:
-    """What comes out of a case; whatever fails is told in `reason`."""
+    """The outcome of a case; a failure is its `reason`."""
     outcome = Outcome(case)
     try:
         orbit, points = find(case)
         outcome = replace(outcome, S=orbit.S, Omega=orbit.Omega, points=points, at_round_off=orbit.at_round_off)
-        reference = reference_of(orbit)
-        outcome = replace(outcome, quantities=_orbit_quantities(case, orbit, reference))
-        _check_sharp(outcome.quantities[1], reference.left_out)
+        exact = reference_of(orbit)
+        outcome = replace(outcome, quantities=_orbit_quantities(case, orbit, exact))
+        _check_sharp(outcome.quantities[1], exact.left_out)
         if case.sites == 1:  # no multipliers but the trivial pair
             return outcome
-        floquet, (exact, uncertain) = orbit.floquet(), reference_mu(reference)
-        quantity = _multiplier_quantity(case, floquet, exact)
+        floquet, (mu, uncertain) = reduced(orbit), exact_mu(exact)
+        quantity = _multiplier_quantity(case, floquet, mu)
         outcome = replace(outcome, quantities=(*outcome.quantities, quantity), stable=floquet.stable)
         _check_sharp(quantity, uncertain)
-        known = Floquet(exact.astype(complex), np.full(exact.size, STABLE_WITHIN), 0.0, floquet.power)
+        known = ReversibleFloquet(mu.astype(complex), np.full(mu.size, STABLE_WITHIN), 0.0, floquet.power)
         return replace(outcome, reference_stable=known.stable)
     except Exception as error:  # whatever it is, the case is counted and shown
         return replace(outcome, reason=f"{type(error).__name__}: {' '.join(str(error).split())}"[:200])
@@ -191,46 +173,38 @@ def measure(case: Case) -> Outcome:
 
 def find(case: Case) -> tuple[Orbit, int]:
     """The orbit of a case, and the number of points of the family that were computed; raises ArithmeticError."""
-    walk = FamilyContinuation(FamilyTools(case.request()))
     orbits: list[Orbit] = []
-    for orbit in walk:
-        assert isinstance(orbit, Orbit)
+
+    def keep(orbit: Orbit) -> None:
         orbits.append(orbit)
-        if orbit.point.requested or len(orbits) == POINTS:
-            break
-    if not orbits:
-        raise ArithmeticError(walk.branch().reason)
-    chosen = orbits[-1] if orbits[-1].point.requested else orbits[int(case.place * len(orbits))]
-    return chosen, len(orbits)
+        if orbit.S == case.S or len(orbits) == POINTS:
+            raise _Enough
+
+    chain = Chain(case.sites, case.alpha, case.gamma, case.g)
+    methods = {name: getattr(case, name) for name in ("transcription", "corrector", "walker", "flow", "tolerance")}
+    at = () if case.S is None else (case.S,)
+    try:
+        branch = follow_family(chain, case.mode, case.amplitude_max, at=at, progress=keep, **methods)
+    except _Enough:
+        pass
+    else:
+        if not orbits:
+            raise ArithmeticError(branch.reason)
+    return orbits[-1] if orbits[-1].S == case.S else orbits[int(case.place * len(orbits))], len(orbits)
 
 
-def reference_of(orbit: Orbit) -> ReferenceOrbit:
-    """The orbit anew at the same kappa, with digits to judge it by; raises UnjudgedError where there is none near."""
-    point = orbit.point
-
-    def sample(theta: Array) -> Array:
-        return point.problem.sample(point.z, theta)
-
-    reference = reference_orbit(orbit.chain, point.parameter, point.Omega, sample)
-    theta = PI / 2 * np.arange(PHASES) / (PHASES - 1)
-    q = reference.positions(theta)
-    distance = float(np.max(np.abs(q - sample(theta.astype(float)))) / np.max(np.abs(q)))
-    if max(distance, abs(float(reference.Omega) / orbit.Omega - 1.0)) > NEAR:
-        raise UnjudgedError(f"the reference is {distance:.1g} of the state away, with Omega = {reference.Omega:.6g}")
-    return reference
+def reference_of(orbit: Orbit) -> ExactOrbit:
+    """The exact orbit near an orbit, in long double; raises UnjudgedError where there is none near."""
+    exact = exact_orbit(orbit, LONG_DOUBLES)
+    distance = exact.profile_error(orbit, PHASES)
+    if max(distance, exact.Omega_error(orbit.Omega) / orbit.Omega) > NEAR:
+        raise UnjudgedError(f"the reference is {distance:.1g} of the state away, with Omega = {exact.Omega:.6g}")
+    return exact
 
 
-def _orbit_quantities(case: Case, orbit: Orbit, reference: ReferenceOrbit) -> tuple[Quantity, ...]:
+def _orbit_quantities(case: Case, orbit: Orbit, exact: ExactOrbit) -> tuple[Quantity, ...]:
     """Errors of Omega, and of the profile at equal phases over all sites, relative to the largest displacement."""
-    theta = (PI / 2 * np.arange(PHASES) / (PHASES - 1)).astype(float)
-    distances = np.arange(case.sites)[::-1] if case.gamma >= 0 else np.arange(case.sites)
-    gamma = abs(np.longdouble(case.gamma))
-    rho = ((1 - gamma) / (1 + gamma)) ** (distances / np.longdouble(2))
-    exact = np.sqrt(np.longdouble(orbit.S)) * rho * reference.positions(theta.astype(np.longdouble))
-    found = orbit.evaluate(theta / orbit.Omega)
-    found = found * np.sign(np.sum(found[0] * exact[0]))
-    error = float(np.max(np.abs(found - exact)) / np.max(np.abs(exact)))
-    off, size = float(abs(orbit.Omega - reference.Omega)), orbit.Omega
+    error, off, size = exact.profile_error(orbit, PHASES), exact.Omega_error(orbit.Omega), orbit.Omega
     known = (case.tolerance, off / size, orbit.Omega_error / size, orbit.at_round_off)
     of_profile = (case.tolerance, error, orbit.profile_error, orbit.at_round_off)
     return (
@@ -239,8 +213,8 @@ def _orbit_quantities(case: Case, orbit: Orbit, reference: ReferenceOrbit) -> tu
     )
 
 
-def _multiplier_quantity(case: Case, floquet: Floquet, exact: ExtendedComplex) -> Quantity:
-    """Error of mu and, for an orbit found unstable, of the largest modulus of a multiplier (see `Floquet.error`).
+def _multiplier_quantity(case: Case, floquet: ReversibleFloquet, exact: Complex) -> Quantity:
+    """Error of mu and, for an unstable orbit, of the largest modulus of a multiplier (see `Floquet.error`).
 
     The tolerance bounds that of mu alone, relative to max(1, |mu|).
     """

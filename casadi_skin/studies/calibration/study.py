@@ -1,20 +1,18 @@
-"""Whether error estimates are honest: random cases, their true and estimated errors, and the verdict on all of them."""
+"""Error calibration: random cases, their true and estimated errors, and the verdict on all of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, astuple, dataclass, field, fields
 
 import numpy as np
+from matplotlib.figure import Figure
+from rich.table import Table
 
-from casadi_skin.results.tables import Cell, write_csv
+from casadi_skin.figures.style import blank, finished, style
 from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, measure
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from casadi_skin.studies.study import Study, letter, text_table
 
 COVERED = 0.95  # share of estimates that may not be below the true error
 OVERESTIMATE = 30.0  # median of estimate over true error that is still of use
@@ -22,6 +20,12 @@ ROUND_OFF = 1e-14  # relative true errors below this are left out of that median
 QUANTITIES = ("Omega", "profile", "multipliers")
 METHODS = ("transcription", "corrector", "walker", "flow")
 KEEP_EVERY = 20  # cases, after which the table is written
+COLUMNS = (
+    *(f.name for f in fields(Case)),
+    *("points", "at_S", "Omega", "at_round_off", "stable", "reference_stable"),
+    *(f"{name}_{what}" for name in QUANTITIES for what in ("true", "estimate", "relative_true", "verdict")),
+    "reason",
+)
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,7 @@ class Tally:
     def of(cls, label: str, errors: Sequence[Quantity]) -> Tally:
         """Counts over `errors`."""
         ratios = [q.estimate / q.true for q in errors if q.relative > ROUND_OFF]
-        misses = [q for q in errors if q.misses_tolerance]
-        announced = sum(q.announced and q.name == "multipliers" for q in misses)
+        announced = sum(q.announced for q in errors)
         return cls(
             label,
             len(errors),
@@ -54,7 +57,7 @@ class Tally:
             sum(q.far_off for q in errors),
             max((q.true / q.estimate if q.estimate > 0 else math.inf for q in errors if q.true > 0), default=0.0),
             float(np.median(ratios)) if ratios else math.nan,
-            len(misses) - announced,
+            sum(q.misses_tolerance for q in errors) - announced,
             announced,
         )
 
@@ -74,13 +77,30 @@ class Tally:
 
 
 @dataclass
-class Honesty:
-    """Outcomes so far, and the files written of them."""
+class ErrorCalibration(Study):
+    """The study of `cases` cases of the draw `seed`, from case `first` on: honesty.csv and its picture."""
 
-    directory: Path
-    asked: int
+    cases: int
+    seed: int = 0
+    first: int = 0
     outcomes: list[Outcome] = field(default_factory=list)
-    files: list[Path] = field(default_factory=list)
+
+    def run(self) -> None:
+        cases = [draw(self.seed, index) for index in range(self.first, self.first + self.cases)]
+        try:
+            self.work_through(cases, lambda case: f"case {case.index}: {case}", self._measure)
+        finally:
+            self._write()
+
+    def _measure(self, case: Case) -> None:
+        self.outcomes.append(measure(case))
+        if len(self.outcomes) % KEEP_EVERY == 0:
+            self.write_table("honesty", COLUMNS, map(row, self.outcomes))
+
+    def _write(self) -> None:
+        if self.outcomes:
+            self.write_table("honesty", COLUMNS, map(row, self.outcomes))
+            self.write_figure("honesty", calibration_figure(self.outcomes))
 
     @property
     def failures(self) -> list[Outcome]:
@@ -110,110 +130,76 @@ class Honesty:
         found = [fault for tally in self.tallies for fault in tally.faults]
         if self.failures:
             found.append(f"{len(self.failures)} of {len(self.outcomes)} cases could not be judged")
-        if len(self.outcomes) < self.asked:
-            found.append(f"{len(self.outcomes)} of {self.asked} cases were computed")
+        if len(self.outcomes) < self.cases:
+            found.append(f"{len(self.outcomes)} of {self.cases} cases were computed")
         return found
 
+    def report(self) -> Iterator[str | Table]:
+        yield self.table()
+        for outcome in self.failures:
+            yield f"case {outcome.case.index}: {outcome.reason}"
+        for fault in self.faults:
+            yield f"not honest: {fault}"
 
-def honesty(study: Honesty, seed: int = 0, say: Callable[[str], None] = lambda words: None, first: int = 0) -> None:
-    """Measure the cases that `study` asks for of the draw `seed`, from case `first` on, into its directory.
-
-    honesty.csv, .png and .svg are each replaced atomically, and written also where KeyboardInterrupt ends the study.
-    """
-    study.directory.mkdir(parents=True, exist_ok=True)
-    cases = study.asked
-    try:
-        for index in range(first, first + cases):
-            case = draw(seed, index)
-            words = f"N = {case.sites}, g = {case.g:.2g}, tolerance {case.tolerance:.0e}, {case.transcription}"
-            say(f"case {index - first + 1} of {cases}: {words}")
-            study.outcomes.append(measure(case))
-            if len(study.outcomes) % KEEP_EVERY == 0:
-                _write_table(study)
-    finally:
-        if study.outcomes:
-            _write_table(study)
-            _write_figure(study)
-
-
-# What is written ----------------------------------------------------------------------------------------------------
+    def table(self) -> Table:
+        """The counts, by quantity and by method."""
+        heads = ("covered", "", "largest\ntrue/est.", "median\nest./true", "true >\n10 est.", "missed", "told")
+        table = text_table(("errors of", *heads))
+        tallies = self.tallies
+        for i, tally in enumerate((*tallies, *self.method_tallies())):
+            if i in (1, len(tallies)):
+                table.add_row()
+            label, judged, covered, far_off, worst, median, missed, announced = astuple(tally)
+            share = f"{100.0 * covered / judged:.1f}%" if judged else ""
+            ratio = "" if math.isnan(median) else f"{median:.3g}"
+            counts = map(str, (far_off, missed, announced))
+            table.add_row(label, f"{covered}/{judged}", share, f"{worst:.2g}", ratio, *counts)
+        return table
 
 
-def columns() -> list[str]:
-    """Columns of honesty.csv: the draw, what came out, and four of each quantity."""
-    of_quantities = [
-        f"{name}_{what}" for name in QUANTITIES for what in ("true", "estimate", "relative_true", "verdict")
-    ]
-    came_out = ["points", "at_S", "Omega", "at_round_off", "stable", "reference_stable"]
-    return [*(f.name for f in fields(Case)), *came_out, *of_quantities, "reason"]
+def row(outcome: Outcome) -> dict[str, object]:
+    """One row of honesty.csv; what is not known is missing."""
+    values: dict[str, object] = {**asdict(outcome.case), **vars(outcome), "at_S": outcome.S, "S": outcome.case.S}
+    for q in outcome.quantities:
+        numbers = {"true": q.true, "estimate": q.estimate, "relative_true": q.relative, "verdict": q.verdict}
+        values |= {f"{q.name}_{what}": value for what, value in numbers.items()}
+    return values
 
 
-def row(outcome: Outcome) -> dict[str, Cell]:
-    """One row of honesty.csv; what is not known is empty."""
-    values: dict[str, object] = {
-        **asdict(outcome.case),
-        "points": outcome.points,
-        "at_S": outcome.S,
-        "Omega": outcome.Omega,
-        "at_round_off": int(outcome.at_round_off),
-        "stable": outcome.stable,
-        "reference_stable": outcome.reference_stable,
-        "reason": outcome.reason,
-    }
-    for name in QUANTITIES:
-        quantity = outcome.quantity(name)
-        if quantity is not None:
-            values[f"{name}_true"], values[f"{name}_estimate"] = quantity.true, quantity.estimate
-            values[f"{name}_relative_true"], values[f"{name}_verdict"] = quantity.relative, verdict(quantity)
-    return {name: _cell(values.get(name)) for name in columns()}
+# The picture ----------------------------------------------------------------------------------------------------------
 
 
-def verdict(quantity: Quantity) -> str:
-    """What is to say of one estimate, in a word or two."""
-    words = "far off" if quantity.far_off else "covered" if quantity.covered else "low"
-    if not quantity.misses_tolerance:
-        return words
-    announced = quantity.announced and quantity.name == "multipliers"
-    return f"{words}, tolerance missed{' as told' if announced else ''}"
+LOWEST = 1e-17  # of the axes, where smaller errors are drawn
+SIZE = (8.6, 3.7)
+MARKERS = {  # quantity: label, marker, its edge and face
+    "Omega": (r"$\Omega$", "o", "black", "none"),
+    "profile": ("profile", "^", "0.35", "0.8"),
+    "multipliers": ("multipliers", "x", "0.2", "none"),
+}
 
 
-def _cell(value: object) -> Cell:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    if isinstance(value, bool):
-        return int(value)
-    return value if isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)) else str(value)
-
-
-def _write_table(study: Honesty) -> None:
-    path = study.directory / "honesty.csv"
-    write_csv(path, columns(), [row(outcome) for outcome in study.outcomes])
-    if path not in study.files:
-        study.files.append(path)
-
-
-def _write_figure(study: Honesty) -> None:
-    from casadi_skin.figures import save
-    from casadi_skin.studies.calibration.figure import honesty_figure
-
-    study.files += save(honesty_figure(study.outcomes), study.directory / "honesty")
-
-
-def honesty_table(study: Honesty) -> Table:
-    """The counts, by quantity and by method."""
-    from rich.table import Table
-
-    table = Table(box=None, header_style="bold", padding=(0, 1))
-    table.add_column("errors of", no_wrap=True)
-    heads = ("covered", "", "largest\ntrue/est.", "median\nest./true", "true >\n10 est.", "missed", "told")
-    for head in heads:
-        table.add_column(head, justify="right", no_wrap=True)
-    tallies = study.tallies
-    for i, tally in enumerate((*tallies, *study.method_tallies())):
-        if i in (1, len(tallies)):
-            table.add_row()
-        share = f"{100.0 * tally.covered / tally.judged:.1f}%" if tally.judged else ""
-        median = "" if math.isnan(tally.median) else f"{tally.median:.3g}"
-        counts = (str(n) for n in (tally.far_off, tally.missed, tally.announced))
-        table.add_row(tally.label, f"{tally.covered}/{tally.judged}", share, f"{tally.worst:.2g}", median, *counts)
-    return table
+def calibration_figure(outcomes: Iterable[Outcome]) -> Figure:
+    """Estimated against true error, a panel and a marker a quantity, both relative to its size."""
+    drawn = [q for outcome in outcomes for q in outcome.quantities]
+    finite = [q.estimate / q.scale for q in drawn if math.isfinite(q.estimate)]
+    highest = 10.0 ** math.ceil(math.log10(max([1e-3, *finite, *(q.relative for q in drawn)])))
+    ends, ticks = np.array([LOWEST, highest]), 10.0 ** np.arange(-16, math.log10(highest), 4)
+    with style():
+        figure = blank(*SIZE)
+        panels = figure.subplots(1, len(MARKERS), sharey=True)
+        for axes, name, panel in zip(panels, MARKERS, "abc", strict=True):
+            label, marker, edge, face = MARKERS[name]
+            pairs = [(q.relative, min(q.estimate / q.scale, highest)) for q in drawn if q.name == name]
+            true, estimate = np.maximum(np.array(pairs).reshape(-1, 2), LOWEST).T
+            axes.fill_between(ends, ends / 10.0, LOWEST, color="0.9", linewidth=0)
+            axes.loglog(ends, ends, "k-", linewidth=0.9, label="estimate = true error")
+            axes.loglog(ends, ends / 10.0, "k--", linewidth=0.9, label="estimate = a tenth of it")
+            if pairs:  # the layout fails on markers of nothing that are not clipped
+                axes.loglog(
+                    true, estimate, marker, markersize=4.0, markeredgewidth=0.7, markeredgecolor=edge,
+                    markerfacecolor=face, clip_on=False,
+                )  # fmt: skip
+            axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks, aspect="equal", xlabel="true relative error")
+            letter(axes, panel, label)
+        panels[0].set_ylabel("estimated relative error")
+        return finished(figure, panels, columns=2)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
+
+import numpy as np
 
 
 class Verdict(Enum):
@@ -17,8 +19,9 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper, its value there and here with an error bar, and what follows; all texts."""
+    """A statement of the paper, its value there and here with an error bar, the verdict and its reason; all texts."""
 
+    number: int
     where: str
     statement: str
     paper: str
@@ -26,23 +29,27 @@ class Claim:
     error: str
     verdict: str
     reason: str
-    number: int = 0
+
+
+COLUMNS = tuple(field.name for field in fields(Claim))
 
 
 def claim(
-    where: str, statement: str, paper: str, ours: str, verdict: Verdict, reason: str = "", error: float | str = ""
+    where: str,
+    statement: str,
+    paper: str,
+    ours: str,
+    verdict: Verdict | bool | np.bool_,
+    reason: str = "",
+    error: float | str = "",
 ) -> Claim:
-    """A claim; a numerical error is written with one digit."""
+    """A claim without its number, which agrees or not where its verdict is a truth value; errors have one digit."""
     bar = error if isinstance(error, str) else f"{error:.0e}"
-    return Claim(where, statement, paper, ours, bar, verdict.value, reason)
+    verdict = verdict if isinstance(verdict, Verdict) else Verdict.AGREES if verdict else Verdict.DISAGREES
+    return Claim(0, where, statement, paper, ours, bar, verdict.value, reason)
 
 
 def rounds_to(value: float, stated: str) -> Verdict:
     """AGREES where `value`, rounded to the decimals of the stated number, is that number; else DISAGREES."""
     decimals = len(stated.partition(".")[2])
     return Verdict.AGREES if f"{value:.{decimals}f}" == stated else Verdict.DISAGREES
-
-
-def holds(condition: bool) -> Verdict:
-    """AGREES where a statement holds, DISAGREES where it does not."""
-    return Verdict.AGREES if condition else Verdict.DISAGREES

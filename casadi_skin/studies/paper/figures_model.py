@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.figures.profiles import linear_mode
 from casadi_skin.figures.style import blank, finished, number_sites, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.paper.panels import Drawn, letter, stacked, table
+from casadi_skin.studies.paper.figures_families import Drawn
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from casadi_skin.studies.study import letter, stacked, table
 
 RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; told apart by arrows as well
 
@@ -151,7 +149,7 @@ def procedure_figure(data: PaperData) -> Drawn:
     squares, vectors = chain.diagonalise()
     j, omega = np.arange(1, SITES + 1), np.sqrt(squares)
     modes = {mode: vectors[:, mode - 1] / np.linalg.norm(vectors[:, mode - 1]) for mode in (1, SITES)}
-    modes = {mode: u * np.sign(u @ linear_mode(chain, mode)) for mode, u in modes.items()}
+    modes = {mode: u * np.sign(u @ chain.linear_spectrum().mode(mode)) for mode, u in modes.items()}
     with style():
         figure = blank(9.4, 3.8)
         panels = figure.subplot_mosaic("aabccc;aadccc", width_ratios=(1, 1, 1.15, 0.8, 0.8, 0.8))
@@ -174,6 +172,6 @@ def procedure_figure(data: PaperData) -> Drawn:
         figure.suptitle(title(chain))
         finished(figure, (), 1)
     spectrum = table(mode=j, omega=omega, omega_closed_form=chain.linear_frequencies())
-    profiles = [table(mode=np.full(SITES, mode), site=j, u=u) for mode, u in modes.items()]
+    profiles = [table(mode=mode, site=j, u=u) for mode, u in modes.items()]
     sketch = table(**dict(zip(("Omega_over_omega", "S"), _family(np.array(STEPS)).T, strict=True)))
     return figure, {"fig2_spectrum": spectrum, "fig2_modes": stacked(profiles), "fig2_sketch": sketch}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
@@ -13,14 +15,16 @@ from casadi_skin.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.multipliers import ComplexArray
-from casadi_skin.studies.paper.figures_families import changes_table, families_table
-from casadi_skin.studies.paper.panels import Drawn, Table, draw_space_time, letter, sites_table, stacked, table
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.studies.paper.figures_families import (
+    Drawn,
+    changes_table,
+    draw_space_time,
+    families_table,
+    sites_table,
+)
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from casadi_skin.studies.study import Rows, letter, stacked, table
 
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5
 KICKED_SITES = (SITES, 1)
@@ -46,7 +50,7 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     S, moduli = [], []
     for orbit in branch.orbits:
         floquet = orbit.floquet()
-        outer = np.abs(floquet.root[~floquet.is_inside]) ** (2 * floquet.power)
+        outer = np.abs(floquet.others[floquet.outside])
         S += [orbit.S] * (2 * outer.size)
         moduli += [*outer, *1.0 / outer]
     on_circle = [0.0, *(change.S for change in branch.changes)]
@@ -81,15 +85,13 @@ def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
     figure.colorbar(image, ax=axes, label=r"$|z_{l,n}|$ over its largest value", aspect=25, pad=0.02)
 
 
-def _multipliers_table(orbit: Orbit) -> Table:
+def _multipliers_table(orbit: Orbit) -> Rows:
     values, _, trivial = sorted_vectors(orbit)
-    columns = {"S": np.full(values.size, orbit.S), "vector": np.arange(1, values.size + 1)}
-    return table(
-        **columns, real=values.real, imaginary=values.imag, modulus=np.abs(values), trivial=trivial.astype(int)
-    )
+    vector, parts = np.arange(1, values.size + 1), {"real": values.real, "imaginary": values.imag}
+    return table(S=orbit.S, vector=vector, **parts, modulus=np.abs(values), trivial=trivial.astype(int))
 
 
-def _vectors_table(orbit: Orbit) -> Table:
+def _vectors_table(orbit: Orbit) -> Rows:
     values, sizes, _ = sorted_vectors(orbit)
     sites = {f"z_{n}": column for n, column in enumerate(sizes.T, start=1)}
     return table(vector=np.arange(1, values.size + 1), modulus=np.abs(values), **sites)
@@ -114,7 +116,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
-        figure.suptitle(f"family $j = 1$; {title(branch.tools.request.chain)}")
+        figure.suptitle(f"family $j = 1$; {title(orbits[0].model)}")
         finished(figure, panels.values(), 5)
     families = {-1.0: {1: branch}}
     return figure, {
@@ -163,7 +165,7 @@ def kick_figure(data: PaperData) -> Drawn:
         axes.set(yscale="log", xlim=(0.0, KICK_TIME), xlabel="time $t$")
         axes.set_ylabel(r"gain $\Vert z(t)\Vert\,/\,\Vert z(0)\Vert$")
         letter(axes, "c", "transient growth of perturbations")
-        figure.suptitle(f"$j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$; {title(orbit.chain)}")
+        figure.suptitle(f"$j = 1$, $S = {number(orbit.S)}$; {title(orbit.model)}")
         finished(figure, (axes,), 5)
     quarter = {"t": growth.t[shown], "optimal": optimal, "optimal_without_trivial_pair": bounded}
     return figure, {

@@ -1,4 +1,4 @@
-"""What the figures and claims of arXiv:2512.17483 rest on, each part computed when first asked for."""
+"""The computations behind the figures and claims of arXiv:2512.17483, each done when it is first needed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.studies.study import Rows, table
 from casadi_skin.theory import multiple_scales
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25
@@ -22,9 +23,11 @@ MODES = (1, 6, 10, 14, 18, 24)
 AMPLITUDE_MAX = 3.0
 REPRESENTATIVE_S = 0.2
 TOLERANCE = 1e-9
-SIZE_GAMMAS = (0.25, 0.4, 0.55, 0.7)  # figure 4
+STATED_Q = {0.25: 0.06, 0.4: 0.07, 0.55: 0.10, 0.7: 0.15}  # figure 4: of e^(-qN), by gamma
+STATED_P = {24: 2.0, 32: 2.5, 42: 3.0}  # its inset: of r^-p, by N
+SIZE_GAMMAS = tuple(STATED_Q)
 SIZES = tuple(range(4, 101, 4))  # the paper gives no range
-GAMMA_SIZES = (24, 32, 42)  # inset of figure 4
+GAMMA_SIZES = tuple(STATED_P)
 GAMMAS = tuple(np.round(np.arange(0.05, 0.801, 0.05), 2))
 FINITE_DIFFERENCE_S = 0.01
 DENSE_S = (  # figure 5: where multipliers leave the circle, and windows narrower than a step of the walk
@@ -41,9 +44,29 @@ EVOLUTION_TIME = 50.0
 class Sensitivity:
     """Sensitivity factor of mode 1, g = 1: `numerical` from a two-point difference, `analytical` by multiple scales."""
 
-    abscissa: Array
+    gamma: Array
+    N: Array
     numerical: Array
     analytical: Array
+
+    @property
+    def cube(self) -> Array:
+        """(N+1)^3."""
+        return np.asarray((self.N + 1.0) ** 3)
+
+    @property
+    def cube_limit(self) -> Array:
+        """Limit of (N+1)^3 times the factor for large N."""
+        return np.array([multiple_scales.sensitivity_limit(ALPHA, float(gamma), 1.0, 1) for gamma in self.gamma])
+
+    def table(self) -> Rows:
+        """All of it as columns."""
+        return table(**vars(self), cube_times_analytical=self.cube * self.analytical, cube_limit=self.cube_limit)
+
+
+def analytical_sensitivity(N: int, gamma: float) -> float:
+    """Sensitivity factor of mode 1, g = 1, by multiple scales."""
+    return multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1)
 
 
 class PaperData:
@@ -91,12 +114,14 @@ class PaperData:
     def hardening_orbit(self) -> Orbit:
         """The representative mode of figure 3(b): j = 24, g = +1, S = 0.2."""
         branch = self.hardening[24] if "hardening" in self.__dict__ else self._family(+1.0, 24)
-        return branch.at(S=REPRESENTATIVE_S)
+        orbit: Orbit = branch.at(S=REPRESENTATIVE_S)
+        return orbit
 
     @cached_property
     def softening_orbit(self) -> Orbit:
         """The representative mode of figure 3(e): j = 1, g = -1, S = 0.2."""
-        return self.end_breather.at(S=REPRESENTATIVE_S)
+        orbit: Orbit = self.end_breather.at(S=REPRESENTATIVE_S)
+        return orbit
 
     # Time evolution (figures 3 and 6) -------------------------------------------------------------------------------
 
@@ -122,22 +147,24 @@ class PaperData:
     @cached_property
     def sensitivity_by_size(self) -> dict[float, Sensitivity]:
         """Sensitivity against N for each gamma of figure 4."""
-        return {gamma: self._sensitivity([(N, gamma) for N in SIZES], SIZES) for gamma in SIZE_GAMMAS}
+        return {gamma: self._sensitivity([(N, gamma) for N in SIZES]) for gamma in SIZE_GAMMAS}
 
     @cached_property
     def sensitivity_by_gamma(self) -> dict[int, Sensitivity]:
         """Sensitivity against gamma for each N of the inset of figure 4."""
-        return {N: self._sensitivity([(N, gamma) for gamma in GAMMAS], GAMMAS) for N in GAMMA_SIZES}
+        return {N: self._sensitivity([(N, gamma) for gamma in GAMMAS]) for N in GAMMA_SIZES}
 
-    def _sensitivity(self, cases: list[tuple[int, float]], abscissa: tuple[float, ...]) -> Sensitivity:
+    def _sensitivity(self, cases: list[tuple[int, float]]) -> Sensitivity:
         self._say(f"sensitivity at N = {cases[0][0]}, gamma = {cases[0][1]:g} and on")
         numerical = np.array([self._two_point_slope(Chain(N, ALPHA, gamma, 1.0)) for N, gamma in cases])
-        analytical = np.array([multiple_scales.sensitivity(N, ALPHA, gamma, 1.0, 1) for N, gamma in cases])
-        return Sensitivity(np.array(abscissa, dtype=float), numerical, analytical)
+        analytical = np.array([analytical_sensitivity(N, gamma) for N, gamma in cases])
+        N, gamma = zip(*cases, strict=True)
+        return Sensitivity(np.array(gamma), np.array(N), numerical, analytical)
 
     @staticmethod
     def _two_point_slope(chain: Chain) -> float:
         """(Omega(S) - omega)/(omega S) at S = 0.01, the paper's finite difference, from the shift itself."""
         S = FINITE_DIFFERENCE_S
         branch = follow_family(chain, 1, S, at=(S,), tolerance=1e-8, corrector="newton")
-        return branch.at(S=S).Omega_shift / (S * chain.linear_frequency(1))
+        orbit: Orbit = branch.at(S=S)
+        return orbit.Omega_shift / (S * chain.linear_frequency(1))

@@ -3,88 +3,82 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from difflib import get_close_matches
+from itertools import chain
+from types import MappingProxyType
 
-from casadi_skin.results.tables import write_csv
+from casadi_skin.studies.paper.claim import COLUMNS, Claim
+from casadi_skin.studies.paper.claims_families import family_claims, sensitivity_claims
+from casadi_skin.studies.paper.claims_linear import linear_claims
+from casadi_skin.studies.paper.claims_stability import stability_claims
+from casadi_skin.studies.paper.figures_families import Drawn, families_figure, sensitivity_figure, theory_figure
+from casadi_skin.studies.paper.figures_model import chain_figure, procedure_figure
+from casadi_skin.studies.paper.figures_stability import floquet_figure, kick_figure
 from casadi_skin.studies.paper.paper_data import PaperData
+from casadi_skin.studies.study import Study
 
-if TYPE_CHECKING:
-    from casadi_skin.studies.paper.claim import Claim
-
-FIGURES = {  # name: module and function, imported when asked for
-    "fig1": ("figures_model", "chain_figure"),
-    "fig2": ("figures_model", "procedure_figure"),
-    "fig3": ("figures_families", "families_figure"),
-    "fig4": ("figures_sensitivity", "sensitivity_figure"),
-    "fig5": ("figures_stability", "floquet_figure"),
-    "fig6": ("figures_stability", "kick_figure"),
-    "fig7": ("figures_families", "theory_figure"),
-}
+FIGURES: Mapping[str, Callable[[PaperData], Drawn]] = MappingProxyType({
+    "fig1": chain_figure,
+    "fig2": procedure_figure,
+    "fig3": families_figure,
+    "fig4": sensitivity_figure,
+    "fig5": floquet_figure,
+    "fig6": kick_figure,
+    "fig7": theory_figure,
+})  # fmt: skip
 CLAIMS = "claims"
 TARGETS = (*FIGURES, CLAIMS)
 
 
-@dataclass
-class Reproduction:
-    """Files written so far, in order, and the claims where they were asked for."""
+def all_claims(data: PaperData) -> list[Claim]:
+    """All claims in the order of the paper, numbered from 1."""
+    parts = (linear_claims(data), family_claims(data), sensitivity_claims(data), stability_claims(data))
+    return [replace(c, number=i) for i, c in enumerate(chain.from_iterable(parts), start=1)]
 
-    directory: Path
-    files: list[Path] = field(default_factory=list)
+
+@dataclass
+class PaperReproduction(Study):
+    """The figures and claims of arXiv:2512.17483 in `targets`, all of TARGETS where it is empty.
+
+    A figure is a PNG, an SVG and the CSV tables of its data; each file is replaced atomically, and a figure's files are
+    written as soon as it is computed. `claims` are those checked.
+    """
+
+    targets: Sequence[str] = ()
     claims: list[Claim] = field(default_factory=list)
+
+    part = "targets"
+
+    def __post_init__(self) -> None:
+        for name in self.targets:
+            if name not in TARGETS:
+                near = next(iter(get_close_matches(name[:40].lower(), TARGETS, n=1)), None)
+                hint = f"did you mean {near}? " if near else ""
+                raise ValueError(f"targets: given {name[:40]!r}; {hint}accepted: {', '.join(TARGETS)}")
+
+    def run(self) -> None:
+        data = PaperData(self.say)
+        wanted = [name for name in TARGETS if name in self.targets or not self.targets]
+        self.work_through(wanted, str, lambda name: self._make(name, data))
+
+    def _make(self, name: str, data: PaperData) -> None:
+        if name == CLAIMS:
+            self.claims = all_claims(data)
+            self.write_table(CLAIMS, COLUMNS, map(asdict, self.claims))
+            return
+        figure, tables = FIGURES[name](data)
+        for stem, (columns, rows) in tables.items():
+            self.write_table(stem, columns, rows)
+        self.write_figure(name, figure)
 
     @property
     def verdicts(self) -> dict[str, int]:
         """How many claims have each verdict, most frequent first."""
         return dict(Counter(claim.verdict for claim in self.claims).most_common())
 
-
-def reproduce(
-    targets: Sequence[str],
-    directory: Path,
-    say: Callable[[str], None] = lambda words: None,
-    data: PaperData | None = None,
-) -> Reproduction:
-    """Write the figures and claims of arXiv:2512.17483 in `targets` (all of TARGETS where empty) into `directory`.
-
-    A figure is a PNG, an SVG and the CSV tables of what it shows; each file is replaced atomically, and a figure's
-    files are written as soon as it is computed. `data` holds the computations, new ones unless given. Raises ValueError
-    for an unknown target and ArithmeticError where a computation fails.
-    """
-    wanted = [name for name in TARGETS if name in targets or not targets]
-    unknown = [name for name in targets if name not in TARGETS]
-    if unknown:
-        raise ValueError(f"targets: given {unknown[0]!r}; accepted: {', '.join(TARGETS)}")
-    directory.mkdir(parents=True, exist_ok=True)
-    data, made = data or PaperData(say), Reproduction(directory)
-    for name in wanted:
-        say(name)
-        if name == CLAIMS:
-            _write_claims(data, made)
-        else:
-            _write_figure(name, data, made)
-    return made
-
-
-def _write_figure(name: str, data: PaperData, made: Reproduction) -> None:
-    from casadi_skin.figures import save
-
-    module, function = FIGURES[name]
-    figure, tables = getattr(import_module(f"casadi_skin.studies.{module}"), function)(data)
-    for stem, (columns, rows) in tables.items():
-        path = made.directory / f"{stem}.csv"
-        write_csv(path, columns, rows)
-        made.files.append(path)
-    made.files += save(figure, made.directory / name)
-
-
-def _write_claims(data: PaperData, made: Reproduction) -> None:
-    from casadi_skin.studies.paper.claims import COLUMNS, all_claims
-
-    made.claims = all_claims(data)
-    path = made.directory / "claims.csv"
-    write_csv(path, COLUMNS, [asdict(claim) for claim in made.claims])
-    made.files.append(path)
+    def report(self) -> Iterator[str]:
+        if self.claims:
+            counts = ", ".join(f"{verdict}: {count}" for verdict, count in self.verdicts.items())
+            yield f"{len(self.claims)} claims; {counts}"

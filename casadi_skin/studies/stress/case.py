@@ -1,4 +1,4 @@
-"""A hard case: what is asked, what came out, and how far an independent check agrees with it."""
+"""A hard case: the request, the result, and how far an independent check agrees with it."""
 
 from __future__ import annotations
 
@@ -6,20 +6,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 MOST_DIGITS = 16.0  # that numbers in double precision can agree to
 SPARE = 1.0 + 1e-9  # of a bound that is met but for its own rounding
-
-
-class Refusal(Enum):
-    """Whether the program is to refuse a case."""
-
-    NEVER = "is to be computed"
-    EXPECTED = "is to be refused"
-    ALLOWED = "may be refused"
 
 
 class RefusedError(Exception):
@@ -32,7 +23,7 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Finding:
-    """What came out: in words, its relative difference from the check, and the difference that the program allows."""
+    """A result in words, its relative difference from the check, and the difference that is allowed."""
 
     got: str
     error: float
@@ -53,7 +44,7 @@ class Finding:
 class Case:
     """One hard case: `compute` gives the finding, or raises ValueError, ArithmeticError or RefusedError for a refusal.
 
-    `words` are to be in the message of a refusal that is expected or allowed.
+    A refusal is accepted where its message contains `refusal`, and expected unless it `may_hold`.
     """
 
     theme: str
@@ -61,14 +52,14 @@ class Case:
     asked: str
     check: str
     compute: Callable[[], Finding]
-    refusal: Refusal = Refusal.NEVER
-    words: str = ""
+    refusal: str = ""
+    may_hold: bool = False
     quick: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with what came out of it."""
+    """A case with its finding, or with the words of its refusal."""
 
     case: Case
     finding: Finding | None
@@ -77,23 +68,18 @@ class Outcome:
 
     @property
     def fault(self) -> str:
-        """Why the outcome is not what is to come out, in words; empty where it is."""
+        """Why the outcome is not the expected one, in words; empty where it is."""
         case, finding = self.case, self.finding
         if self.refused:
-            if case.refusal is Refusal.NEVER:
+            if not case.refusal:
                 return f"refused: {self.refused}"
-            if case.words not in self.refused:
-                return f'refused without "{case.words}": {self.refused}'
-        elif case.refusal is Refusal.EXPECTED:
+            if case.refusal not in self.refused:
+                return f'refused without "{case.refusal}": {self.refused}'
+        elif case.refusal and not case.may_hold:
             return "not refused"
         if finding is None or finding.error <= SPARE * finding.allowed:
             return ""
         return f"{finding.digits:.1f} digits agree, {finding.promised:.1f} are promised"
-
-    @property
-    def holds(self) -> bool:
-        """Whether the result holds, or the case is refused as expected."""
-        return not self.fault
 
     @property
     def verdict(self) -> str:
@@ -114,7 +100,7 @@ def relative(value: float, other: float) -> float:
 
 
 def measure(case: Case) -> Outcome:
-    """What comes out of a case; anything but a refusal in words is a fault that tells its kind."""
+    """The outcome of a case; an error other than a refusal in words is named with its kind."""
     began = time.perf_counter()
     finding, refused = None, ""
     try:

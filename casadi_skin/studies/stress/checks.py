@@ -1,60 +1,75 @@
-"""Checks of computed orbits by means that share no code with what computed them, as findings."""
+"""Checks of computed orbits by means that share no code with their computation, as findings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from decimal import Decimal
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.harmonics import harmonic_shares
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.studies.calibration.cases import reference_of
+from casadi_skin.studies.exact import exact_linear_frequency, exact_orbit, many_digits
+from casadi_skin.studies.exact_multipliers import exact_mu, paired, reduced
+from casadi_skin.studies.integration import physical_multipliers, return_error
 from casadi_skin.studies.stress.case import Finding, RefusedError, relative
-from casadi_skin.studies.stress.exact import (
-    exact_duffing,
-    exact_linear_frequency,
-    exact_orbit,
-    many_digits,
-)
-from casadi_skin.studies.stress.flow import return_error
+from casadi_skin.theory.duffing import duffing_frequency
 from casadi_skin.theory.multiple_scales import frequency_slope
 
 TOLERANCE = 1e-12
 SHIFT_ALLOWED = 1e-6
+FIRST_ORDER_ALLOWED = 1e-2  # of the shift: an orbit of the mode, and not of one beside it
 RETURN_ALLOWED = 1e-9  # of the largest position, after a period: the integrator's own errors grow on the way
 SAME_ALLOWED = 1e-12  # relative difference of two computations of the same orbit
-
-BY_DIGITS = "50 digits"
-BY_ELLIPTIC = "exact Duffing"
-BY_MIRROR = "mirror image"
-BY_SCALING = "g = +-1"
-BY_TIME = "DOP853"
+TIME_ALLOWED = 1e-8  # relative difference of multipliers from those of the physical full-period matrix
 
 
-def chain_words(chain: Chain, mode: int) -> str:
-    """A chain and a mode in a few words; gamma near +-1 by its distance from it."""
-    near = 0 < 1.0 - abs(chain.gamma) < 1e-4
-    sign = "-" if chain.gamma < 0 else ""
-    gamma = f"{sign}(1 - {1.0 - abs(chain.gamma):.0e})" if near else f"{chain.gamma:g}"
-    return f"N = {chain.sites}, alpha = {chain.alpha:g}, gamma = {gamma}, g = {chain.g:g}, j = {mode}"
+@dataclass(frozen=True)
+class Setup:
+    """The orbit of the family of a mode at S, to a tolerance."""
+
+    chain: Chain
+    mode: int
+    S: float
+    tolerance: float = TOLERANCE
+
+    def __str__(self) -> str:
+        """The chain and the mode in a few words; gamma near +-1 by its distance from it."""
+        chain, near = self.chain, 0 < 1.0 - abs(self.chain.gamma) < 1e-4
+        sign = "-" if chain.gamma < 0 else ""
+        gamma = f"{sign}(1 - {1.0 - abs(chain.gamma):.0e})" if near else f"{chain.gamma:g}"
+        return f"N = {chain.sites}, alpha = {chain.alpha:g}, gamma = {gamma}, g = {chain.g:g}, j = {self.mode}"
+
+    def family(self, stability: bool = False) -> Branch:
+        """The family to S with a point there; raises RefusedError without an orbit."""
+        options = {"at": (self.S,), "tolerance": self.tolerance, "corrector": "newton"}
+        branch = follow_family(self.chain, self.mode, self.S, stability=stability, **options)  # type: ignore[arg-type]
+        if not len(branch):
+            raise RefusedError(branch.reason)
+        return branch
+
+    def orbit(self) -> Orbit:
+        """The family's first orbit at S; raises RefusedError, with its last orbit, where it ends before."""
+        branch = self.family()
+        if not branch.complete:
+            raise RefusedError(branch.reason, against_digits(branch.orbits[-1], self))
+        orbit: Orbit = branch.at(S=self.S)
+        return orbit
+
+    def allowed(self, orbit: Orbit) -> float:
+        """The tolerance, or, where the result says that round-off stands in the way, its estimated error."""
+        if not orbit.at_round_off:
+            return self.tolerance
+        return max(self.tolerance, orbit.profile_error, orbit.Omega_error / orbit.Omega)
 
 
-def family(chain: Chain, mode: int, S: float, tolerance: float = TOLERANCE, stability: bool = False) -> Branch:
-    """The family to S with a point there; raises RefusedError without an orbit."""
-    branch = follow_family(chain, mode, S, at=(S,), tolerance=tolerance, stability=stability, corrector="newton")
-    if not len(branch):
-        raise RefusedError(branch.reason)
-    return branch
-
-
-def orbit_at(chain: Chain, mode: int, S: float, tolerance: float = TOLERANCE) -> Orbit:
-    """The family's first orbit at S; raises RefusedError with the finding of the last orbit where it ends before."""
-    branch = family(chain, mode, S, tolerance)
-    if not branch.complete:
-        raise RefusedError(branch.reason, against_digits(branch.orbits[-1]))
-    return branch.at(S=S)
+Check = Callable[[Orbit, Setup], Finding]
 
 
 def orbit_words(orbit: Orbit) -> str:
@@ -63,15 +78,7 @@ def orbit_words(orbit: Orbit) -> str:
     return f"S = {orbit.S:.6g}: Omega = {orbit.Omega:.14g}{flag}"
 
 
-def _allowed(orbit: Orbit) -> float:
-    """The tolerance, or, where the result says that round-off stands in the way, its estimated error."""
-    tolerance = orbit.tools.request.tolerance
-    if not orbit.at_round_off:
-        return tolerance
-    return max(tolerance, orbit.profile_error, orbit.Omega_error / orbit.Omega)
-
-
-def _finite(orbit: Orbit) -> None:
+def _check_finite(orbit: Orbit) -> None:
     """Raises FloatingPointError for an orbit with numbers that are none."""
     numbers = (orbit.Omega, orbit.Omega_shift, orbit.energy, orbit.S, orbit.Omega_error, orbit.profile_error)
     for values in (orbit.profile, orbit.coefficients(4), np.array(numbers)):
@@ -79,18 +86,24 @@ def _finite(orbit: Orbit) -> None:
             raise FloatingPointError("a result is not finite")
 
 
-def against_digits(orbit: Orbit) -> Finding:
+def against_digits(orbit: Orbit, setup: Setup) -> Finding:
     """Omega and profile against the orbit to 50 digits in physical coordinates; |gamma| < 1."""
-    _finite(orbit)
+    _check_finite(orbit)
     exact = exact_orbit(orbit)
-    error = max(exact.Omega_error(orbit.Omega), exact.profile_error(orbit))
-    return Finding(orbit_words(orbit), error, max(_allowed(orbit), exact.left_out))
+    error = max(exact.Omega_error(orbit.Omega) / orbit.Omega, exact.profile_error(orbit))
+    return Finding(orbit_words(orbit), error, max(setup.allowed(orbit), exact.left_out))
 
 
-def shift_against_digits(orbit: Orbit) -> Finding:
+def with_third_harmonic(orbit: Orbit, setup: Setup) -> Finding:
+    """As `against_digits`, with the share of the third harmonic."""
+    finding = against_digits(orbit, setup)
+    return replace(finding, got=f"{finding.got}; third {harmonic_shares(orbit)[1]:.3g}")
+
+
+def shift_against_digits(orbit: Orbit, setup: Setup) -> Finding:
     """Omega_shift against the difference of 50 digits."""
-    _finite(orbit)
-    exact, omega = exact_orbit(orbit), exact_linear_frequency(orbit.chain, orbit.tools.request.mode)
+    _check_finite(orbit)
+    exact, omega = exact_orbit(orbit), exact_linear_frequency(setup.chain, setup.mode)
     with many_digits():
         shift = float(exact.Omega - omega)
     by_subtraction = orbit.Omega - float(omega)
@@ -98,48 +111,87 @@ def shift_against_digits(orbit: Orbit) -> Finding:
     return Finding(words, relative(orbit.Omega_shift, shift), SHIFT_ALLOWED)
 
 
-def against_duffing(orbit: Orbit) -> Finding:
+def against_duffing(orbit: Orbit, setup: Setup) -> Finding:
     """Omega of one site that moves by itself against the elliptic integral."""
-    _finite(orbit)
-    chain = orbit.chain
-    exact = exact_duffing(2 + Decimal(chain.alpha), chain.g, orbit.S)
-    return Finding(orbit_words(orbit), relative(orbit.Omega, float(exact)), _allowed(orbit))
+    _check_finite(orbit)
+    exact = duffing_frequency(2.0 + setup.chain.alpha, setup.chain.g, math.sqrt(setup.S))
+    return Finding(orbit_words(orbit), relative(orbit.Omega, exact), setup.allowed(orbit))
 
 
-def mirrored(chain: Chain, mode: int, S: float, tolerance: float = TOLERANCE) -> Finding:
-    """Orbits of the chain and of that with -gamma, computed each by itself."""
-    orbit = orbit_at(chain, mode, S, tolerance)
-    other = orbit_at(Chain(chain.sites, chain.alpha, -chain.gamma, chain.g), mode, S, tolerance)
+def against_mirror(orbit: Orbit, setup: Setup) -> Finding:
+    """The orbit of the chain with -gamma, computed by itself."""
+    other = replace(setup, chain=replace(setup.chain, gamma=-setup.chain.gamma)).orbit()
     a, b = orbit.profile, other.profile[::-1]
     off = min(float(np.max(np.abs(a - b))), float(np.max(np.abs(a + b)))) / float(np.max(np.abs(a)))
     return Finding(orbit_words(orbit), max(relative(orbit.Omega, other.Omega), off), SAME_ALLOWED)
 
 
-def scaled(chain: Chain, mode: int, S: float) -> Finding:
-    """Omega of the chain against that with g = +-1 and the same g S."""
-    orbit = orbit_at(chain, mode, S)
-    other = orbit_at(Chain(chain.sites, chain.alpha, chain.gamma, float(np.sign(chain.g))), mode, S * abs(chain.g))
-    factor = np.sqrt(abs(chain.g))
-    off = float(np.max(np.abs(factor * orbit.profile - other.profile)) / np.max(np.abs(other.profile)))
-    return Finding(orbit_words(orbit), max(relative(orbit.Omega, other.Omega), off), SAME_ALLOWED)
+def against_scaled(orbit: Orbit, setup: Setup) -> Finding:
+    """The orbit of the chain with g = +-1 at the same g S."""
+    g = setup.chain.g
+    other = replace(setup, chain=replace(setup.chain, g=float(np.sign(g))), S=setup.S * abs(g)).orbit()
+    off = np.max(np.abs(np.sqrt(abs(g)) * orbit.profile - other.profile)) / np.max(np.abs(other.profile))
+    return Finding(orbit_words(orbit), max(relative(orbit.Omega, other.Omega), float(off)), SAME_ALLOWED)
 
 
-def against_first_order(orbit: Orbit, allowed: float) -> Finding:
-    """Omega_shift against the multiple-scale slope: the orbit belongs to the mode asked for, and to no neighbour."""
-    _finite(orbit)
-    chain, mode = orbit.chain, orbit.tools.request.mode
-    shift = frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, mode) * orbit.S
-    return Finding(f"Omega - omega_j = {orbit.Omega_shift:.12g}", relative(orbit.Omega_shift, shift), allowed)
+def against_first_order(orbit: Orbit, setup: Setup) -> Finding:
+    """Omega_shift against the slope of multiple scales: the orbit is one of its mode, and of no neighbour."""
+    _check_finite(orbit)
+    chain = setup.chain
+    shift = frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, setup.mode) * orbit.S
+    words = f"Omega - omega_j = {orbit.Omega_shift:.12g}"
+    return Finding(words, relative(orbit.Omega_shift, shift), FIRST_ORDER_ALLOWED)
 
 
-def returning(orbit: Orbit) -> Finding:
+def against_short_chain(orbit: Orbit, setup: Setup) -> Finding:
+    """The end breather of 24 sites: at S = 3 it is so short that the chain's length does not matter."""
+    shorter = replace(setup, chain=replace(setup.chain, sites=24))
+    short = shorter.orbit()
+    error = relative(orbit.Omega, short.Omega) + against_digits(short, shorter).error
+    return Finding(f"S = 3: Omega = {orbit.Omega:.14g}", error, SAME_ALLOWED)
+
+
+def returning(orbit: Orbit, setup: Setup) -> Finding:
     """Positions and velocities after one period of the physical equations in time."""
-    _finite(orbit)
+    _check_finite(orbit)
     return Finding(orbit_words(orbit), return_error(orbit), RETURN_ALLOWED)
 
 
-def at_S(
-    chain: Chain, mode: int, S: float, check: Callable[[Orbit], Finding] = against_digits, tolerance: float = TOLERANCE
-) -> Callable[[], Finding]:
-    """A case's computation: the family to S, then the check."""
-    return lambda: check(orbit_at(chain, mode, S, tolerance))
+def against_long_double(orbit: Orbit, setup: Setup) -> Finding:
+    """Each mu against the reference; the estimate is that of the mu that uses most of its own.
+
+    An estimate above the tolerance says that the tolerance is not reached.
+    """
+    known, (mu, _) = reduced(orbit), exact_mu(reference_of(orbit))
+    size = np.maximum(1.0, np.abs(known.mu))
+    off = np.abs(known.mu - paired(known.mu.astype(np.clongdouble), mu)).astype(float) / size
+    estimates = known.mu_error / size
+    worst = int(np.argmax(off / estimates))
+    largest = known.max_abs_multiplier
+    relative_error = known.error / largest
+    flag = ", flagged" if max(relative_error, float(np.max(estimates))) > setup.tolerance else ""
+    words = f"max |multiplier| = {largest:.10g}, estimated to {relative_error:.0e}{flag}"
+    return Finding(words, float(off[worst]), float(estimates[worst]))
+
+
+def against_physical(orbit: Orbit, setup: Setup) -> Finding:
+    """Multipliers but the trivial pair, which the physical matrix splits by the root of its errors."""
+    known, found = orbit.floquet(), physical_multipliers(orbit)
+    others, rest = known.multipliers[2:], found[np.argsort(np.abs(found - 1.0))[2:]]
+    off = np.abs(others - paired(others, rest)) / np.maximum(1.0, np.abs(others))
+    return Finding(f"max |multiplier| = {known.max_abs_multiplier:.10g}", float(np.max(off)), TIME_ALLOWED)
+
+
+CHECKS: Mapping[Check, str] = MappingProxyType({
+    against_digits: "50 digits",
+    with_third_harmonic: "50 digits",
+    shift_against_digits: "50 digits",
+    against_duffing: "exact Duffing",
+    against_mirror: "mirror image",
+    against_scaled: "g = +-1",
+    against_first_order: "multiple scales",
+    against_short_chain: "N = 24",
+    returning: "DOP853",
+    against_physical: "DOP853",
+    against_long_double: "long double",
+})  # fmt: skip

@@ -1,25 +1,25 @@
-"""What the measured trade-off recommends, in words computed from it."""
+"""Recommendations in words, computed from the measurements of a work-precision study."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.studies.work_precision.measured import (
+from casadi_skin.studies.work_precision.reference import TIGHTEST, Errors
+from casadi_skin.studies.work_precision.settings import (
     SHOOTING_SITES,
     SMALLEST,
+    FamilyCase,
     Kind,
     Measured,
+    bounded,
     front_of,
-    shooting_left_out,
 )
-from casadi_skin.studies.work_precision.reference import TIGHTEST, TIGHTEST_FLOW, Errors
 
-Quantity = tuple[str, Kind, Callable[[Measured], float]]
-OMEGA: Quantity = ("Omega", Kind.ORBITS, lambda m: m.Omega_error)
-PROFILE: Quantity = ("the profile", Kind.ORBITS, lambda m: m.profile_error)
-MU: Quantity = ("mu", Kind.FLOW, lambda m: m.mu_error)
+Quantity = tuple[str, Kind, str]  # its name, the settings that compute it, and the attribute with its true error
+OMEGA: Quantity = ("Omega", Kind.ORBITS, "Omega_error")
+PROFILE: Quantity = ("the profile", Kind.ORBITS, "profile_error")
+MU: Quantity = ("mu", Kind.FLOW, "mu_error")
 IDLE = 0.95  # share of the processor below which a machine counts as busy
 SINGLE_RUN, SEVERAL_RUNS = 1.5, 1.1  # factor between times, of one run or medians, that means something
 TABLE_TOLERANCES = (1e-4, 1e-8, 1e-12)
@@ -33,27 +33,27 @@ def duration(seconds: float) -> str:
     return f"{milliseconds:.0f} ms" if milliseconds >= 100.0 else f"{milliseconds:.3g} ms"
 
 
-def fastest(measured: Iterable[Measured], wanted: float, error: Callable[[Measured], float]) -> Measured | None:
+def fastest(measured: Iterable[Measured], wanted: float, error: str) -> Measured | None:
     """The fastest whose tolerance promises the wanted error and whose true error keeps it, or None."""
-    kept = [m for m in measured if m.setting.tolerance <= 1.001 * wanted and error(m) <= wanted]
+    kept = [m for m in measured if m.setting.tolerance <= 1.001 * wanted and getattr(m, error) <= wanted]
     return min(kept, key=lambda m: m.seconds, default=None)
 
 
 def told_apart(faster: Measured, slower: Measured) -> bool:
     """Whether the times differ by more than noise, and the median is below all of the other's."""
-    noise = SINGLE_RUN if slower.fastest == slower.slowest else SEVERAL_RUNS
-    return faster.seconds < slower.fastest and noise * faster.seconds < slower.seconds
+    noise = SINGLE_RUN if slower.seconds_min == slower.seconds_max else SEVERAL_RUNS
+    return faster.seconds < slower.seconds_min and noise * faster.seconds < slower.seconds
 
 
 def advice(measured: Sequence[Measured], wanted: float, quantity: Quantity) -> str:
-    """What to use for a quantity to a wanted error, and how much faster that is than the next method."""
+    """The setting to use for a quantity to a wanted error, and how much faster that is than the next method."""
     _, kind, error = quantity
-    asked = [m for m in measured if m.setting.kind is kind]
-    best = fastest(asked, wanted, error)
+    settings = [m for m in measured if m.setting.kind is kind]
+    best = fastest(settings, wanted, error)
     if best is None:
         return "no setting measured here promises and keeps it"
     words = f"{best.setting.method} at tolerance {best.setting.tolerance:.0e}, {duration(best.seconds)}"
-    following = fastest([m for m in asked if m.setting.method != best.setting.method], wanted, error)
+    following = fastest([m for m in settings if m.setting.method != best.setting.method], wanted, error)
     if following is None:
         return f"{words}; no other method reaches it"
     name = f"{following.setting.method} ({duration(following.seconds)})"
@@ -87,8 +87,8 @@ def by_transcription(measured: Sequence[Measured], wanted: float) -> str:
     """The fastest orbits of each transcription to a wanted error of Omega and profile."""
     orbits = [m for m in measured if m.setting.kind is Kind.ORBITS]
     found = []
-    for name in dict.fromkeys(m.setting.request.transcription for m in orbits):
-        best = fastest([m for m in orbits if m.setting.request.transcription == name], wanted, lambda m: m.orbit_error)
+    for name in dict.fromkeys(m.setting.transcription for m in orbits):
+        best = fastest([m for m in orbits if m.setting.transcription == name], wanted, "orbit_error")
         found.append(f"{name} {duration(best.seconds) if best else 'does not keep it'}")
     return f"Orbits to {wanted:.0e}, the fastest of each transcription: {', '.join(found)}."
 
@@ -98,27 +98,16 @@ def front_words(measured: Sequence[Measured], kind: Kind, known: float) -> str:
     front, settings = front_of(measured, kind, known), sum(m.setting.kind is kind for m in measured)
     if not front:
         return ""
-    runs: list[list[Measured]] = []
-    for m in front:
-        if runs and runs[-1][0].setting.method == m.setting.method:
-            runs[-1].append(m)
-        else:
-            runs.append([m])
-    parts = [
-        f"{run[0].setting.method} "
-        + (f"from {_point(run[0])} to {_point(run[-1])}" if len(run) > 1 else f"at {_point(run[0])}")
-        for run in runs
-    ]
+    parts = []
+    for method, group in groupby(front, key=lambda m: m.setting.method):
+        points = [f"{m.error:.1e} in {duration(m.seconds)}" for m in group]
+        parts.append(f"{method} " + (f"from {points[0]} to {points[-1]}" if len(points) > 1 else f"at {points[0]}"))
     what = "orbits" if kind is Kind.ORBITS else "multipliers"
     return f"The Pareto front of {what}, {len(front)} of {settings} settings: {'; '.join(parts)}."
 
 
-def _point(m: Measured) -> str:
-    return f"{m.error:.1e} in {duration(m.seconds)}"
-
-
 def preset_words(preset: Measured, measured: Sequence[Measured]) -> str:
-    """What a preset costs, how wrong it is, and where it sits."""
+    """The cost of a preset, its true errors, and how much faster other settings are."""
     name, tolerance = preset.setting.name, preset.setting.tolerance
     if preset.failure:
         return f"`{name}` ({tolerance:.0e}): {preset.failure}."
@@ -129,10 +118,9 @@ def preset_words(preset: Measured, measured: Sequence[Measured]) -> str:
     words = f"`{name}` ({tolerance:.0e}): {duration(preset.seconds)} with multipliers and {preset.points} points; true "
     words += f"errors {', '.join(errors)}; the tolerance is {kept}."
     orbits = [m for m in measured if m.setting.kind is Kind.ORBITS]
-    request = preset.setting.request
-    default = ", ".join((request.transcription, request.way, request.corrector))
+    default = preset.setting.orbit_methods
     same = next((m for m in orbits if m.setting.method == default and m.setting.tolerance == tolerance), None)
-    best = fastest(orbits, tolerance, lambda m: m.orbit_error)
+    best = fastest(orbits, tolerance, "orbit_error")
     if same is None or best is None or same.failure:
         return words
     words += f" Its orbits alone take {duration(same.seconds)}"
@@ -151,7 +139,7 @@ def broken_promises(measured: Sequence[Measured]) -> list[str]:
         where = f"{m.setting.method}, tolerance {m.setting.tolerance:.0e}"
         if m.failure:
             lines.append(f"{where}: no result: {m.failure}.")
-        elif m.error > m.setting.tolerance and not m.at_reference:
+        elif m.error > m.setting.tolerance and not m.at_reference_round_off:
             told = "the program tells" if m.told else "the program does not tell"
             lines.append(f"{where}: true error {m.error:.1e}, {m.error / m.setting.tolerance:.2g} times that; {told}.")
     return lines
@@ -159,8 +147,8 @@ def broken_promises(measured: Sequence[Measured]) -> list[str]:
 
 def busy(measured: Sequence[Measured]) -> str:
     """A sentence where other work kept the process from a processor for more than a little of the time."""
-    timed = [m for m in measured if m.processor == m.processor]
-    share = sum(m.processor * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
+    timed = [m for m in measured if m.processor_share == m.processor_share]
+    share = sum(m.processor_share * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
     if not timed or share > IDLE:
         return ""
     return f" The machine was busy: the process had a processor for {share:.0%} of the time that passed."
@@ -177,12 +165,19 @@ def table(measured: Sequence[Measured], tolerances: Sequence[float]) -> list[str
         name = f"preset {m.setting.name}" if m.setting.kind is Kind.PRESET else m.setting.method
         name = f"flow {name}" if m.setting.kind is Kind.FLOW else name
         spread = duration(m.seconds)
-        if m.fastest < m.slowest:
-            spread += f" ({duration(m.fastest)} to {duration(m.slowest)})"
-        memory = f"{m.memory:.0f} MB" if m.memory == m.memory else ""
+        if m.seconds_min < m.seconds_max:
+            spread += f" ({duration(m.seconds_min)} to {duration(m.seconds_max)})"
+        memory = f"{m.memory_MB:.0f} MB" if m.memory_MB == m.memory_MB else ""
         errors = [_error(value) for value in (m.Omega_error, m.profile_error, m.mu_error)]
-        mark = "*" if m.at_reference else ""
-        cells = (f"{name}{mark}", f"{m.setting.tolerance:.0e}", spread, duration(m.building), memory, f"{m.unknowns}")
+        mark = "*" if m.at_reference_round_off else ""
+        cells = (
+            f"{name}{mark}",
+            f"{m.setting.tolerance:.0e}",
+            spread,
+            duration(m.building_seconds),
+            memory,
+            f"{m.unknowns}",
+        )
         lines.append(f"| {' | '.join((*cells, *errors))} |")
     return lines
 
@@ -192,43 +187,37 @@ def _error(value: float) -> str:
 
 
 def recommendations(
-    request: FamilyRequest, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
+    family: FamilyCase, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
 ) -> str:
     """All of it as Markdown: what was measured, what to use, where the presets sit, and the table."""
-    chain = request.chain
+    chain = family.chain
     tolerances = promised(measured)
-    presets = [preset_words(m, measured) for m in measured if m.setting.kind is Kind.PRESET]
-    floors = ((Kind.ORBITS, max(known.Omega, known.profile)), (Kind.FLOW, known.mu))
-    fronts = [words for kind, floor in floors if (words := front_words(measured, kind, floor))]
+    fronts = (front_words(measured, kind, bounded(kind, *known)) for kind in (Kind.ORBITS, Kind.FLOW))
     shared = [t for t in TABLE_TOLERANCES if any(abs(t / other - 1.0) < 1e-9 for other in tolerances)]
-    use = advices(measured, tolerances) + [by_transcription(measured, t) for t in shared]
-    mu = f", of mu {known.mu:.1e} (a flow of order 16 against the splitting, both to {TIGHTEST_FLOW:.0e})"
-    lines = [
-        "# What accuracy costs",
-        "",
-        f"Family j = {request.mode} of the chain N = {chain.sites}, alpha = {chain.alpha:g}, gamma = {chain.gamma:g}, "
-        f"g = {chain.g:g} to S = {request.amplitude_max:g}; errors are true, relative, the largest at S = "
-        f"{', '.join(f'{S:.6g}' for S in request.at)}. The references agree to {max(known.Omega, SMALLEST):.1e} of "
-        f"Omega and {known.profile:.1e} of the profile (odd cosines against collocation, both to {TIGHTEST:.0e})"
-        f"{mu if known.mu == known.mu else ''}; settings as good as that are marked *. Processor times: medians "
+    mu = f", and their mu to {known.mu:.1e}" if known.mu == known.mu else ""
+    text = (
+        f"Family j = {family.mode} of the chain N = {chain.sites}, alpha = {chain.alpha:g}, gamma = {chain.gamma:g}, "
+        f"g = {chain.g:g} to S = {family.amplitude_max:g}; errors are true, relative, the largest at S = "
+        f"{', '.join(f'{S:.6g}' for S in family.at)}, against orbits and mu in long double. With these, orbits by "
+        f"collocation to {TIGHTEST:.0e} agree to {max(known.Omega, SMALLEST):.1e} of Omega and {known.profile:.1e} of "
+        f"the profile{mu}; settings as good as that are marked *. Processor times: medians "
         f"of {repeats} run{'s' if repeats > 1 else ''} after a first one, whose surplus is the building; of flows, for "
-        f"the multipliers of all these orbits, which are the reference's. The mu of orbits are what its flow "
-        f"finds along them. Peak memory is that of a process of its own, {baseline:.0f} MB of which it "
-        f"takes to start; of flows, with the family.{busy(measured)}",
-        "",
-        *_section("What to use", use),
-        *_section("Where the presets sit", presets),
-        *_section("Pareto fronts", fronts),
-        *_section("Not kept", broken_promises(measured)),
-    ]
-    if shooting_left_out(request):
+        f"the multipliers of all these orbits. The mu of orbits are those that collocation finds along them. Peak "
+        f"memory is that of a process of its own, {baseline:.0f} MB of which it takes to start; of flows, with the "
+        f"family.{busy(measured)}"
+    )
+    sections = {
+        "What to use": advices(measured, tolerances) + [by_transcription(measured, t) for t in shared],
+        "Where the presets sit": [preset_words(m, measured) for m in measured if m.setting.kind is Kind.PRESET],
+        "Pareto fronts": [words for words in fronts if words],
+        "Not kept": broken_promises(measured),
+    }
+    parts = ["# What accuracy costs", text]
+    parts += [f"## {name}\n\n" + "\n".join(f"- {line}" for line in lines) for name, lines in sections.items() if lines]
+    if family.shooting_left_out:
         reason = f"the chain has {chain.sites} sites, and it is measured up to {SHOOTING_SITES}"
-        lines += [
-            f"Shooting is left out: {reason}, since it integrates the sensitivity of every state to every one.",
-            "",
-        ]
-    return "\n".join([*lines, *_section("Measured", table(measured, TABLE_TOLERANCES), bullet="")])
-
-
-def _section(name: str, lines: Sequence[str], bullet: str = "- ") -> list[str]:
-    return [f"## {name}", "", *(bullet + line for line in lines), ""] if lines else []
+        parts.append(
+            f"Shooting is left out: {reason}, since it integrates the sensitivity of every state to every one."
+        )
+    parts.append("## Measured\n\n" + "\n".join(table(measured, TABLE_TOLERANCES)))
+    return "\n\n".join(parts) + "\n"

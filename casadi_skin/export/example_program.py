@@ -1,0 +1,142 @@
+"""The example program of an export: what the parts compute, printed with all digits."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from casadi_skin.export.exported_model import Subject
+
+STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
+CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
+
+
+def main_text(subject: Subject, parts: Collection[str]) -> str:
+    """The text of main.c; `@p` and `@P` stand for the prefixes."""
+    blocks = []
+    if "orbit" in parts:
+        blocks.append(ORBIT)
+    if "newton" in parts:
+        from_mode = FROM_LINEAR_MODE.replace("@mode", str(_mode(subject))).replace("@S", f"{CHAIN_S:g}")
+        blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
+    if _has_multipliers(subject, parts):
+        start = FROM_NEWTON if "newton" in parts else FROM_DATA
+        blocks.append(MULTIPLIERS.replace("@steps", str(STEPS)).replace("@start", start))
+    elif "flow" in parts and subject.chain is None:
+        blocks.append(FLOW)
+    if not blocks and "rhs" in parts:
+        blocks.append(RHS)
+    if not blocks:
+        blocks.append('    printf("states %d\\n", @P_STATES);\n')
+    needs = [*NEWTON_STATICS] if "newton" in parts else []
+    if _has_multipliers(subject, parts):
+        needs += FLOW_STATICS
+    nominal = NOMINAL if subject.model.nominal else ""
+    blocks = [block.replace("@nominal", nominal) for block in blocks]
+    statics = "".join(f"static {line};\n" for line in needs)
+    return HEAD + (statics + "\n" if statics else "") + "int main(void)\n{\n" + "\n".join(blocks) + "    return 0;\n}\n"
+
+
+def _has_multipliers(subject: Subject, parts: Collection[str]) -> bool:
+    """Whether the program has an orbit to follow the flow along."""
+    return subject.chain is not None and "flow" in parts and ("newton" in parts or "orbit" in parts)
+
+
+def _mode(subject: Subject) -> int:
+    """The edge mode that turns into an end breather."""
+    assert subject.chain is not None
+    return int(subject.chain.sites) if subject.chain.g > 0 else 1
+
+
+HEAD = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
+
+#include <math.h>
+#include <stdio.h>
+
+#include "@p.h"
+
+"""
+NEWTON_STATICS = ("double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK]",)
+FLOW_STATICS = (
+    "double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK]",
+    "double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK]",
+)
+ORBIT = """    {
+        static double y[@P_SITES], velocity[@P_SITES];
+        double S = 0.0;
+        int n;
+
+        @p_orbit(@p_orbit_period, y, velocity);
+        for (n = 0; n < @P_SITES; n++) S += y[n] * y[n];
+        printf("orbit_period %.17g\\norbit_S %.17g\\n", @p_orbit_period, S);
+    }
+"""
+FROM_ORBIT = """    @p_newton_report report;
+    int i;
+
+    /* The orbit, wrong by a thousandth, put right by Newton's method at its kappa. */
+    for (i = 0; i < @P_UNKNOWNS; i++) z[i] = @p_orbit_z[i] * (1.0 + 1e-3 * sin(i + 1.0));
+    if (@p_newton(z, @P_PARAMETER, @p_orbit_kappa, 1e-13, 20, &report, newton_work)) {
+        fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
+        return 1;
+    }
+    printf("period %.17g\\niterations %d\\n", 2.0 * acos(-1.0) / z[@P_OMEGA], report.iterations);
+"""
+FROM_LINEAR_MODE = """    @p_newton_report report;
+    int k, failed = @p_linear_mode(@mode, z);
+
+    if (failed) fprintf(stderr, "linear mode @mode does not oscillate\\n");
+
+    /* From the linear mode to S = @S in steps of S. */
+    for (k = 1; k <= 4 && !failed; k++) {
+        failed = @p_newton(z, @P_PARAMETER, @p_g * @S * k / 4, 1e-13, 20, &report, newton_work);
+        if (failed) fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
+    }
+    if (failed) return 1;
+    printf("period %.17g\\n", 2.0 * acos(-1.0) / z[@P_OMEGA]);
+"""
+FROM_NEWTON = """
+        @p_positions(z, x); /* at rest at t = 0: the velocities are zeros */
+        quarter = 0.5 * acos(-1.0) / z[@P_OMEGA];
+        kappa = z[@P_PARAMETER];"""
+FROM_DATA = """        int n;
+
+        @p_orbit(0.0, x, 0); /* at rest at t = 0: the velocities are zeros */
+        for (n = 0; n < @P_SITES; n++) x[n] /= sqrt(@p_orbit_S) * @p_rho[n];
+        quarter = 0.25 * @p_orbit_period;
+        kappa = @p_orbit_kappa;"""
+MULTIPLIERS = """    {
+        double largest, trivial, quarter, kappa;
+@start
+        @p_flow(0.0, quarter, @steps, x, Phi, &kappa, flow_work);
+        if (@p_multipliers(Phi, 1e-10, mu_real, mu_imaginary, &largest, &trivial, multipliers_work)) {
+            fprintf(stderr, "multipliers: the QR iteration did not converge\\n");
+            return 1;
+        }
+        printf("largest_multiplier %.17g\\ntrivial_deviation %.3g\\n", largest, trivial);
+    }
+"""
+FLOW = """    {
+        static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], work[@P_FLOW_WORK];
+        double p[@P_FLOW_PARAMETERS + 1] = {0.0}, trace = 0.0;
+        int i;
+
+@nominal        for (i = 0; i < @P_FLOW_STATES; i++) x[i] = 0.1 / (i + 1);
+        @p_flow(0.0, 1.0, 100, x, Phi, p, work);
+        for (i = 0; i < @P_FLOW_STATES; i++) {
+            trace += Phi[i * (@P_FLOW_STATES + 1)];
+            printf("%s %.17g\\n", @p_state_names[i], x[i]);
+        }
+        printf("trace %.17g\\n", trace);
+    }
+"""
+RHS = """    {
+        static double x[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
+        double p[@P_PARAMETERS + 1] = {0.0};
+        int i;
+
+@nominal        for (i = 0; i < @P_STATES; i++) x[i] = 0.1 / (i + 1);
+        @p_rhs(0.0, x, p, dxdt, work);
+        for (i = 0; i < @P_STATES; i++) printf("%s %.17g\\n", @p_state_names[i], dxdt[i]);
+    }
+"""
+NOMINAL = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];\n"

@@ -1,0 +1,215 @@
+"""What an FMU is made of: a model with the values that it starts from, read from a chain, an orbit or a model."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.export.exported_model import model_of
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.theory.linear import Array
+
+LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
+PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
+DEFAULT_S = 0.01  # amplitude of a start from a linear mode: small, so that the mode is nearly an orbit
+
+Bounds = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A model as an FMU sees it: x' = f(t, x, p), outputs y(t, x, p), dimensionless.
+
+    `start` has one value a state and `parameters` one a parameter; `is_output` tells which states are outputs too.
+    `bounds` limit parameters and `meanings` describe variables, both by name.
+    """
+
+    model: OdeModel
+    description: str
+    start: tuple[float, ...]
+    parameters: tuple[float, ...]
+    is_output: tuple[bool, ...]
+    stop_time: float
+    tolerance: float
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    meanings: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def identifier(self) -> str:
+        """The model's name as an identifier of C: letters, digits and single underscores."""
+        name = re.sub(r"[\W_]+", "_", self.model.name, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        return name if name[0].isalpha() else f"model_{name}"
+
+    @property
+    def nominal(self) -> float:
+        """Usual size of the states: the largest at the start, or 1 where they start from zero."""
+        return max(map(abs, self.start)) or 1.0
+
+
+def subject_of(
+    what: Chain | Orbit | OdeModel,
+    start: ArrayLike | None,
+    mode: int | str | None,
+    S: float | None,
+    stop_time: float | None,
+    tolerance: float,
+) -> Subject:
+    """The subject of `export_fmu`; raises TypeError and ValueError as that does."""
+    chosen = None if stop_time is None else number("stop_time", stop_time, "a finite number > 0")
+    if chosen is not None and chosen <= 0:
+        raise ValueError(f"stop_time: given {chosen!r}; accepted: a finite number > 0")
+    if not 1e-14 <= number("tolerance", tolerance) <= 1e-2:
+        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-14 to 1e-2")
+    if not isinstance(what, Chain):
+        for name, given in (("mode", mode), ("S", S)):
+            if given is not None:
+                raise ValueError(f"{name}: given {given!r}; accepted: with a Chain, which starts from a linear mode")
+    if isinstance(what, OdeModel):
+        return _of_model(what, start, chosen, tolerance)
+    if isinstance(what, Orbit):
+        chosen, start = PERIODS * what.period if chosen is None else chosen, what.profile if start is None else start
+        if isinstance(what.model, Chain):
+            return _of_chain(what.model, start, what.period, chosen, tolerance)
+        return _of_model(model_of(what), start, chosen, tolerance)
+    if not isinstance(what, Chain):
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an Orbit or an OdeModel")
+    if what.infinite:
+        raise ValueError("sites: given inf; accepted: a finite chain")
+    mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
+    period = 2.0 * np.pi / what.linear_frequency(mode)
+    return _of_chain(what, _linear_mode(what, mode, S) if start is None else start, period, chosen, tolerance)
+
+
+# Chains -------------------------------------------------------------------------------------------------------------
+
+
+def chain_with_outputs(chain: Chain) -> OdeModel:
+    """The chain in physical coordinates y, then v, with parameters alpha, gamma, g and outputs energy and S.
+
+    Written in whole vectors: the C that CasADi generates of it has loops, and hardly grows with the number of sites.
+    At |gamma| = 1 the energy is infinite, and left out.
+    """
+    sites = chain.sites
+    x, p = ca.MX.sym("x", 2 * sites), ca.MX.sym("p", 3)
+    y, v = x[:sites], x[sites:]
+    alpha, gamma, g = ca.vertsplit(p)
+    edge = ca.MX.zeros(1)
+    below, above = (edge, edge) if sites == 1 else (ca.vertcat(edge, y[:-1]), ca.vertcat(y[1:], edge))
+    force = (1 + gamma) * below + (1 - gamma) * above - (2 + alpha) * y - g * y**3
+    names = [f"{letter}_{n}" for letter in "yv" for n in range(1, sites + 1)]
+    conserved = {} if abs(chain.gamma) == 1 else {"energy": _energy(y, v, alpha, gamma, g)}
+    return OdeModel(
+        name="chain",
+        state=x,
+        rhs=ca.vertcat(v, force),
+        parameters=p,
+        outputs=conserved | {"S": ca.sumsqr(y)},
+        nominal=(chain.alpha, chain.gamma, chain.g),
+        state_labels=tuple(names),
+        parameter_labels=("alpha", "gamma", "g"),
+        checked=False,
+    )
+
+
+def _energy(y: ca.MX, v: ca.MX, alpha: ca.MX, gamma: ca.MX, g: ca.MX) -> ca.MX:
+    """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to, in y and v, for any |gamma| < 1.
+
+    With q = (1 + |gamma|)/(1 - |gamma|) and d_n sites between n and that edge, 1/rho_n^2 = q^d_n, and the coupling
+    s/(rho_n rho_{n+1}) is (1 + |gamma|) q^min(d_n, d_{n+1}): no root is left to be differentiated.
+    """
+    sites = y.numel()
+    to_left = np.arange(sites, dtype=float)
+    right, size = gamma >= 0, ca.fabs(gamma)
+    ratio = (1 + size) / (1 - size)
+    distance = ca.DM(to_left) + right * ca.DM(to_left[::-1] - to_left)
+    energy = ca.dot(ratio**distance, v**2 + (2 + alpha) * y**2 + g * y**4 / 2) / 2
+    if sites == 1:
+        return energy
+    nearer = ca.fmin(distance[:-1], distance[1:])
+    return energy - (1 + size) * ca.dot(ratio**nearer, y[:-1] * y[1:])
+
+
+def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:
+    """Displacements of a linear mode with sum of y_n^2 = S, the largest positive."""
+    if number("S", S, "a finite number >= 0") < 0:
+        raise ValueError(f"S: given {S!r}; accepted: a finite number >= 0")
+    vector = chain.right_eigenvector(chain.mode_number(mode))
+    return np.asarray(vector * np.sign(vector[np.argmax(np.abs(vector))]) * np.sqrt(S) / np.linalg.norm(vector))
+
+
+def _of_chain(chain: Chain, start: ArrayLike, period: float, stop_time: float | None, tolerance: float) -> Subject:
+    sites = chain.sites
+    given = _start(start, sites, 2 * sites)
+    full = given + (0.0,) * (2 * sites - len(given))
+    numbered = range(1, sites + 1)
+    meanings = {f"y_{n}": f"displacement of site {n}" for n in numbered}
+    meanings |= {f"v_{n}": f"velocity of site {n}" for n in numbered}
+    meanings |= {
+        "alpha": "stiffness of the ground springs",
+        "gamma": "nonreciprocity: couplings 1 + gamma to the left neighbour, 1 - gamma to the right one",
+        "g": "coefficient of the cubic force",
+        "energy": "Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to",
+        "S": "sum of the squared displacements",
+    }
+    return Subject(
+        model=chain_with_outputs(chain),
+        description=f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)",
+        start=full,
+        parameters=(chain.alpha, chain.gamma, chain.g),
+        is_output=(True,) * sites + (False,) * sites,
+        stop_time=PERIODS * period if stop_time is None else stop_time,
+        tolerance=tolerance,
+        bounds={"gamma": (-1.0, 1.0)},
+        meanings=meanings,
+    )
+
+
+# Models ---------------------------------------------------------------------------------------------------------------
+
+
+def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None, tolerance: float) -> Subject:
+    count = model.full_size
+    if model.parameter_names and model.nominal is None:
+        raise ValueError(f"{model.name}: no nominal values of {', '.join(model.parameter_names)}; accepted: one each")
+    parameters = tuple(float(value) for value in model.nominal or ())
+    given = (0.0,) * count if start is None else _start(start, *{model.size, count})
+    names = [*model.state_names, *(f"der({name})" for name in model.state_names)]
+    names += [*model.parameter_names, *model.outputs, "time"]
+    strange = [name for name in (model.name, *names) if not name.isprintable()]
+    if strange:
+        raise ValueError(
+            f"name: given {short_repr(strange[0])}; accepted: printable characters, for XML takes no others"
+        )
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(
+            f"{model.name}: several variables named {', '.join(twice)}; accepted: a name each ('time' is t)"
+        )
+    return Subject(
+        model=model,
+        description=model.name,
+        start=given + (0.0,) * (count - len(given)),
+        parameters=parameters,
+        is_output=(True,) * model.size + (False,) * (count - model.size),
+        stop_time=_default_stop(model, parameters) if stop_time is None else stop_time,
+        tolerance=tolerance,
+    )
+
+
+def _default_stop(model: OdeModel, parameters: Iterable[float]) -> float:
+    return PERIODS * abs(model.forcing_period_at(list(parameters))) if model.forced else float(PERIODS)
+
+
+def _start(given: ArrayLike, *counts: int) -> tuple[float, ...]:
+    values = numbers("start", given)
+    if len(values) not in counts:
+        raise ValueError(f"start: given {len(values)} values; accepted: {' or '.join(map(str, sorted(counts)))}")
+    return values
