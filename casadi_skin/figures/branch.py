@@ -8,7 +8,6 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.dynamics.distance import cosine_curve
 from casadi_skin.figures.branch_lines import draw_lines, draw_marks
 from casadi_skin.figures.style import DASHES, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
@@ -120,6 +119,8 @@ def in_plane(solution: Solution, t: Array) -> tuple[Array, tuple[str, str]] | No
         return x[:, :2], (names[0], names[1])
     if not (isinstance(solution, Orbit) and isinstance(solution.space, Family)):
         return None
+    from casadi_skin.dynamics.distance import cosine_curve
+
     velocity = cosine_curve(solution).points(solution.Omega * t)[0][:, 1]
     return np.column_stack([x, velocity]), (names[0], rf"velocity of {names[0]} over $\Omega$")
 

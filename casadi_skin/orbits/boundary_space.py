@@ -214,10 +214,14 @@ class BoundarySpace:
         return self._orbit_of().symmetry
 
     @property
+    def given(self) -> OdeModel:
+        """The model as it was given, of first or second order."""
+        return self._orbit_of().given
+
+    @property
     def positions(self) -> int:
         """Number of positions of the model as it was given; 0 for one of first order."""
-        given = self._orbit_of().given
-        return given.size if given.order == 2 else 0
+        return self.given.size if self.given.order == 2 else 0
 
     def states_at(self, point: Point, theta: Array, sites: Indices | None) -> Array:
         """States at phases, shape (len(theta), components)."""

@@ -62,8 +62,18 @@ class ModelCoordinates(Coordinates):
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
         self.mode_number = _mode_number(model, mode)
         _check_mode(self.modes.squares, self.mode_number, model.name)
+        self._check_amplitude()
         self._parts = _homogeneous(self._force, model.state)
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
+
+    def _check_amplitude(self) -> None:
+        """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""
+        y = self.scale * self.modes.modes[:, self.mode_number - 1]
+        curvature, _ = ca.hessian(self._amplitude.form, self._model.state)
+        size = float(np.linalg.norm(np.array(ca.evalf(curvature)))) * float(y @ y)
+        if not self._amplitude.value(y) > SIMPLE * size:
+            words = f"a normalisation by which mode {self.mode_number} of {self._model.name} has no amplitude"
+            raise ValueError(f"normalisation: given {words}; accepted: one that is positive for it")
 
     def _at_values(self, expression: ca.SX) -> ca.SX:
         """An expression of the model at the values of its parameters."""
@@ -228,12 +238,13 @@ def amplitude_square(model: OdeModel) -> AmplitudeSquare:
     fault = ValueError(f"{model.name}: given a normalisation that fixes no amplitude of families; accepted: {accepted}")
     if len(used) != 1 or ca.depends_on(model.rhs, entries[used[0]]):
         raise fault
-    form = normalisation + entries[used[0]]
+    slope = ca.densify(ca.jacobian(normalisation, entries[used[0]]))
+    form = ca.substitute(normalisation, entries[used[0]], 0)
     try:
-        degrees = set(homogeneous_parts(form, model.state)) if not ca.depends_on(form, entries[used[0]]) else set()
+        degrees = set(homogeneous_parts(form, model.state))
     except NotPolynomialError:
         raise fault from None
-    if degrees != {2}:
+    if degrees != {2} or not (slope.is_constant() and float(slope) == -1.0):
         raise fault
     return AmplitudeSquare(model.state, form, model.parameter_names[used[0]])
 

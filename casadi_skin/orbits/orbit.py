@@ -14,6 +14,7 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.coordinates import LOG10, quarter_phases
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
@@ -138,10 +139,11 @@ class Orbit(Solution):
         """
         if isinstance(self.space, Family):
             return self.exact["S"] if "S" in self.exact else self.space.value("S", self.point)
-        positions = self._boundary_space().positions
+        space = self._boundary_space()
+        positions = space.positions
         if not positions:
             raise ValueError("S: an orbit of a model of first order has no amplitude of positions")
-        return float(np.sum(self.evaluate(0.0)[0, :positions] ** 2))
+        return amplitude_square(space.given).value(self.evaluate(0.0)[0, :positions])
 
     @property
     def output_sites(self) -> Indices:

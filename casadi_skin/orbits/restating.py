@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import casadi as ca
 
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.orbit import Orbit
 
 AMPLITUDE = "S"
@@ -29,20 +31,27 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
     """
     family = orbit.space
     assert isinstance(family, Family)
-    model = family.coordinates.model
-    S = ca.SX.sym(AMPLITUDE)
-    extended = replace(
-        model, parameters=ca.vertcat(model.parameters, S), nominal=None, normalisation=None,
-        parameter_labels=(*model.parameter_names, AMPLITUDE), checked=False,
-    )  # fmt: skip
-    select = ca.dot(model.state, model.state) - S
+    extended, amplitude, select = _with_amplitude(family.coordinates.model)
 
     def guess(t: float) -> list[float]:
         h = 1e-6 * orbit.period
         before, here, after = orbit.evaluate([t - h, t, t + h])
         return [*here, *((after - before) / (2.0 * h))]
 
-    values = {**orbit.parameters, AMPLITUDE: orbit.S}
+    values = {**orbit.parameters, amplitude: orbit.S}
     return find_orbit(
         extended, guess, orbit.period, parameters=values, select=select, symmetric=True, tolerance=orbit.space.tolerance
     )
+
+
+def _with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
+    """The model with S among its parameters, the name that it has there, and what vanishes where S has its value."""
+    form = amplitude_square(model)
+    if form.parameter is not None:
+        return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]
+    S = ca.SX.sym(AMPLITUDE)
+    extended = replace(
+        model, parameters=ca.vertcat(model.parameters, S), nominal=None,
+        parameter_labels=(*model.parameter_names, AMPLITUDE), checked=False,
+    )  # fmt: skip
+    return extended, AMPLITUDE, form.form - S

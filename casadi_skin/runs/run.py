@@ -168,7 +168,11 @@ class Run:
         return Branch(solution.space, (solution,), (), self._with_stability, end, words)
 
     def _follow(self, name: str, following: Following, journal: Journal) -> None:
-        """Follow one branch to its end; each result goes to the journal before anything else happens."""
+        """Follow one branch to its end; each result goes to the journal before anything else happens.
+
+        An interruption may come before a result is handed over: its row is added then.
+        """
+        before = len(self._rows)
         self._keep(following.solutions, following.space)
         try:
             for result in following:
@@ -181,6 +185,7 @@ class Run:
         finally:
             branch = following.branch()
             self.branches.append(branch)
+            self._keep(branch.solutions[len(self._rows) - before :], following.space)
         journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))
 
     # Other parts ----------------------------------------------------------------------------------------------------
