@@ -58,7 +58,6 @@ class FamilyNlp(Nlp):
             first += self._blocks[-1].size
         held = [] if "S" in search.free else [orbit.S for orbit in orbits]
         super().__init__(
-            "search",
             ca.vertcat(free, *(orbit.unknowns for orbit in orbits)),
             objective,
             ca.vertcat(*equations, *conditions),

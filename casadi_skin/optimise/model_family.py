@@ -34,7 +34,10 @@ HARMONICS = (4, 6, 8, 10, 12, 16, 24, 32, 48, 64, 96, 128)
 
 @dataclass(frozen=True, eq=False)
 class ModelFamily:
-    """One mode's family of a model, by ascending linear frequency from 1; `values` are those of all parameters."""
+    """One mode's family of a model, by ascending linear frequency from 1, with the interface of `ChainFamily`.
+
+    `values` are those of all parameters.
+    """
 
     model: OdeModel
     mode: int = 1
@@ -71,7 +74,7 @@ class ModelFamily:
 
     @property
     def free(self) -> Mapping[str, FreeNumber]:
-        return {name: FreeNumber(value, -math.inf, math.inf) for name, value in self.values.items()}
+        return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
 
     def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ModelFamily:
         return self

@@ -19,7 +19,6 @@ from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.result import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
@@ -87,18 +86,17 @@ class OrbitSearch:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
         first = model.first_order()
         values, names = named_values(first, parameters or {}), free_names(free, first.parameter_names)
-        quantities = _quantities(first)
-        outputs, named = dict(first.outputs), dict[str, str]()
-        for label, given in (("objective", objective), ("running", running), ("select", select), ("section", section)):
-            if given is not None:
-                named[label] = _output(first, label, given, outputs, quantities)
-        held = []
-        for k, c in enumerate(
-            checked_conditions(constraints, (ca.SX, ca.MX), "an expression in states and parameters")
-        ):
-            held.append(
-                replace(c, quantity=_output(first, f"constraints, item {k + 1}", c.quantity, outputs, quantities))
-            )
+        quantities, outputs = _quantities(first), dict(first.outputs)
+        stated = {"objective": objective, "running": running, "select": select, "section": section}
+        named = {
+            label: _output(first, label, given, outputs, quantities)
+            for label, given in stated.items() if given is not None
+        }  # fmt: skip
+        kind = "an expression in states and parameters"
+        held = [
+            replace(c, quantity=_output(first, f"constraints, item {k}", c.quantity, outputs, quantities))
+            for k, c in enumerate(checked_conditions(constraints, (ca.SX, ca.MX), kind), start=1)
+        ]
         fixed = [name for name in values if name not in names]
         limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
         own = (*first.state_names, *(() if first.forced else (PERIOD,)))
@@ -232,8 +230,8 @@ class OrbitSearch:
         try:
             near = self.plain(outcome.free, outcome.times, states)
             stated = self._stated(near)
-            first = stated.nlp.solved(stated.x)
-            best = refined(stated.space, stated.nlp, first, **stated.more)
+            first = stated.nlp.solved(stated.x, warm=True)
+            best = refined(stated.space, stated.nlp, first, flat=True, **stated.more)
             orbit = Orbit(stated.space, best.point, optimum=best.optimum)
             plain = self.plain([orbit.parameters[name] for name in self.free], orbit.t, orbit.states, orbit.intervals)
         except BoundaryError:
@@ -242,7 +240,7 @@ class OrbitSearch:
 
     def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
         nlp, solution = best.nlp, best.solution
-        found, residual = optimality(nlp, solution), nlp.residual(solution.x)
+        found, residual = best.optimality, nlp.residual(solution.x)
         free = {name: orbit.parameters[name] for name in self.free}
         relative = {"period": 0.0 if self.model.forced else orbit.period} | {n: abs(v) for n, v in free.items()}
         return Optimum(

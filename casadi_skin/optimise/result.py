@@ -143,6 +143,13 @@ class Optimum:
             raise AttributeError(f"optimum: given {name}; {nearest_name(name, quantities)}")
         return quantities[name]
 
+    def is_near(self, other: Optimum, tolerance: float) -> bool:
+        """Whether objective, free numbers and frequencies are those of another optimum, relative to them or to 1."""
+        one, two = (
+            np.array([o.objective, *o.parameters.values(), *(q["Omega"] for q in o.quantities)]) for o in (self, other)
+        )
+        return bool(np.all(np.abs(one - two) <= tolerance * np.maximum(1.0, np.abs(one))))
+
     @property
     def orbit(self) -> Any:
         """The first orbit."""

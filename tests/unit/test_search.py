@@ -333,7 +333,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     def refuse(*_: object) -> None:
         raise AssertionError("something was solved")
 
-    monkeypatch.setattr("casadi_skin.optimise.search.run_jobs", refuse)
+    monkeypatch.setattr("casadi_skin.optimise.processes.Runner.run", refuse)
     monkeypatch.setattr("casadi_skin.optimise.family_search.FamilySearch.members", refuse)
     with pytest.raises(kind, match=words) as caught:
         search(**changes)

@@ -37,11 +37,15 @@ class KickStart:
 
 @dataclass(frozen=True, eq=False)
 class KickOutcome:
-    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there."""
+    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there.
+
+    `last` has iterations, norm and violation.
+    """
 
     start: KickStart
     first: KickOptimum | None = None
     found: KickOptimum | None = None
+    last: tuple[int, float, float] = (0, np.inf, np.inf)
 
     @property
     def interrupted(self) -> bool:
@@ -77,9 +81,11 @@ class KickSearch:
         if first is None:
             return KickOutcome(start)
         try:
-            return KickOutcome(start, first, self._from(first, monitor))
+            found = self._from(first, monitor)
         except KeyboardInterrupt:
-            return KickOutcome(start, first, replace(first, words=STOPPED))
+            found = replace(first, words=STOPPED)
+        last = (found.iterations, float(np.sqrt(self.flow.orbit.S)) * found.norm, found.violation)
+        return KickOutcome(start, first, found, last)
 
     def _first(self, name: str, direction: Array) -> KickOptimum | None:
         """The smallest multiple of a direction (m,) that escapes, as a point that Ipopt starts from."""
