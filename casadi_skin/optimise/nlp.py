@@ -194,7 +194,8 @@ class Nlp:
         parts = {"x": self._x, "p": self._p, "f": self._f, "g": self._g}
         callback = IterationCallback(self.size, self._g.numel(), self._p.numel())
         options = {
-            "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints, "iteration_callback": callback, **self.options, **more,
+            "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints,
+            "iteration_callback": callback, **self.options, **more,
         }  # fmt: skip
         options |= {"hess_lag": self._hessian} if self.exact else {"ipopt.hessian_approximation": "limited-memory"}
         return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback

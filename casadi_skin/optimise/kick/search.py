@@ -131,7 +131,7 @@ def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
     if optima:
         return sorted(optima, key=lambda optimum: optimum.norm)
     failures = {o.found.words for o in outcomes if o.found is not None and not o.interrupted}
-    words = f"Ipopt: {', '.join(sorted(failures))}" if failures else "Ipopt was not done"
+    words = f"Ipopt: {', '.join(sorted(map(nlp_reason, failures)))}" if failures else "Ipopt was not done"
     least = min((o.first for o in outcomes if o.first is not None), key=lambda first: first.norm)
     return [replace(least, words=words)]
 
