@@ -20,6 +20,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.model_coordinates import symmetrising_scale
+from casadi_skin.orbits.spectrum import linear_spectrum
 
 GAUGE, PHYSICAL = "gauge", "physical"
 LONGEST_ENVELOPE = 700.0  # of -log D: beyond, positions at the far end are below the smallest double
@@ -102,6 +103,20 @@ class EquationsOfMotion:
     def names(self) -> tuple[str, ...]:
         """Names of the components of the state."""
         return self.physical.state_names
+
+    @cached_property
+    def linear_frequencies(self) -> tuple[float, float] | None:
+        """Lowest and highest linear frequency, of a chain their limits; None for a model without linear modes."""
+        if not self.positions:
+            return None
+        used = [ca.depends_on(self.physical.rhs, entry) for entry in ca.vertsplit(self.physical.parameters)]
+        kept = {name: value for (name, value), in_use in zip(self.parameters.items(), used, strict=False) if in_use}
+        try:
+            spectrum = linear_spectrum(self.model, kept)
+        except ValueError:
+            return None
+        low, high = np.sqrt(np.maximum(spectrum.cutoffs or spectrum.ends, 0.0))
+        return float(low), float(high)
 
     # Coordinates ------------------------------------------------------------------------------------------------------
 

@@ -10,8 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from casadi_skin.arguments import short_repr
+from casadi_skin.export.c_text import comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
-from casadi_skin.export.ctext import comment, plain
 from casadi_skin.export.equations import (
     flow_part,
     jacobian_part,
@@ -20,12 +20,12 @@ from casadi_skin.export.equations import (
     rhs_part,
     variational_part,
 )
-from casadi_skin.export.mainprogram import main_text
+from casadi_skin.export.example_program import main_text
+from casadi_skin.export.exported_model import Subject, subject_of, wanted
 from casadi_skin.export.optimiser import IPOPT_HEADER, ipopt_part
-from casadi_skin.export.orbits import newton_part, orbit_part, residual_part
+from casadi_skin.export.orbit_equations import newton_part, orbit_part, residual_part
 from casadi_skin.export.part import Part
 from casadi_skin.export.readme import cmake_text, readme_text
-from casadi_skin.export.subject import Subject, subject_of, wanted
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel

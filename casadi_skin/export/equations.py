@@ -7,9 +7,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from casadi_skin.export.ctext import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
+from casadi_skin.export.c_text import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, Size, called, declared
-from casadi_skin.export.subject import Subject
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 
-from casadi_skin.export.ctext import Call
+from casadi_skin.export.c_text import Call
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, called
-from casadi_skin.export.subject import Subject
 from casadi_skin.solvers.nlp import nlp_solver
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from casadi_skin.export.ctext import Call, comment
+from casadi_skin.export.c_text import Call, comment
 
 
 @dataclass(frozen=True)

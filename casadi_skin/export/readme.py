@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from casadi_skin.export.ctext import plain
-from casadi_skin.export.mainprogram import CHAIN_S
-from casadi_skin.export.orbits import floquet_of
+from casadi_skin.export.c_text import plain
+from casadi_skin.export.example_program import CHAIN_S
+from casadi_skin.export.exported_model import WHAT, Subject
+from casadi_skin.export.orbit_equations import floquet_of
 from casadi_skin.export.part import Part
-from casadi_skin.export.subject import WHAT, Subject
 
 FLAGS = "-std=c99 -O2"
 

@@ -17,6 +17,7 @@ import numpy as np
 from casadi_skin import methods
 from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.spectrum import LinearSpectrum, of_norm_one
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
 
@@ -131,6 +132,19 @@ class Chain:
     def left_eigenvector(self, mode: int) -> Array:
         """Left eigenvector of D in closed form, largest envelope 1, shape (sites,)."""
         return linear.left_eigenvector(self.sites, self.gamma, mode)
+
+    def linear_spectrum(self) -> LinearSpectrum:
+        """Squared frequencies and modes in closed form; of an infinite chain the ends of its band alone."""
+        if self.infinite:
+            return LinearSpectrum(np.empty(0), self.band(), lambda _: np.empty(0), self.band())
+        squares = linear.squared_frequency(self.sites, self.alpha, self.gamma, np.arange(1, self.sites + 1))
+        ends = float(squares[0]), float(squares[-1])
+        return LinearSpectrum(squares, ends, lambda j: of_norm_one(self.right_eigenvector(j)), self.band())
+
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        """Symbols in TeX and values that tell chains apart, for titles."""
+        return ("N", self.sites), (r"\alpha", self.alpha), (r"\gamma", self.gamma), ("g", self.g)
 
     def diagonalise(self) -> tuple[Array, Array]:
         """Squared frequencies (ascending) and right eigenvectors (columns) by diagonalisation in the gauge.

@@ -56,8 +56,7 @@ class ChainCoordinates(Coordinates):
 
     @property
     def labels(self) -> tuple[tuple[str, float], ...]:
-        chain = self.chain
-        return ("N", chain.sites), (r"\alpha", chain.alpha), (r"\gamma", chain.gamma), ("g", chain.g)
+        return self.chain.labels
 
     def band(self) -> tuple[float, float]:
         return self.chain.band()

@@ -12,11 +12,8 @@ from casadi_skin.results.dataset import Cell, Variable, unique_names
 
 
 def known_energy(evolution: Evolution) -> Array | None:
-    """The energy, shape (time,); None where the model declares none, or the gauge has no image of the states."""
-    try:
-        return evolution.energy
-    except ValueError:
-        return None
+    """The energy, shape (time,); None where the model declares none."""
+    return evolution.energy if evolution.has_energy else None
 
 
 def evolution_columns(evolution: Evolution) -> list[str]:

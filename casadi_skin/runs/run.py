@@ -168,7 +168,11 @@ class Run:
         return Branch(solution.space, (solution,), (), self._with_stability, end, words)
 
     def _follow(self, name: str, following: Following, journal: Journal) -> None:
-        """Follow one branch to its end; each result goes to the journal before anything else happens."""
+        """Follow one branch to its end; each result goes to the journal before anything else happens.
+
+        An interruption may come before a result is handed over: its row is added then.
+        """
+        before = len(self._rows)
         self._keep(following.solutions, following.space)
         try:
             for result in following:
@@ -181,6 +185,7 @@ class Run:
         finally:
             branch = following.branch()
             self.branches.append(branch)
+            self._keep(branch.solutions[len(self._rows) - before :], following.space)
         journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))
 
     # Other parts ----------------------------------------------------------------------------------------------------
@@ -255,6 +260,14 @@ class Run:
         branches = [branch for branch in self.branches if len(branch)]
         if not branches:
             return
+        try:
+            self._write_branches(branches)
+        except ArithmeticError as error:  # a value that is not finite
+            self.failures.append(str(error))
+        self._tell_drift(branches)
+
+    def _write_branches(self, branches: Sequence[Branch]) -> None:
+        """The table of points, and what is made of whole branches."""
         if isinstance(branches[0].space, Family):
             self._write_table("family.csv")
         else:
@@ -262,7 +275,6 @@ class Run:
                 row["fold"] = int(bool(place.special))
             self._write_table("branch.csv")
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
-        self._tell_drift(branches)
 
     def _tell_drift(self, branches: Sequence[Branch]) -> None:
         """Say where trivial multipliers are farther from their value than errors allow."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,12 @@ from pathlib import Path
 import casadi_skin.figures as figures
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.progress import Progress
-from casadi_skin.results.dataset import Cell, versions, write_csv, write_netcdf
+from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.runs.request import Request
 
@@ -93,25 +96,40 @@ def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
     """special_points.csv and the pictures of another branch, or of a single solution."""
     title = request.scene.title or ""
     if len(branch) > 1:
-        rows = special_rows(branch)
-        columns = list(rows[0]) if rows else ["kind", branch.parameter, "error"]
-        write_csv(directory / "special_points.csv", columns, rows)
+        write_csv(directory / "special_points.csv", special_columns(branch), special_rows(branch))
         figures.save(figures.branch_figure(branch, title), directory / "branch")
     figures.save(figures.orbit_figure(branch.solutions[-1], title), directory / "orbit")
 
 
+def special_columns(branch: Branch) -> list[str]:
+    """Columns of special_points.csv; the period of orbits alone."""
+    fixed = ("kind", "error", "period")
+    return [fixed[0], *unique_names([branch.parameter], fixed), *fixed[1 : 3 if _has_orbits(branch) else 2]]
+
+
 def special_rows(branch: Branch) -> list[dict[str, Cell]]:
-    """Rows of special_points.csv: folds and changes of stability in the order of the branch's parameter values."""
-    rows: list[dict[str, Cell]] = []
-    for point in branch.special_points:
-        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else ""
-        values: dict[str, Cell] = {"kind": point.kind, branch.parameter: point.parameters[branch.parameter]}
-        rows.append({**values, "error": point.error, "period": period})
-    for change in branch.changes:
-        way = "gained" if change.stable_after else "lost"
-        values = {"kind": f"stability {way} ({change.kind})", branch.parameter: change.value}
-        rows.append({**values, "error": change.width, "period": 6.283185307179586 / change.Omega})
-    return rows
+    """Rows of special_points.csv: folds and changes of stability in the order of the branch."""
+    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.changes)
+    folds = {id(point.solution): point for point in branch.special_points}
+    for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
+        if branch.changes and before is not None and _is_stable(before) != _is_stable(here):
+            change = next(changes)
+            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
+            rows.append([kind, change.value, change.width, TWO_PI / change.Omega])
+        if id(here) in folds:
+            fold = folds[id(here)]
+            period = here.period if isinstance(here, Orbit) else math.nan
+            rows.append([fold.kind, fold.parameters[branch.parameter], fold.error, period])
+    return [dict(zip(columns, row, strict=False)) for row in rows]
+
+
+def _has_orbits(branch: Branch) -> bool:
+    return isinstance(branch.solutions[0], Orbit)
+
+
+def _is_stable(solution: Solution) -> bool:
+    assert isinstance(solution, Orbit)
+    return solution.floquet().stable
 
 
 def write_spectrum(request: Request, directory: Path) -> None:

@@ -47,6 +47,16 @@ class Floquet(ABC):
         """Which of `others` lie off the unit circle on its outside, by more than errors allow."""
 
     @property
+    @abstractmethod
+    def on_circle(self) -> NDArray[np.bool_]:
+        """Which of `others` lie on the unit circle, within estimated errors."""
+
+    @property
+    @abstractmethod
+    def real(self) -> NDArray[np.bool_]:
+        """Which of `others` are real within estimated errors, of those off the unit circle."""
+
+    @property
     def stable(self) -> bool:
         """Whether no multiplier lies outside the unit circle, within estimated errors."""
         return not np.any(self.outside)
@@ -102,6 +112,14 @@ class ReversibleFloquet(Floquet):
     @property
     def outside(self) -> NDArray[np.bool_]:
         return np.column_stack([~self.is_inside, np.zeros(self.mu.size, dtype=bool)]).ravel()
+
+    @property
+    def on_circle(self) -> NDArray[np.bool_]:
+        return np.repeat(self.is_inside, 2)
+
+    @property
+    def real(self) -> NDArray[np.bool_]:
+        return np.repeat(self.is_real, 2)
 
     @cached_property
     def is_real(self) -> NDArray[np.bool_]:
@@ -182,6 +200,14 @@ class FullPeriodFloquet(Floquet):
     @property
     def outside(self) -> NDArray[np.bool_]:
         return np.abs(self.others) > 1.0 + self.allowed
+
+    @property
+    def on_circle(self) -> NDArray[np.bool_]:
+        return np.abs(np.abs(self.others) - 1.0) <= self.allowed
+
+    @property
+    def real(self) -> NDArray[np.bool_]:
+        return np.asarray(self.others.imag == 0.0)
 
     @property
     def unstable_real(self) -> int:

@@ -19,7 +19,7 @@ from casadi_skin.dynamics import (
 )
 from casadi_skin.dynamics.equations import LONGEST_ENVELOPE
 from casadi_skin.methods import INTEGRATORS
-from casadi_skin.scene import chain_checks
+from casadi_skin.scene import task_checks
 from casadi_skin.theory.duffing import duffing_displacement
 from casadi_skin.theory.linear import Array
 
@@ -257,7 +257,7 @@ def test_at_gamma_one_the_edge_moves_alone_in_the_gauge(method: str) -> None:
     assert not np.any(found.displacements[:, :2])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow) if m != "cvodes" else m for m in METHODS])
 def test_at_gamma_one_other_sites_move_in_physical_coordinates_only(method: str) -> None:
     chain, start, t = Chain(3, 1.0, -1.0, 1.0), [0.1, 0.4, -0.3], np.linspace(0.0, 10.0, 21)
     with pytest.raises(ValueError, match=r'no image in the gauge; accepted: zero there, or coordinates = "physical"'):
@@ -352,7 +352,7 @@ def test_wrong_perturbations_are_named_in_one_line(arguments: dict[str, object],
 
 
 def test_a_far_end_below_the_smallest_double_is_refused() -> None:
-    assert LONGEST_ENVELOPE == chain_checks.LONGEST_ENVELOPE
+    assert LONGEST_ENVELOPE == task_checks.LONGEST_ENVELOPE
     with pytest.raises(ValueError, match=r"positions span exp\(-866.4\); accepted: down to exp\(-700\)"):
         evolve(Chain(1000, 1.0, 0.7, -1.0), np.zeros(1000), None, [1.0])
 

@@ -185,7 +185,7 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     assert np.linalg.norm(transition.truncation) <= transition.error
 
 
-@pytest.mark.parametrize("flow", ["gauss", "rk4", "cvodes"])
+@pytest.mark.parametrize("flow", ["gauss", "rk4", pytest.param("cvodes", marks=pytest.mark.slow)])
 def test_every_flow_gives_a_family_the_same_multipliers(flow: str) -> None:
     chain, tolerance = Chain(4, 1.0, 0.3, -1.0), 1e-8
     a, b = (
@@ -451,8 +451,9 @@ def check_honesty(true: Array, estimated: Array) -> None:
     assert np.median(estimated / true) < 30
 
 
-def test_the_errors_of_the_multipliers_are_honest() -> None:
-    check_honesty(*errors_of_random_orbits(15, 11))
+@pytest.mark.parametrize("number", [5, pytest.param(15, marks=pytest.mark.slow)])
+def test_the_errors_of_the_multipliers_are_honest(number: int) -> None:
+    check_honesty(*errors_of_random_orbits(number, 11))
 
 
 @pytest.mark.slow

@@ -157,6 +157,7 @@ def test_error_estimates_know_the_noise_of_the_fmu(tmp_path: Path) -> None:
     assert 1e-9 < error < solution.error < 1e-5
 
 
+@pytest.mark.parametrize("chain_fmu", ["3.0", pytest.param("2.0", marks=pytest.mark.slow)], indirect=True)
 def test_derivatives_and_dependencies_that_are_wrong_are_not_used(chain_fmu: Path, tmp_path: Path) -> None:
     fmi = "2.0" if "fmi2.c" in zipfile.ZipFile(chain_fmu).read("sources/config.h").decode() else "3.0"
     old = "sensitivity[i] = *place(c, UNKNOWN, unknowns[i]);"
@@ -468,6 +469,7 @@ def test_folder_goes_with_the_model(chain_fmu: Path, own_temporary_folder: Path)
     assert left_behind() == set()
 
 
+@pytest.mark.parametrize("chain_fmu", ["3.0", pytest.param("2.0", marks=pytest.mark.slow)], indirect=True)
 def test_folder_goes_at_the_end_of_the_program(chain_fmu: Path, tmp_path: Path) -> None:
     program = f"""
 import tempfile, pathlib

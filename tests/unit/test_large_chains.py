@@ -41,9 +41,9 @@ def tail(orbit: Orbit) -> Array:
     ("sites", "gamma", "g", "options", "smallest"),
     [
         (200, 0.99, 1.0, {}, -372.4237),
-        (200, -0.99, -1.0, {}, -374.3432),
-        (200, -0.99, 1.0, {"walker": "arclength"}, -372.4237),
         (200, 1.0 - 1e-9, 1.0, {}, -1765.4168),
+        pytest.param(200, -0.99, -1.0, {}, -374.3432, marks=pytest.mark.slow),
+        pytest.param(200, -0.99, 1.0, {"walker": "arclength"}, -372.4237, marks=pytest.mark.slow),
         pytest.param(1000, 0.25, 1.0, {}, -181.6282, marks=pytest.mark.slow),
         pytest.param(1000, 0.25, 1.0, {"walker": "arclength"}, -181.6282, marks=pytest.mark.slow),
         pytest.param(1000, 0.99, 1.0, {}, -1869.5259, marks=pytest.mark.slow),
@@ -81,15 +81,18 @@ def test_closed_form_of_the_tail_in_and_beside_the_band() -> None:
     np.testing.assert_allclose(signs * np.exp(logs), waves.sum(axis=0)[1:-1], rtol=1e-10, atol=1e-13)
 
 
-def test_shift_at_the_smallest_amplitude() -> None:
-    for sites, gamma in ((24, 0.99), (200, 0.7), (200, -0.25)):
-        for mode in (1, sites):
-            chain = Chain(sites, 1.0, gamma, 1.0)
-            for walker in ("series", "arclength"):
-                branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
-                slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
-                found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
-                assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
+@pytest.mark.parametrize(
+    ("sites", "gamma"),
+    [(24, 0.99), pytest.param(200, 0.7, marks=pytest.mark.slow), pytest.param(200, -0.25, marks=pytest.mark.slow)],
+)
+def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
+    for mode in (1, sites):
+        chain = Chain(sites, 1.0, gamma, 1.0)
+        for walker in ("series", "arclength"):
+            branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
+            slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
+            found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
+            assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
 
 
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
@@ -122,7 +125,7 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     assert not (tmp_path / "family.csv").exists()
 
 
-@pytest.mark.parametrize("corrector", ["newton", "ipopt"])
+@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
     for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
         found = [
@@ -132,7 +135,7 @@ def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
         np.testing.assert_allclose(found, found[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1e-8, 1e6])
+@pytest.mark.parametrize("alpha", [0.0, pytest.param(1e-8, marks=pytest.mark.slow), 1e6])
 def test_soft_and_stiff_sites(alpha: float) -> None:
     for mode in (1, 24):
         branch = follow_family(Chain(24, alpha, 0.25, 1.0), mode, 0.5, at=(1e-14,), corrector="newton")

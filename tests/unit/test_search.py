@@ -48,8 +48,15 @@ def search(chain: Chain = SHORT, **changes: Any) -> SearchResult:
 # The equations and the named quantities ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gamma", [0.3, -0.3, 0.0])
-@pytest.mark.parametrize("g", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("g", "gamma"),
+    [
+        (1.0, 0.3),
+        (-1.0, -0.3),
+        (1.0, 0.0),
+        *(pytest.param(g, gamma, marks=pytest.mark.slow) for g, gamma in ((1.0, -0.3), (-1.0, 0.3), (-1.0, 0.0))),
+    ],
+)
 def test_quantities_of_an_orbit_are_those_of_its_family(gamma: float, g: float) -> None:
     chain = Chain(6, 1.0, gamma, g)
     problem = stated(chain, objective="Omega_slope", free=("S",), S=0.5)
@@ -108,6 +115,7 @@ def slope_of(gamma: float) -> float:
     return float((8 * (c - b) - (d - a)) / 0.12)
 
 
+@pytest.mark.slow
 def test_least_slope_is_that_of_plain_families() -> None:
     result = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=3)
     plain = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-6})
@@ -144,6 +152,7 @@ def test_wrong_multipliers_are_no_optimum() -> None:
     assert optimality(nlp, solution).kkt.stationarity > 1e-3
 
 
+@pytest.mark.slow
 def test_mirrored_chains_have_the_same_optimum() -> None:
     right = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=1).best
     left = search(
@@ -180,9 +189,16 @@ def test_uneven_chain_meets_its_target() -> None:
         assert np.max(np.abs(acceleration - force)) < 1e-6
 
 
-def test_pareto_front_has_no_dominated_point() -> None:
+@pytest.mark.parametrize("points", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_pareto_front_has_no_dominated_point(points: int) -> None:
     front = pareto_front(
-        SHORT, "participation", "log_amplification", points=4, free=("gamma",), bounds={"gamma": (0.1, 0.6)}, starts=1
+        SHORT,
+        "participation",
+        "log_amplification",
+        points=points,
+        free=("gamma",),
+        bounds={"gamma": (0.1, 0.6)},
+        starts=1,
     )
     assert front.complete
     assert np.all(np.diff(front.values[:, 1]) > 0)

@@ -54,7 +54,7 @@ QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.F
     "model",
     [
         Chain(1, 0.8, 0.0, 1.0).gauge_model(),
-        Chain(3, 0.8, 0.3, 1.0).gauge_model(),
+        pytest.param(Chain(3, 0.8, 0.3, 1.0).gauge_model(), marks=pytest.mark.slow),
         asymmetric_oscillator(half_period=(-1, -1)),  # of no use but for the shape of the equations
         predator_and_prey(reversal=(1, -1), half_period=(-1, -1)),
     ],
@@ -115,9 +115,9 @@ def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
 # Orbits ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("symmetry", SymmetryClass)
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
+@pytest.mark.parametrize(("g", "S"), [pytest.param(1.0, 5.0, marks=pytest.mark.slow), (-1.0, 1.2)])
 def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryClass, kind: str) -> None:
     chain = Chain(1, 1.0, 0.0, g)
     problem = ShootingProblem(chain.gauge_model(), 13, symmetry)
@@ -131,7 +131,7 @@ def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryCla
     np.testing.assert_allclose(problem.sample(z, theta)[:, 0], exact, atol=2e-9)  # thirty radians amplify the frequency
 
 
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
+@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), pytest.param(-1.0, 1.2, marks=pytest.mark.slow)])
 def test_more_digits_are_more_accurate(g: float, S: float) -> None:
     chain, exact = Chain(1, 1.0, 0.0, g), duffing_frequency(3.0, g, np.sqrt(S))
     errors = []
@@ -144,7 +144,7 @@ def test_more_digits_are_more_accurate(g: float, S: float) -> None:
 
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
-@pytest.mark.parametrize(("sites", "mode", "kappa"), [(4, 1, -1.5), (4, 3, 2.0)])
+@pytest.mark.parametrize(("sites", "mode", "kappa"), [(4, 1, -1.5), pytest.param(4, 3, 2.0, marks=pytest.mark.slow)])
 def test_every_class_finds_the_orbit_of_odd_cosines(
     sites: int, mode: int, kappa: float, symmetry: SymmetryClass
 ) -> None:
@@ -276,7 +276,7 @@ def escaping(chain: Chain) -> tuple[ShootingProblem, Array]:
     return problem, z
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 def test_a_flow_that_fails_is_a_failed_correction_and_nothing_is_printed(
     kind: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -370,7 +370,7 @@ def test_digits_and_segments_out_of_range_are_refused(digits: int, segments: int
 # Families -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", [pytest.param("newton", marks=pytest.mark.slow), "ipopt"])
 def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -> None:
     chain, at = Chain(3, 1.0, 0.25, -1.0), (0.5, 1.5)
     found = follow_family(chain, 1, 1.5, at=at, transcription="shooting", corrector=kind)
@@ -386,6 +386,7 @@ def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -
         assert orbit.point.error.relative(orbit.Omega) <= 1e-8
 
 
+@pytest.mark.slow
 def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     folds = []
     for name in ("shooting", "trigonometric"):
@@ -437,7 +438,7 @@ def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     assert corrector.tolerance == pytest.approx(1e-8)
 
 
-@pytest.mark.parametrize("symmetry", [HALF, FULL])
+@pytest.mark.parametrize("symmetry", [HALF, pytest.param(FULL, marks=pytest.mark.slow)])
 def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryClass) -> None:
     chain = Chain(2, 1.0, 0.3, 1.0)
     branches = [

@@ -119,8 +119,17 @@ def family(
     return follow_family(chain, mode, end, at=at, tolerance=tolerance, corrector="newton", tail=tail)
 
 
-@pytest.mark.parametrize("g", [1.0, -1.0])
-@pytest.mark.parametrize(("sites", "gamma"), [(70, 0.7), (70, -0.7), (140, 0.4)])
+@pytest.mark.parametrize(
+    ("sites", "gamma", "g"),
+    [
+        (70, -0.7, 1.0),
+        (70, 0.7, -1.0),
+        pytest.param(70, 0.7, 1.0, marks=pytest.mark.slow),
+        pytest.param(70, -0.7, -1.0, marks=pytest.mark.slow),
+        pytest.param(140, 0.4, 1.0, marks=pytest.mark.slow),
+        pytest.param(140, 0.4, -1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) -> None:
     end = 2.0 if abs(gamma) == 0.7 else 3.0  # 3 Omega reaches the band near S = 2.7 at gamma = 0.7
     tailed, whole = (family(sites, gamma, g, tail, end) for tail in ("eliminated", "full"))
@@ -146,6 +155,7 @@ def test_multipliers_are_those_of_all_sites() -> None:
     assert one.floquet_vectors().shape == (140, 140)
 
 
+@pytest.mark.slow
 def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     tailed, whole = (family(200, 0.25, -1.0, tail, 3.2, 1e-9) for tail in ("eliminated", "full"))
     assert abs(tailed.at(3.2).Omega - whole.at(3.2).Omega) < 1e-9
@@ -155,7 +165,9 @@ def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
 
 
-@pytest.mark.parametrize(("g", "known"), [(1.0, 2.3200364277694), (-1.0, 0.7659589000207)])
+@pytest.mark.parametrize(
+    ("g", "known"), [(1.0, 2.3200364277694), pytest.param(-1.0, 0.7659589000207, marks=pytest.mark.slow)]
+)
 def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
     million, infinite = (family(N, 0.25, g, None, 3.0, 1e-11) for N in (10**6, math.inf))
     assert million.complete

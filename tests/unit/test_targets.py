@@ -265,7 +265,7 @@ WANDERING = Chain(5, 0.71, 0.3, -1.0)
 
 
 @WALKERS
-@pytest.mark.parametrize("limit", [1, 137])
+@pytest.mark.parametrize("limit", [1, pytest.param(137, marks=pytest.mark.slow)])
 def test_a_family_ends_after_its_points_and_tells_what_it_did(walker: str, limit: int) -> None:
     branch = follow_family(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=limit)
     assert len(branch) == limit
@@ -295,7 +295,7 @@ def test_points_before_an_interruption_count(walker: str) -> None:
     assert again.branch().S[-1] == pytest.approx(whole[-1].S, rel=1e-9)
 
 
-@WALKERS
+@pytest.mark.parametrize("walker", [pytest.param("arclength", marks=pytest.mark.slow), "series"])
 def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:
     period = 2 * np.pi / 0.13
     request = family_request(

@@ -291,7 +291,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
     assert isnan(quick.memory_MB)
-    steep = Setting(Kind.ORBITS, replace(FAMILY, amplitude_max=1e3), 1e-2, walker="arclength", corrector="newton")
+    steep = Setting(Kind.ORBITS, replace(FAMILY, max_points=3), 1e-2, walker="arclength", corrector="newton")
     failed = measure(steep, reference, 1, with_memory=False)
     assert failed.failure
     assert "\n" not in failed.failure
@@ -299,7 +299,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
 
 
 def test_memory_is_that_of_another_process() -> None:
-    held = np.ones(30_000_000)
+    held = np.ones(15_000_000)
     ours, started = peak_memory(), memory_of(None)
     assert held.nbytes / 1e6 < ours
     assert 10 < started < ours

@@ -17,7 +17,7 @@ from casadi_skin.export.fmu.config import config_header
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
 from casadi_skin.export.fmu.documentation import icon, page
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.subject import Subject, subject_of
+from casadi_skin.export.fmu.initial_value_problem import Subject, subject_of
 from casadi_skin.files import replacing
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.fmu_archive import library_ending, platform_folder

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.subject import Subject
+from casadi_skin.export.fmu.initial_value_problem import Subject
 
 _ROLES = ("derivatives", "outputs", "forward", "adjoint")
 

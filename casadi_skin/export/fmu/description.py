@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin._version import __version__
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.subject import Subject
+from casadi_skin.export.fmu.initial_value_problem import Subject
 
 SOURCES = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c",)}  # of the interface; that of the equations is named after the model
 CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}

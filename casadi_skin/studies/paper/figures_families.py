@@ -12,8 +12,9 @@ from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution
-from casadi_skin.figures.frequencies import draw_band, family_path, label_ends, stability_pieces
-from casadi_skin.figures.profiles import LINES, MARKERS, linear_mode
+from casadi_skin.figures.branch_lines import stability_pieces
+from casadi_skin.figures.frequencies import draw_band, family_path, label_ends
+from casadi_skin.figures.profiles import LINES, MARKERS
 from casadi_skin.figures.spacetime import draw_spacetime
 from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.orbits.branch import Branch
@@ -101,7 +102,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
 
 def _draw_profile(axes: Axes, orbit: Orbit, mode_number: int) -> None:
     """The profile over the linear mode of the same norm."""
-    mode = linear_mode(orbit.model, mode_number) * np.sqrt(orbit.S)
+    mode = orbit.model.linear_spectrum().mode(mode_number) * np.sqrt(orbit.S)
     n = np.arange(1, SITES + 1)
     sign = np.sign(mode @ orbit.profile)
     axes.axhline(0.0, color="0.45", lw=0.5, zorder=0)

@@ -4,8 +4,21 @@
 #include "dop853.h"
 #include "instance.h"
 
-#define UNUSED(argument) ((void)(argument))
+#if defined(__GNUC__) /* functions of the standard have arguments that this model does not use */
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+
 #define STATUS(status) ((fmi3Status)(status))
+
+/* A function of the interface with its parameters, and the expression that gives its status; NAME is its name. */
+#define FUNCTION(name, parameters, status)   \
+    fmi3Status fmi3##name parameters {       \
+        static const char NAME[] = #name;    \
+        return STATUS(status);               \
+    }
+
+/* An instance, and some of its variables. */
+#define THESE fmi3Instance c, const fmi3ValueReference references[], size_t count
 
 static void report(Instance *c, int status, const char *category, const char *message) {
     fmi3LogMessageCallback log_message;
@@ -38,7 +51,6 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage) {
-    UNUSED(resourcePath), UNUSED(visible);
     return instantiate(instanceName, instantiationToken, MODEL_EXCHANGE, loggingOn, instanceEnvironment, logMessage);
 }
 
@@ -50,8 +62,6 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3InstanceEnvironment instanceEnvironment,
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
-    UNUSED(resourcePath), UNUSED(visible), UNUSED(earlyReturnAllowed), UNUSED(intermediateUpdate);
-    UNUSED(requiredIntermediateVariables), UNUSED(nRequiredIntermediateVariables);
     if (eventModeUsed) {
         if (logMessage) logMessage(instanceEnvironment, fmi3Error, "logStatusError", "Instantiate: no Event Mode here");
         return NULL;
@@ -65,8 +75,6 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
                                                fmi3LogMessageCallback logMessage, fmi3ClockUpdateCallback clockUpdate,
                                                fmi3LockPreemptionCallback lockPreemption,
                                                fmi3UnlockPreemptionCallback unlockPreemption) {
-    UNUSED(instanceName), UNUSED(instantiationToken), UNUSED(resourcePath), UNUSED(visible), UNUSED(loggingOn);
-    UNUSED(clockUpdate), UNUSED(lockPreemption), UNUSED(unlockPreemption);
     if (logMessage)
         logMessage(instanceEnvironment, fmi3Error, "logStatusError", "Instantiate: no Scheduled Execution here");
     return NULL;
@@ -74,50 +82,28 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
 
 void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
 
-fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
-                               const fmi3String categories[]) {
-    if (allowed(instance, "SetDebugLogging", ~0) != OK) return fmi3Error;
-    return STATUS(set_logging(instance, loggingOn, nCategories, categories));
-}
+FUNCTION(SetDebugLogging, (fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[]),
+         allowed(c, NAME, ~0) ? ERROR : set_logging(c, on, count, categories))
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
                                        fmi3Float64 startTime, fmi3Boolean stopTimeDefined, fmi3Float64 stopTime) {
     Instance *c = instance;
-    UNUSED(stopTimeDefined), UNUSED(stopTime);
     if (begin_initialization(c, "EnterInitializationMode", toleranceDefined, tolerance, startTime) != OK)
         return fmi3Error;
     c->now.mode = INITIALIZATION;
     return fmi3OK;
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
-    Instance *c = instance;
-    return STATUS(move(c, "ExitInitializationMode", INITIALIZATION, c && c->kind == MODEL_EXCHANGE ? EVENT : STEP));
-}
-
-fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
-    if (in_model_exchange(instance, "EnterEventMode", CONTINUOUS) != OK) return fmi3Error;
-    return STATUS(move(instance, "EnterEventMode", CONTINUOUS, EVENT));
-}
-
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-    if (in_model_exchange(instance, "EnterContinuousTimeMode", EVENT) != OK) return fmi3Error;
-    return STATUS(move(instance, "EnterContinuousTimeMode", EVENT, CONTINUOUS));
-}
-
-fmi3Status fmi3EnterStepMode(fmi3Instance instance) { return STATUS(allowed(instance, "EnterStepMode", 0)); }
-
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
-    return STATUS(allowed(instance, "EnterConfigurationMode", 0));
-}
-
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
-    return STATUS(allowed(instance, "ExitConfigurationMode", 0));
-}
-
-fmi3Status fmi3Terminate(fmi3Instance instance) {
-    return STATUS(move(instance, "Terminate", EVENT | CONTINUOUS | STEP, TERMINATED));
-}
+FUNCTION(ExitInitializationMode, (fmi3Instance c),
+         move(c, NAME, INITIALIZATION, c && ((Instance *)c)->kind == MODEL_EXCHANGE ? EVENT : STEP))
+FUNCTION(EnterEventMode, (fmi3Instance c),
+         in_model_exchange(c, NAME, CONTINUOUS) ? ERROR : move(c, NAME, CONTINUOUS, EVENT))
+FUNCTION(EnterContinuousTimeMode, (fmi3Instance c),
+         in_model_exchange(c, NAME, EVENT) ? ERROR : move(c, NAME, EVENT, CONTINUOUS))
+FUNCTION(EnterStepMode, (fmi3Instance c), allowed(c, NAME, 0))
+FUNCTION(EnterConfigurationMode, (fmi3Instance c), allowed(c, NAME, 0))
+FUNCTION(ExitConfigurationMode, (fmi3Instance c), allowed(c, NAME, 0))
+FUNCTION(Terminate, (fmi3Instance c), move(c, NAME, EVENT | CONTINUOUS | STEP, TERMINATED))
 
 fmi3Status fmi3Reset(fmi3Instance instance) {
     if (!instance) return fmi3Error;
@@ -127,37 +113,19 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
 
 /* Values ------------------------------------------------------------------------------------------------------------- */
 
-fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          fmi3Float64 values[], size_t nValues) {
-    if (instance && nValues != nValueReferences)
-        return STATUS(say(instance, ERROR, "GetFloat64: as many values as references are accepted"));
-    return STATUS(get_values(instance, "GetFloat64", valueReferences, nValueReferences, values));
+static int wrong(Instance *c, const char *function, int are_wrong) {
+    return c && are_wrong ? say(c, ERROR, "%s: numbers of variables and of values do not fit", function) : OK;
 }
 
-fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          const fmi3Float64 values[], size_t nValues) {
-    if (instance && nValues != nValueReferences)
-        return STATUS(say(instance, ERROR, "SetFloat64: as many values as references are accepted"));
-    return STATUS(set_values(instance, "SetFloat64", valueReferences, nValueReferences, values));
-}
+FUNCTION(GetFloat64, (THESE, fmi3Float64 values[], size_t nValues),
+         wrong(c, NAME, nValues != count) ? ERROR : get_values(c, NAME, references, count, values))
+FUNCTION(SetFloat64, (THESE, const fmi3Float64 values[], size_t nValues),
+         wrong(c, NAME, nValues != count) ? ERROR : set_values(c, NAME, references, count, values))
 
-/* There are variables of no other type. */
-static fmi3Status none(Instance *c, const char *function, size_t count) {
-    if (allowed(c, function, ~0) != OK) return fmi3Error;
-    return count ? STATUS(say(c, ERROR, "%s: no variable has this type", function)) : fmi3OK;
-}
-
-#define OTHER_TYPE(type)                                                                                              \
-    fmi3Status fmi3Get##type(fmi3Instance instance, const fmi3ValueReference valueReferences[],                       \
-                             size_t nValueReferences, fmi3##type values[], size_t nValues) {                          \
-        UNUSED(valueReferences), UNUSED(values), UNUSED(nValues);                                                     \
-        return none(instance, "Get" #type, nValueReferences);                                                         \
-    }                                                                                                                 \
-    fmi3Status fmi3Set##type(fmi3Instance instance, const fmi3ValueReference valueReferences[],                       \
-                             size_t nValueReferences, const fmi3##type values[], size_t nValues) {                    \
-        UNUSED(valueReferences), UNUSED(values), UNUSED(nValues);                                                     \
-        return none(instance, "Set" #type, nValueReferences);                                                         \
-    }
+#define NO_VARIABLES(name, parameters) FUNCTION(name, parameters, none(c, NAME, count))
+#define OTHER_TYPE(type)                                                    \
+    NO_VARIABLES(Get##type, (THESE, fmi3##type values[], size_t nValues))   \
+    NO_VARIABLES(Set##type, (THESE, const fmi3##type values[], size_t nValues))
 OTHER_TYPE(Float32)
 OTHER_TYPE(Int8)
 OTHER_TYPE(UInt8)
@@ -169,140 +137,48 @@ OTHER_TYPE(Int64)
 OTHER_TYPE(UInt64)
 OTHER_TYPE(Boolean)
 OTHER_TYPE(String)
-
-fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         size_t valueSizes[], fmi3Binary values[], size_t nValues) {
-    UNUSED(valueReferences), UNUSED(valueSizes), UNUSED(values), UNUSED(nValues);
-    return none(instance, "GetBinary", nValueReferences);
-}
-
-fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         const size_t valueSizes[], const fmi3Binary values[], size_t nValues) {
-    UNUSED(valueReferences), UNUSED(valueSizes), UNUSED(values), UNUSED(nValues);
-    return none(instance, "SetBinary", nValueReferences);
-}
-
-fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        fmi3Clock values[]) {
-    UNUSED(valueReferences), UNUSED(values);
-    return none(instance, "GetClock", nValueReferences);
-}
-
-fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        const fmi3Clock values[]) {
-    UNUSED(valueReferences), UNUSED(values);
-    return none(instance, "SetClock", nValueReferences);
-}
-
-fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                  size_t nValueReferences, fmi3Float64 intervals[],
-                                  fmi3IntervalQualifier qualifiers[]) {
-    UNUSED(valueReferences), UNUSED(intervals), UNUSED(qualifiers);
-    return none(instance, "GetIntervalDecimal", nValueReferences);
-}
-
-fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
-                                   fmi3IntervalQualifier qualifiers[]) {
-    UNUSED(valueReferences), UNUSED(counters), UNUSED(resolutions), UNUSED(qualifiers);
-    return none(instance, "GetIntervalFraction", nValueReferences);
-}
-
-fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                               size_t nValueReferences, fmi3Float64 shifts[]) {
-    UNUSED(valueReferences), UNUSED(shifts);
-    return none(instance, "GetShiftDecimal", nValueReferences);
-}
-
-fmi3Status fmi3GetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[]) {
-    UNUSED(valueReferences), UNUSED(counters), UNUSED(resolutions);
-    return none(instance, "GetShiftFraction", nValueReferences);
-}
-
-fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                  size_t nValueReferences, const fmi3Float64 intervals[]) {
-    UNUSED(valueReferences), UNUSED(intervals);
-    return none(instance, "SetIntervalDecimal", nValueReferences);
-}
-
-fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, const fmi3UInt64 counters[],
-                                   const fmi3UInt64 resolutions[]) {
-    UNUSED(valueReferences), UNUSED(counters), UNUSED(resolutions);
-    return none(instance, "SetIntervalFraction", nValueReferences);
-}
-
-fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                               size_t nValueReferences, const fmi3Float64 shifts[]) {
-    UNUSED(valueReferences), UNUSED(shifts);
-    return none(instance, "SetShiftDecimal", nValueReferences);
-}
-
-fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, const fmi3UInt64 counters[],
-                                const fmi3UInt64 resolutions[]) {
-    UNUSED(valueReferences), UNUSED(counters), UNUSED(resolutions);
-    return none(instance, "SetShiftFraction", nValueReferences);
-}
+NO_VARIABLES(GetBinary, (THESE, size_t sizes[], fmi3Binary values[], size_t nValues))
+NO_VARIABLES(SetBinary, (THESE, const size_t sizes[], const fmi3Binary values[], size_t nValues))
+NO_VARIABLES(GetClock, (THESE, fmi3Clock values[]))
+NO_VARIABLES(SetClock, (THESE, const fmi3Clock values[]))
+NO_VARIABLES(GetIntervalDecimal, (THESE, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[]))
+NO_VARIABLES(GetIntervalFraction,
+             (THESE, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]))
+NO_VARIABLES(GetShiftDecimal, (THESE, fmi3Float64 shifts[]))
+NO_VARIABLES(GetShiftFraction, (THESE, fmi3UInt64 counters[], fmi3UInt64 resolutions[]))
+NO_VARIABLES(SetIntervalDecimal, (THESE, const fmi3Float64 intervals[]))
+NO_VARIABLES(SetIntervalFraction, (THESE, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]))
+NO_VARIABLES(SetShiftDecimal, (THESE, const fmi3Float64 shifts[]))
+NO_VARIABLES(SetShiftFraction, (THESE, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]))
 
 /* Dependencies of elements are not provided: all variables are scalars, see modelDescription.xml. */
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference valueReference,
-                                               size_t *nDependencies) {
-    UNUSED(valueReference), UNUSED(nDependencies);
-    return none(instance, "GetNumberOfVariableDependencies", 1);
-}
-
-fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
-                                       size_t elementIndicesOfDependent[], fmi3ValueReference independents[],
-                                       size_t elementIndicesOfIndependents[], fmi3DependencyKind dependencyKinds[],
-                                       size_t nDependencies) {
-    UNUSED(dependent), UNUSED(elementIndicesOfDependent), UNUSED(independents);
-    UNUSED(elementIndicesOfIndependents), UNUSED(dependencyKinds), UNUSED(nDependencies);
-    return none(instance, "GetVariableDependencies", 1);
-}
+FUNCTION(GetNumberOfVariableDependencies, (fmi3Instance c, fmi3ValueReference reference, size_t *count),
+         none(c, NAME, 1))
+FUNCTION(GetVariableDependencies,
+         (fmi3Instance c, fmi3ValueReference dependent, size_t dependentElements[], fmi3ValueReference independents[],
+          size_t independentElements[], fmi3DependencyKind kinds[], size_t count),
+         none(c, NAME, 1))
 
 /* The FMU state ------------------------------------------------------------------------------------------------------ */
 
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
-    return STATUS(get_state(instance, "GetFMUState", FMUState));
-}
-
-fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState) {
-    return STATUS(set_state(instance, "SetFMUState", FMUState));
-}
-
-fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
-    return STATUS(free_state(instance, "FreeFMUState", FMUState));
-}
-
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
-    UNUSED(FMUState);
-    if (allowed(instance, "SerializedFMUStateSize", ~0) != OK) return fmi3Error;
-    *size = SERIALISED;
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[],
-                                 size_t size) {
-    return STATUS(serialise(instance, "SerializeFMUState", FMUState, (char *)serializedState, size));
-}
-
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[], size_t size,
-                                   fmi3FMUState *FMUState) {
-    return STATUS(deserialise(instance, "DeserializeFMUState", (const char *)serializedState, size, FMUState));
-}
+FUNCTION(GetFMUState, (fmi3Instance c, fmi3FMUState *state), get_state(c, NAME, state))
+FUNCTION(SetFMUState, (fmi3Instance c, fmi3FMUState state), set_state(c, NAME, state))
+FUNCTION(FreeFMUState, (fmi3Instance c, fmi3FMUState *state), free_state(c, NAME, state))
+FUNCTION(SerializedFMUStateSize, (fmi3Instance c, fmi3FMUState state, size_t *size),
+         allowed(c, NAME, ~0) ? ERROR : (*size = SERIALISED, OK))
+FUNCTION(SerializeFMUState, (fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size),
+         serialise(c, NAME, state, (char *)bytes, size))
+FUNCTION(DeserializeFMUState, (fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state),
+         deserialise(c, NAME, (const char *)bytes, size, state))
 
 /* Partial derivatives ------------------------------------------------------------------------------------------------ */
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
-                                        const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
-                                        size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
-    if (instance && (nSeed != nKnowns || nSensitivity != nUnknowns))
-        return STATUS(say(instance, ERROR, "GetDirectionalDerivative: seeds or sensitivities are too few or many"));
-    return STATUS(directional(instance, "GetDirectionalDerivative", unknowns, nUnknowns, knowns, nKnowns, seed,
-                              sensitivity));
-}
+FUNCTION(GetDirectionalDerivative,
+         (fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns, const fmi3ValueReference knowns[],
+          size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity),
+         wrong(c, NAME, nSeed != nKnowns || nSensitivity != nUnknowns)
+             ? ERROR
+             : directional(c, NAME, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity))
 
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
                                     const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
@@ -312,8 +188,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
     size_t i;
     int n;
     if (check_derivative(c, "GetAdjointDerivative", unknowns, nUnknowns, knowns, nKnowns) != OK) return fmi3Error;
-    if (nSeed != nUnknowns || nSensitivity != nKnowns)
-        return STATUS(say(c, ERROR, "GetAdjointDerivative: seeds or sensitivities are too few or many"));
+    if (wrong(c, "GetAdjointDerivative", nSeed != nUnknowns || nSensitivity != nKnowns)) return fmi3Error;
     own = c->trial;
     memset(c->trial, 0, sizeof c->trial);
     clear_seeds(c);
@@ -338,9 +213,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
 
 /* Model Exchange ----------------------------------------------------------------------------------------------------- */
 
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
-    return STATUS(allowed(instance, "EvaluateDiscreteStates", 0));
-}
+FUNCTION(EvaluateDiscreteStates, (fmi3Instance c), allowed(c, NAME, 0))
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
                                     fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
@@ -355,75 +228,37 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
                                        fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation) {
-    UNUSED(noSetFMUStatePriorToCurrentPoint);
     if (in_model_exchange(instance, "CompletedIntegratorStep", CONTINUOUS) != OK) return fmi3Error;
     *enterEventMode = *terminateSimulation = fmi3False;
     return fmi3OK;
 }
 
-fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) { return STATUS(set_time(instance, "SetTime", time)); }
-
-fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
-                                   size_t nContinuousStates) {
-    return STATUS(set_states(instance, "SetContinuousStates", continuousStates, nContinuousStates));
-}
-
-fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[], size_t nContinuousStates) {
-    const int modes = INITIALIZATION | EVENT | CONTINUOUS | TERMINATED;
-    return STATUS(get_vector(instance, "GetContinuousStates", modes, 'x', continuousStates, nContinuousStates));
-}
-
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
-                                             size_t nContinuousStates) {
-    const int modes = INITIALIZATION | EVENT | CONTINUOUS | TERMINATED;
-    return STATUS(get_vector(instance, "GetContinuousStateDerivatives", modes, 'd', derivatives, nContinuousStates));
-}
-
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
-                                             size_t nContinuousStates) {
-    const int modes = INITIALIZATION | EVENT | CONTINUOUS | TERMINATED;
-    return STATUS(get_vector(instance, "GetNominalsOfContinuousStates", modes, 'n', nominals, nContinuousStates));
-}
-
-fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[], size_t nEventIndicators) {
-    UNUSED(eventIndicators);
-    return none(instance, "GetEventIndicators", nEventIndicators);
-}
-
-fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators) {
-    if (in_model_exchange(instance, "GetNumberOfEventIndicators", ~FAILED) != OK) return fmi3Error;
-    *nEventIndicators = 0;
-    return fmi3OK;
-}
-
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
-    if (in_model_exchange(instance, "GetNumberOfContinuousStates", ~FAILED) != OK) return fmi3Error;
-    *nContinuousStates = NX;
-    return fmi3OK;
-}
+FUNCTION(SetTime, (fmi3Instance c, fmi3Float64 time), set_time(c, NAME, time))
+FUNCTION(SetContinuousStates, (fmi3Instance c, const fmi3Float64 x[], size_t count), set_states(c, NAME, x, count))
+FUNCTION(GetContinuousStates, (fmi3Instance c, fmi3Float64 x[], size_t count),
+         get_vector(c, NAME, INITIALIZATION | EVENT | CONTINUOUS | TERMINATED, 'x', x, count))
+FUNCTION(GetContinuousStateDerivatives, (fmi3Instance c, fmi3Float64 derivatives[], size_t count),
+         get_vector(c, NAME, INITIALIZATION | EVENT | CONTINUOUS | TERMINATED, 'd', derivatives, count))
+FUNCTION(GetNominalsOfContinuousStates, (fmi3Instance c, fmi3Float64 nominals[], size_t count),
+         get_vector(c, NAME, INITIALIZATION | EVENT | CONTINUOUS | TERMINATED, 'n', nominals, count))
+NO_VARIABLES(GetEventIndicators, (fmi3Instance c, fmi3Float64 indicators[], size_t count))
+FUNCTION(GetNumberOfEventIndicators, (fmi3Instance c, size_t *count),
+         in_model_exchange(c, NAME, ~FAILED) ? ERROR : (*count = 0, OK))
+FUNCTION(GetNumberOfContinuousStates, (fmi3Instance c, size_t *count),
+         in_model_exchange(c, NAME, ~FAILED) ? ERROR : (*count = NX, OK))
 
 /* Co-Simulation ------------------------------------------------------------------------------------------------------ */
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                    size_t nValueReferences, const fmi3Int32 orders[], fmi3Float64 values[],
-                                    size_t nValues) {
-    UNUSED(valueReferences), UNUSED(orders), UNUSED(values), UNUSED(nValues);
-    return none(instance, "GetOutputDerivatives", nValueReferences);
-}
+NO_VARIABLES(GetOutputDerivatives, (THESE, const fmi3Int32 orders[], fmi3Float64 values[], size_t nValues))
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
                       fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
     int status;
-    UNUSED(noSetFMUStatePriorToCurrentPoint);
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
     status = communication_step(instance, "DoStep", currentCommunicationPoint, communicationStepSize);
     if (instance) *lastSuccessfulTime = ((Instance *)instance)->now.time;
     return STATUS(status);
 }
 
-fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clockReference,
-                                      fmi3Float64 activationTime) {
-    UNUSED(clockReference), UNUSED(activationTime);
-    return STATUS(allowed(instance, "ActivateModelPartition", 0));
-}
+FUNCTION(ActivateModelPartition, (fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time), allowed(c, NAME, 0))

@@ -202,6 +202,12 @@ static int get_values(Instance *c, const char *function, const unsigned int refe
     return status;
 }
 
+/* Access to variables of another type than those that there are. */
+static int none(Instance *c, const char *function, size_t count) {
+    if (allowed(c, function, ~0) != OK) return ERROR;
+    return count ? say(c, ERROR, "%s: no variable has this type", function) : OK;
+}
+
 /* Nothing is set where one of the values cannot be. */
 static int set_values(Instance *c, const char *function, const unsigned int references[], size_t count,
                       const double values[]) {

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.export.ctext import Call, comment, doubles, pattern, plain
+from casadi_skin.export.c_text import Call, comment, doubles, pattern, plain
 from casadi_skin.export.equations import pattern_declaration
+from casadi_skin.export.exported_model import Subject
 from casadi_skin.export.part import Part, Size, called, declared
-from casadi_skin.export.subject import Subject
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import Floquet
 
@@ -123,20 +123,23 @@ def orbit_part(subject: Subject) -> Part:
         "Omega": (orbit.Omega, "frequency"),
         "period": (orbit.period, "2 pi/Omega"),
         "S": (orbit.S, "sum of y_n^2 at t = 0"),
-        "kappa": (orbit.point.parameter, "g S, the parameter of the gauge"),
         "Omega_error": (orbit.Omega_error, "estimated absolute error of Omega"),
         "profile_error": (orbit.profile_error, "estimated error of y, relative to its largest displacement"),
     }
+    if subject.chain is not None:
+        numbers["kappa"] = (orbit.point.parameter, "g S, the parameter of the gauge")
+    values = orbit.coefficients(harmonics)
     data = [f"const double @p_orbit_{name} = {value:.17g};" for name, (value, _) in numbers.items()]
     told = [f"extern const double @p_orbit_{name}; {comment(words)}" for name, (_, words) in numbers.items()]
-    arrays = [doubles("@p_orbit_coefficients", orbit.coefficients(harmonics))]
+    arrays = [doubles("@p_orbit_coefficients", values)]
     coefficients = comment("y_n(t) = sum of c_kn cos((2k+1) Omega t): c_kn at place k SITES + n.")
-    told += [coefficients, f"extern const double @p_orbit_coefficients[{harmonics * int(orbit.model.sites)}];"]
+    told += [coefficients, f"extern const double @p_orbit_coefficients[{values.size}];"]
     if subject.refusal("residual") is None:
         arrays.append(doubles("@p_orbit_z", orbit.point.z))
         unknowns = "The same orbit as unknowns of the collocation equations."
         told += [comment(unknowns), f"extern const double @p_orbit_z[{orbit.point.z.size}];"]
     multipliers, more = _multipliers(orbit)
+    sites = () if subject.chain is not None else (Size("SITES", values.shape[1], "positions of the model"),)
     evaluate = declared(
         "int @p_orbit(double t, double *y, double *velocity)",
         "Displacements and velocities of the sites at time t in physical coordinates; either may be a null pointer. "
@@ -144,7 +147,7 @@ def orbit_part(subject: Subject) -> Part:
     )
     return Part(
         "A converged orbit",
-        (Size("HARMONICS", harmonics, "odd harmonics of the orbit"),),
+        (Size("HARMONICS", harmonics, "odd harmonics of the orbit"), *sites),
         ("\n".join([*told, *more]), evaluate),
         ("\n".join(data), *arrays, *multipliers),
         files=("orbit",),

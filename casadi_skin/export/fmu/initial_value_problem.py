@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.export.exported_model import model_of
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.orbit import Orbit
@@ -74,7 +75,10 @@ def subject_of(
     if isinstance(what, OdeModel):
         return _of_model(what, start, chosen, tolerance)
     if isinstance(what, Orbit):
-        return _of_chain(what.chain, what.profile if start is None else start, what.period, chosen, tolerance)
+        chosen, start = PERIODS * what.period if chosen is None else chosen, what.profile if start is None else start
+        if isinstance(what.model, Chain):
+            return _of_chain(what.model, start, what.period, chosen, tolerance)
+        return _of_model(model_of(what), start, chosen, tolerance)
     if not isinstance(what, Chain):
         raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an Orbit or an OdeModel")
     if what.infinite:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 
 WHAT: Mapping[str, str] = {
@@ -45,8 +47,8 @@ class Subject:
     @property
     def chain(self) -> Chain | None:
         """The chain, where it is one or an orbit of one."""
-        found = self.source.model if isinstance(self.source, Orbit) else self.source
-        return found if isinstance(found, Chain) else None
+        source = self.source.model if isinstance(self.source, Orbit) else self.source
+        return source if isinstance(source, Chain) else None
 
     @property
     def orbit(self) -> Orbit | None:
@@ -55,13 +57,21 @@ class Subject:
 
     @cached_property
     def model(self) -> OdeModel:
-        """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g."""
-        return self.source if isinstance(self.source, OdeModel) else self._chain.tunable_model()
+        """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g.
+
+        The nominal values of the parameters of an orbit's model are those of the orbit.
+        """
+        if self.chain is not None:
+            return self.chain.tunable_model()
+        if isinstance(self.source, Orbit):
+            return model_of(self.source)
+        assert isinstance(self.source, OdeModel)
+        return self.source
 
     @cached_property
     def flow_model(self) -> OdeModel:
         """The equations that the flow follows; a chain's in the gauge, where its flow is symplectic."""
-        return self.source if isinstance(self.source, OdeModel) else self._chain.gauge_model()
+        return self.model if self.chain is None else self.chain.gauge_model()
 
     @cached_property
     def problem(self) -> TrigonometricProblem:
@@ -72,11 +82,6 @@ class Subject:
         assert isinstance(problem, TrigonometricProblem)
         return problem
 
-    @property
-    def _chain(self) -> Chain:
-        assert self.chain is not None
-        return self.chain
-
     def refusal(self, what: str) -> str | None:
         """Why it cannot be exported, in words; None where it can."""
         if what == "outputs" and not self.model.outputs:
@@ -85,19 +90,29 @@ class Subject:
             return "a model alone has no orbit; of a chain or an orbit it can"
         if what == "orbit" and self.orbit is None:
             return "a chain alone is no orbit; of an orbit, such as branch.at(S=0.2), it can"
+        if self.orbit is not None and self.orbit.symmetry is not SymmetryClass.QUARTER and what == "orbit":
+            return "its symmetries do not make it a sum of odd cosines"
+        if what in ("residual", "newton", "ipopt") and self.chain is None:
+            return "it is not one of a chain"
         if what in IN_THE_GAUGE and self.chain is not None and abs(self.chain.gamma) == 1:
             return "at |gamma| = 1 the gauge holds the edge site alone"
-        if what in IN_THE_GAUGE and what != "flow" and self.orbit is not None:
+        if what in IN_THE_GAUGE and what != "flow" and self.chain is not None and self.orbit is not None:
             return self._not_in_cosines(self.orbit)
         return None
 
     @staticmethod
     def _not_in_cosines(orbit: Orbit) -> str | None:
-        if isinstance(orbit.space.coordinates, CoreWithTail):
+        if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
             return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
         if not isinstance(orbit.point.problem, TrigonometricProblem):
             return "its equations are not in odd cosines; with transcription trigonometric it can"
         return None
+
+
+def model_of(orbit: Orbit) -> OdeModel:
+    """The model of an orbit, with the orbit's parameters as their nominal values."""
+    model: OdeModel = orbit.model
+    return replace(model, nominal=tuple(orbit.parameters[name] for name in model.parameter_names), checked=False)
 
 
 def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
@@ -110,8 +125,8 @@ def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
     if isinstance(source, OdeModel):
         return Subject(source, _name(source.name if name is None else name, name), harmonics)
     chain = source if isinstance(source, Chain) else source.model
-    if not isinstance(chain, Chain):
-        raise TypeError(f"source: given an orbit of {chain.name}; accepted: an orbit of a Chain, or the model alone")
+    if isinstance(chain, OdeModel):
+        return Subject(source, _name(chain.name if name is None else name, name), harmonics)
     if chain.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:

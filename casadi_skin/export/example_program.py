@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from casadi_skin.export.subject import Subject
+from casadi_skin.export.exported_model import Subject
 
 STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
 CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
@@ -18,7 +18,7 @@ def main_text(subject: Subject, parts: Collection[str]) -> str:
     if "newton" in parts:
         from_mode = FROM_LINEAR_MODE.replace("@mode", str(_mode(subject))).replace("@S", f"{CHAIN_S:g}")
         blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
-    if _has_multipliers(parts):
+    if _has_multipliers(subject, parts):
         start = FROM_NEWTON if "newton" in parts else FROM_DATA
         blocks.append(MULTIPLIERS.replace("@steps", str(STEPS)).replace("@start", start))
     elif "flow" in parts and subject.chain is None:
@@ -28,7 +28,7 @@ def main_text(subject: Subject, parts: Collection[str]) -> str:
     if not blocks:
         blocks.append('    printf("states %d\\n", @P_STATES);\n')
     needs = [*NEWTON_STATICS] if "newton" in parts else []
-    if _has_multipliers(parts):
+    if _has_multipliers(subject, parts):
         needs += FLOW_STATICS
     nominal = NOMINAL if subject.model.nominal else ""
     blocks = [block.replace("@nominal", nominal) for block in blocks]
@@ -36,9 +36,9 @@ def main_text(subject: Subject, parts: Collection[str]) -> str:
     return HEAD + (statics + "\n" if statics else "") + "int main(void)\n{\n" + "\n".join(blocks) + "    return 0;\n}\n"
 
 
-def _has_multipliers(parts: Collection[str]) -> bool:
+def _has_multipliers(subject: Subject, parts: Collection[str]) -> bool:
     """Whether the program has an orbit to follow the flow along."""
-    return "flow" in parts and ("newton" in parts or "orbit" in parts)
+    return subject.chain is not None and "flow" in parts and ("newton" in parts or "orbit" in parts)
 
 
 def _mode(subject: Subject) -> int:
