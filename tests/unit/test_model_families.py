@@ -5,6 +5,7 @@ Whatever is compared is typed out again in numpy: forces, stiffnesses, energies,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,11 +20,15 @@ from scipy.special import ellipk, ellipkm1
 from small_models import duffing, fput, lattice, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, find_orbit, follow_family
-from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import family_request
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+
+def slow(*values: Any) -> Any:
+    """Parameters of a test that takes long."""
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def second_order(name: str, q: ca.SX, force: ca.SX, *parameters: ca.SX, odd: bool = True, **more: Any) -> OdeModel:
@@ -59,7 +64,7 @@ class Typed:
             return np.concatenate([v, self.force(q), V[n:].ravel(), (self.derivative(q) @ V[:n]).ravel()])
 
         whole = np.concatenate([start, np.eye(2 * n)[:, :columns].ravel()])
-        end = solve_ivp(field, (0.0, time), whole, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        end = solve_ivp(field, (0.0, time), whole, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
         return end[: 2 * n], end[2 * n :].reshape(2 * n, columns)
 
     def check(self, orbit: Orbit, tolerance: float = 1e-8, vectors: bool = False) -> ComplexArray:
@@ -132,16 +137,17 @@ def harmonic_balance(typed: Typed, mode: Array, omega: float, amplitudes: Array,
 # Hamiltonian lattices -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sites", "mode", "harmonics"), [(8, 1, 12), (8, 8, 10), (24, 1, 12)])
-def test_fput_by_harmonic_balance_and_by_integration(sites: int, mode: int, harmonics: int) -> None:
+@pytest.mark.parametrize(
+    ("sites", "mode", "S", "harmonics"), [(8, 1, 1.5, 10), (24, 24, 0.1, 6), slow(24, 1, 1.5, 12), slow(8, 8, 1.5, 10)]
+)
+def test_fput_by_harmonic_balance_and_by_integration(sites: int, mode: int, S: float, harmonics: int) -> None:
     """FPUT-beta with fixed ends, omega_j = 2 sin(j pi/(2 (N + 1)))."""
-    S = 1.5
-    branch = follow_family(fput(sites), mode, 2.0, at=(S,), tolerance=1e-10, corrector="newton")
+    branch = follow_family(fput(sites), mode, 2.0 * S, at=(S,), tolerance=1e-10, corrector="newton")
     assert branch.complete
     orbit, typed = branch.at(S), typed_lattice(1.0, False)
     angle = mode * np.pi / (sites + 1)
     shape = np.sin(angle * np.arange(1, sites + 1))
-    exact, c = harmonic_balance(typed, shape, 2 * np.sin(angle / 2), np.linspace(0.1, S, 8), harmonics)
+    exact, c = harmonic_balance(typed, shape, 2 * np.sin(angle / 2), np.linspace(S / 12, S, 12), harmonics)
     assert abs(orbit.Omega - exact) <= orbit.Omega_error + 1e-13
     found = orbit.coefficients(harmonics)
     np.testing.assert_allclose(found * np.sign(found[0] @ c[0]), c, atol=1e-9)
@@ -154,14 +160,15 @@ def test_fput_by_harmonic_balance_and_by_integration(sites: int, mode: int, harm
     assert orbit.parameters == {"bond": 1.0}
 
 
-@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), (32, 0.1043149731)])
+@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), slow(32, 0.1043149731)])
 def test_the_pi_mode_loses_its_stability_at_the_known_energy(sites: int, energy: float) -> None:
     """FPUT-beta on a ring, beta = 1: the highest mode is alone, the others are degenerate, and one is a translation."""
     q, v = ca.SX.sym("q", sites), ca.SX.sym("v", sites)
     d = ca.vertcat(q[1:], q[0]) - q
     potential = ca.sumsqr(d) / 2 + ca.sum1(d**4) / 4
     ring = second_order("ring", q, -ca.gradient(potential, q), velocity=v, hamiltonian=ca.sumsqr(v) / 2 + potential)
-    branch = follow_family(ring, "last", 0.3 if sites == 8 else 0.2, stability=True, tolerance=1e-10)
+    S = 0.3 if sites == 8 else 0.06
+    branch = follow_family(ring, "last", S, stability=True, tolerance=1e-10, corrector="newton")
     (change,) = branch.changes
     assert change.stable_before
     assert change.kind == "real"
@@ -177,9 +184,8 @@ def test_the_pi_mode_loses_its_stability_at_the_known_energy(sites: int, energy:
 
 def test_a_pendulum_from_a_whisper_to_almost_the_top() -> None:
     """4 K(sin^2(a/2)), and its series 1 - a^2/16 at a = 1e-6."""
-    top = 3.14159
-    at = (1e-12, 1e-4, 1.0, 4.0, 3.1**2)
-    branch = follow_family(pendulum(), 1, top**2, at=at, tolerance=1e-10)
+    at = (1e-12, 4.0, 3.1**2)
+    branch = follow_family(pendulum(), 1, 3.14**2, at=at, tolerance=1e-10, corrector="newton")
     assert branch.complete
     for orbit in branch.orbits:  # the period grows without bound at pi: the error of S counts as well
         off = orbit.S_error + 1e-15 * orbit.S
@@ -197,28 +203,29 @@ def pendulum() -> OdeModel:
     return second_order("pendulum", q, -ca.sin(q), velocity=v, hamiltonian=v**2 / 2 + 1 - ca.cos(q))
 
 
-@pytest.mark.parametrize(("sites", "mode", "S"), [(3, 1, 0.01), (3, 3, 6.0), (5, 2, 2.0)])
+@pytest.mark.parametrize(("sites", "mode", "S"), [(3, 1, 0.01), (3, 3, 6.0), slow(5, 2, 2.0)])
 def test_pendulum_chains_by_integration(sites: int, mode: int, S: float) -> None:
-    branch = follow_family(pendulums(sites), mode, S, at=(S,), tolerance=1e-10)
+    branch = follow_family(pendulums(sites), mode, S, at=(S,), tolerance=1e-10, corrector="newton")
     assert branch.complete
     orbit, typed = branch.at(S), typed_lattice(0.0, True)
     typed.check(orbit, vectors=True)
     assert branch.space.coordinates.parameter_of(S) == np.sqrt(S)
     angle = mode * np.pi / (sites + 1)
     omega, shape = np.sqrt(1 + 4 * np.sin(angle / 2) ** 2), np.sin(angle * np.arange(1, sites + 1))
-    exact, _ = harmonic_balance(typed, shape, omega, np.linspace(0.1 * S, S, 8), 12)
+    exact, _ = harmonic_balance(typed, shape, omega, np.linspace(0.2 * S, S, 5), 12)
     assert abs(orbit.Omega - exact) <= orbit.Omega_error + 1e-11
 
 
 def test_forces_that_are_neither_odd_nor_polynomials() -> None:
     """Toda's lattice between walls: half a period, by Gauss collocation."""
-    q, v = ca.SX.sym("q", 4), ca.SX.sym("v", 4)
+    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
     d = ca.vertcat(q, 0) - ca.vertcat(0, q)
     potential = ca.sum1(ca.exp(d) - d - 1)
-    toda = second_order("Toda", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential)
-    branch = follow_family(toda, 2, 0.8, at=(0.5,), tolerance=1e-9, corrector="newton")
+    toda = second_order(
+        "Toda", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential
+    )
+    branch = follow_family(toda, 2, 0.5, at=(0.5,), tolerance=1e-9, corrector="newton")
     assert branch.complete
-    orbit = branch.at(0.5)
 
     def force(x: Array) -> Array:
         return np.diff(np.exp(np.diff(x, prepend=0.0, append=0.0)))
@@ -227,19 +234,20 @@ def test_forces_that_are_neither_odd_nor_polynomials() -> None:
         k = np.exp(np.diff(x, prepend=0.0, append=0.0))
         return -np.diag(k[1:] + k[:-1]) + np.diag(k[1:-1], 1) + np.diag(k[1:-1], -1)
 
-    # It is integrable: every multiplier is 1, and the N x N problem has them at mu = 0.
-    end, _ = Typed(force, derivative).flow(np.append(orbit.profile, np.zeros(4)), orbit.period)
-    np.testing.assert_allclose(end, np.append(orbit.profile, np.zeros(4)), atol=1e-8)
-    assert np.sum(orbit.profile**2) == pytest.approx(0.5, rel=1e-14)
+    Typed(force, derivative).check(branch.at(0.5), vectors=True)
+    assert branch.at(0.5).floquet().stable  # it is integrable
+    assert np.sum(branch.at(0.5).profile ** 2) == pytest.approx(0.5, rel=1e-14)
 
 
 def test_fput_alpha_has_even_harmonics_too() -> None:
     """V = d^2/2 + d^3/12: reversible but not odd, by Gauss on half of the period; stability over half of it."""
-    q, v = ca.SX.sym("q", 4), ca.SX.sym("v", 4)
+    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
     d = ca.vertcat(q, 0) - ca.vertcat(0, q)
     potential = ca.sumsqr(d) / 2 + ca.sum1(d**3) / 12
-    alpha = second_order("alpha", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential)
-    branch = follow_family(alpha, 2, 0.5, at=(0.3,), tolerance=1e-9, stability=True, corrector="newton")
+    alpha = second_order(
+        "alpha", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential
+    )
+    branch = follow_family(alpha, 1, 0.3, at=(0.3,), tolerance=1e-9, stability=True, corrector="newton")
     assert branch.complete
     assert branch.space.request.method.transcription == "gauss"
 
@@ -257,7 +265,7 @@ def test_fput_alpha_has_even_harmonics_too() -> None:
     assert np.max(np.abs(mean)) > 1e-3  # an odd orbit would have none
     with pytest.raises(ValueError, match="the orbit is no sum of odd cosines"):
         orbit.coefficients(8)
-    with pytest.raises(ValueError, match="^transcription: given trigonometric; accepted: gauss, radau or shooting"):
+    with pytest.raises(ValueError, match=r"^transcription: given trigonometric; accepted: gauss, radau or shooting"):
         follow_family(alpha, 2, 0.5, transcription="trigonometric")
 
 
@@ -267,7 +275,9 @@ def test_masses_are_symmetrised() -> None:
     q = ca.SX.sym("q", 3)
     d = ca.vertcat(q, 0) - ca.vertcat(0, q)
     potential = ca.sumsqr(d) / 2 + ca.sum1(d**4) / 4
-    branch = follow_family(second_order("masses", q, -ca.gradient(potential, q) / m), 2, 1.0, at=(0.7,), tolerance=1e-10)
+    branch = follow_family(
+        second_order("masses", q, -ca.gradient(potential, q) / m), 2, 0.7, at=(0.7,), tolerance=1e-10
+    )
     coordinates = branch.space.coordinates
     assert coordinates.symplectic
     np.testing.assert_allclose(coordinates.scale, np.sqrt(0.25 / m), rtol=1e-14)
@@ -288,12 +298,15 @@ def chain_by_hand(sites: int) -> OdeModel:
 
 
 @pytest.mark.parametrize(
-    ("sites", "gamma", "g", "mode", "S"), [(24, 0.25, -1.0, 1, 1.0), (48, 0.6, 1.0, 48, 3.0), (24, -0.25, 1.0, 2, 1.0)]
+    ("sites", "gamma", "g", "mode", "S"), [(24, 0.25, -1.0, 1, 1.0), (48, 0.6, 1.0, 48, 3.0), (6, -0.25, 1.0, 2, 1.0)]
 )
-def test_the_chain_by_hand_has_the_numbers_of_the_chain(sites: int, gamma: float, g: float, mode: int, S: float) -> None:
+def test_the_chain_by_hand_has_the_numbers_of_the_chain(
+    sites: int, gamma: float, g: float, mode: int, S: float
+) -> None:
     chain, values = Chain(sites, 1.0, gamma, g), {"alpha": 1.0, "gamma": gamma, "g": g}
-    one = follow_family(chain, mode, S, at=(0.2, S), tolerance=1e-10)
-    other = follow_family(chain_by_hand(sites), mode, S, at=(0.2, S), tolerance=1e-10, parameters=values)
+    options: dict[str, Any] = {"at": (0.2, S), "tolerance": 1e-10, "corrector": "newton"}
+    one = follow_family(chain, mode, S, **options)
+    other = follow_family(chain_by_hand(sites), mode, S, parameters=values, **options)
     np.testing.assert_allclose(other.space.coordinates.log_scale, chain.log_rho, atol=1e-13 * sites)
     assert other.space.request.method == one.space.request.method
     for where in (0.2, S):
@@ -313,8 +326,7 @@ def test_the_chain_by_hand_has_the_numbers_of_the_chain(sites: int, gamma: float
 # Reversible, but not Hamiltonian in any diagonal coordinates ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("flow", ["splitting", "cvodes", "gauss", "rk4"])
-def test_cubic_bonds_with_a_gain(flow: str) -> None:
+def test_cubic_bonds_with_a_gain() -> None:
     """Linear bonds act both ways alike, cubic ones by 0.8 to the right and 1.2 to the left."""
     q = ca.SX.sym("q", 6)
     d = ca.vertcat(q, 0) - ca.vertcat(0, q)
@@ -326,7 +338,7 @@ def test_cubic_bonds_with_a_gain(flow: str) -> None:
         lambda x: linear.derivative(x) + cubic.derivative(x) - same.derivative(x),
     )
     S = 3.0
-    branch = follow_family(second_order("gain", q, force), 3, S, at=(0.3, S), tolerance=1e-9, flow=flow)
+    branch = follow_family(second_order("gain", q, force), 3, S, at=(0.3, S), tolerance=1e-9, corrector="newton")
     assert not branch.space.coordinates.symplectic
     stable = []
     for where in (0.3, S):
@@ -337,6 +349,8 @@ def test_cubic_bonds_with_a_gain(flow: str) -> None:
         with pytest.raises(ValueError, match="energy: gain declares no hamiltonian"):
             _ = orbit.energy
     assert stable == [True, False]
+    for flow in ("cvodes", "gauss", "rk4"):
+        assert apart(orbit.floquet(flow).multipliers, orbit.floquet().multipliers) < 1e-6
 
 
 def test_bonds_with_one_gain_are_hamiltonian_in_their_gauge() -> None:
@@ -406,7 +420,7 @@ def springs(normalisation: Callable[[ca.SX, ca.SX], ca.SX] | None = None) -> Ode
     return second_order("springs", q, force, k, S, normalisation=normalisation(q, S))
 
 
-@pytest.mark.parametrize("spelled", [lambda q, S: q[0] ** 2 - S, lambda q, S: -S + q[0] ** 2, lambda q, S: (q[0] ** 2 - S) + 0])
+@pytest.mark.parametrize("spelled", [lambda q, S: q[0] ** 2 - S, lambda q, S: -(S - 0.5 * q[0] ** 2) + 0.5 * q[0] ** 2])
 def test_the_amplitude_may_be_that_of_one_site(spelled: Callable[[ca.SX, ca.SX], ca.SX]) -> None:
     by_site = follow_family(springs(spelled), 1, 0.5, at=(0.2,), parameters={"k": 1.0}, tolerance=1e-10)
     orbit = by_site.at(0.2)
@@ -421,12 +435,18 @@ def test_the_amplitude_may_be_that_of_one_site(spelled: Callable[[ca.SX, ca.SX],
 @pytest.mark.parametrize(
     ("spelled", "words"),
     [
-        (lambda q, S: q[0] - S, "given a normalisation that fixes no amplitude of families; accepted: a quadratic form"),
+        (
+            lambda q, S: q[0] - S,
+            "given a normalisation that fixes no amplitude of families; accepted: a quadratic",
+        ),
         (lambda q, S: q[0] ** 2 - 2 * S, "given a normalisation that fixes no amplitude"),
         (lambda q, S: (q[0] - S) * (q[0] + S), "given a normalisation that fixes no amplitude"),
         (lambda q, S: ca.sin(q[0]) ** 2 - S, "given a normalisation that fixes no amplitude"),
         (lambda q, S: q[0] ** 2 - 1, "given a normalisation that fixes no amplitude"),
-        (lambda q, S: q[1] ** 2 - S, r"^normalisation: given a normalisation by which mode 2 of springs has no amplitude"),
+        (
+            lambda q, S: q[1] ** 2 - S,
+            r"^normalisation: given a normalisation by which mode 2 of springs has no",
+        ),
         (lambda q, S: q[0] * q[2] - S, r"^normalisation: given a normalisation by which mode 2 of springs"),
     ],
 )
@@ -439,46 +459,62 @@ def test_normalisations_that_fix_no_amplitude(spelled: Callable[[ca.SX, ca.SX], 
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 Q, V, P, T = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("p"), ca.SX.sym("t")
-EVEN = (1, 1, -1, -1)
+CUBIC = ca.vertcat(-Q[0], -2 * Q[1]) - Q**3
+ONE_LINE = 300  # characters
+KIND = "accepted for families: a model"
+AT_REST = "pair: its families grow from rest at 0; accepted: forces that are finite and vanish there"
 
 
 def pair(force: ca.SX, **changes: Any) -> OdeModel:
     """Two sites; reversible unless changed."""
-    return OdeModel("pair", Q, force, P, 2, V, **({"reversal": EVEN, "nominal": (1.0,), "checked": False} | changes))
+    declared: dict[str, Any] = {"reversal": (1, 1, -1, -1), "nominal": (1.0,), "checked": False}
+    return OdeModel("pair", Q, force, P, 2, V, **(declared | changes))
 
 
 @pytest.mark.parametrize(
-    ("model", "options", "words"),
+    ("model", "words"),
     [
-        (OdeModel("first", Q, ca.vertcat(Q[1], -Q[0])), {}, "model: given first; accepted for families: a model of second"),
-        (pair(-Q + ca.cos(T), time=T, forcing_period=2 * np.pi), {}, "accepted for families: a model without forcing"),
-        (pair(-Q, reversal=None), {}, "a model with a declared reversal that keeps positions and turns velocities"),
-        (pair(-Q, reversal=(-1, -1, 1, 1)), {}, "a model with a declared reversal that keeps positions"),
-        (pair(-Q, half_period=(-1, 1, -1, 1)), {}, "a model with half_period = -1 for every component, or none"),
-        (pair(-Q + 0.1), {}, "pair: its families grow from rest at 0; accepted: forces that are finite and vanish there"),
-        (pair(ca.sqrt(Q)), {}, "pair: its families grow from rest at 0"),
-        (pair(ca.vertcat(Q[0], -Q[1]) - Q**3), {}, r"mode: mode 1 of pair does not oscillate: omega\^2 = -1; accepted: a"),
-        (pair(-Q - Q**3), {}, "mode: modes 1, 2 of pair have the same frequency: no family belongs to one of them alone"),
-        (
-            pair(ca.vertcat(-Q[0] - Q[1], -Q[1] + Q[0])), {},
-            r"pair: omega\^2 = 1[+-]1j of a linear mode is complex; accepted: real ones",
-        ),
-        (pair(-Q - Q**3), {"parameters": {"k": 1.0}}, "parameters: given 'k'; accepted: p"),
-        (pair(-Q - Q**3, nominal=None), {}, "parameters: given none for p; accepted: a number for each, or nominal"),
-        (pair(-P * Q - Q**3), {"parameters": {"p": np.nan}}, "parameters, p: given nan; accepted: a finite number"),
-        (pair(-ca.vertcat(1, 2) * Q), {"mode": 3}, "mode: given 3; accepted: 1..2, first, last"),
-        (pair(-ca.vertcat(1, 2) * Q), {"mode": "lowest"}, "mode: given 'lowest'; accepted: 1..2, first, last"),
-        (pair(-ca.vertcat(1, 2) * Q), {"tail": "full"}, "tail: given 'full'; accepted: with a chain alone"),
-        (pair(-ca.vertcat(1, 2) * Q), {"amplitude_max": -1.0}, r"amplitude_max: given -1.0; accepted: a finite number > 0"),
-        (pair(-ca.vertcat(1, 2) * Q), {"intervals": 4}, "intervals: given 4; accepted for families: none"),
-        (pair(-ca.vertcat(1, 2) * Q), {"flow": "collocation"}, "flow: given 'collocation'; accepted: splitting, cvodes"),
+        (OdeModel("first", Q, ca.vertcat(Q[1], -Q[0])), f"{KIND} of second order, with positions as its state"),
+        (pair(CUBIC + ca.cos(T), time=T, forcing_period=6.0), f"model: given pair; {KIND} without forcing"),
+        (pair(CUBIC, reversal=None), f"{KIND} with a declared reversal that keeps positions and turns velocities"),
+        (pair(CUBIC, reversal=(-1, -1, 1, 1)), f"{KIND} with a declared reversal that keeps positions and turns"),
+        (pair(CUBIC, half_period=(-1, 1, -1, 1)), f"{KIND} with half_period = -1 for every component, or none"),
+        (pair(CUBIC + 0.1), AT_REST),
+        (pair(-ca.sqrt(Q)), AT_REST),
+        (pair(CUBIC + ca.vertcat(2 * Q[0], 0)), "mode: mode 1 of pair does not oscillate: omega^2 = -1; accepted: a"),
+        (pair(-Q - Q**3), "mode: modes 1, 2 of pair have the same frequency: no family belongs to one of them alone"),
+        (pair(ca.vertcat(-Q[0] - Q[1], Q[0] - Q[1])), "j of a linear mode is complex; accepted: real ones"),
+        (pair(CUBIC, nominal=None), "parameters: given none for p; accepted: a number for each, or nominal values"),
     ],
-)  # fmt: skip
-def test_what_has_no_family_is_refused_in_one_line(model: OdeModel, options: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words) as error:
-        family_request(**({"model": model, "mode": 1, "amplitude_max": 1.0} | options))
+)
+def test_models_without_families_are_refused_in_one_line(model: OdeModel, words: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)) as error:
+        family_request(model, 1, 1.0)
     assert "\n" not in str(error.value)
-    assert len(str(error.value)) < 300
+    assert len(str(error.value)) < ONE_LINE
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"parameters": {"k": 1.0}}, "parameters: given 'k'; accepted: p"),
+        ({"parameters": {"p": np.nan}}, "parameters, p: given nan; accepted: a finite number"),
+        ({"parameters": 3.0}, "parameters: given 3.0; accepted: numbers by name"),
+        ({"mode": 3}, "mode: given 3; accepted: 1..2, first, last"),
+        ({"mode": "lowest"}, "mode: given 'lowest'; accepted: 1..2, first, last"),
+        ({"tail": "full"}, "tail: given 'full'; accepted: with a chain alone"),
+        ({"amplitude_max": -1.0}, "amplitude_max: given -1.0; accepted: a finite number > 0"),
+        ({"intervals": 4}, "intervals: given 4; accepted for families: none, the tolerance decides"),
+        ({"flow": "collocation"}, "flow: given 'collocation'; accepted: splitting, cvodes, gauss, rk4"),
+        ({"walker": "series", "transcription": "gauss"}, 'walker: given "series"; accepted with gauss: arclength'),
+        ({"period_max": 1.0}, "period_max: given 1.0; accepted: a finite number > 6.28318530718 (the period of linear"),
+    ],
+)
+def test_options_that_families_do_not_have_are_refused_in_one_line(options: dict[str, Any], words: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=re.escape(words)) as error:
+        family_request(**({"model": pair(CUBIC), "mode": 1, "amplitude_max": 1.0} | options))
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < ONE_LINE
 
 
 def test_a_coupling_too_steep_for_doubles_is_refused() -> None:
@@ -517,7 +553,7 @@ def test_at_holds_what_it_is_asked_for(soft: Branch) -> None:
     for S in (np.nextafter(beside, 9), beside * (1 + 1e-13), beside * (1 + 1e-9), 0.5 * soft.orbits[0].S):
         assert soft.at(S).S == S
         assert np.sum(soft.at(S).profile ** 2) == pytest.approx(S, rel=1e-12)
-    with pytest.raises(ValueError, match=r"at: given S = 7\.0, which = 0; the branch covers .* to 6 and passes S 0 times"):
+    with pytest.raises(ValueError, match=r"at: given S = 7\.0, which = 0; .* to 6 and passes S 0 times"):
         soft.at(7.0)
     with pytest.raises(ValueError, match="at: given bond; accepted: S, Omega, period"):
         soft.at(bond=1.0)
@@ -537,7 +573,7 @@ def test_a_family_ends_where_it_is_told_to(soft: Branch) -> None:
     ended = follow_family(pendulums(3), 1, 6.0, tolerance=1e-9, period_max=longest, at_period=(5.2,), at_Omega=(1.22,))
     assert ended.complete
     assert ended.orbits[-1].period == longest
-    assert ended.orbits[-1].S == pytest.approx(4.0, rel=1e-6)
+    assert pytest.approx(4.0, rel=1e-6) == ended.orbits[-1].S
     assert 1.22 in ended.Omega
     assert 5.2 in ended.period
     beyond = follow_family(pendulums(3), 1, 1.0, tolerance=1e-9, at_period=(7.0,))
@@ -549,14 +585,16 @@ def test_a_family_ends_where_it_is_told_to(soft: Branch) -> None:
 def test_a_fold_is_where_the_family_leaves_at_right_angles() -> None:
     """Beside a fold the start moves along the kernel of d(q(T/4))/d(q(0), T), which DOP853 knows as well."""
     values = {"alpha": 1.0, "gamma": 0.2, "g": -1.0}
-    branch = follow_family(chain_by_hand(4), 1, 8.0, tolerance=1e-8, parameters=values, max_points=90, corrector="newton")
+    branch = follow_family(
+        chain_by_hand(4), 1, 8.0, tolerance=1e-8, parameters=values, max_points=90, corrector="newton"
+    )
     first = branch.special_points[0]
     assert first.kind == "fold"
     assert first.parameters["S"] == first.solution.S
     assert first.parameters["gamma"] == 0.2
     assert first.solution in branch.folds
     assert abs(first.solution.S - np.max(branch.S)) < 2e-2
-    assert first.solution.S >= np.max(branch.S[: len(branch) // 2])
+    assert np.max(branch.S[: len(branch) // 2]) <= first.solution.S
     A = 1.2 * np.eye(4, k=-1) + 0.8 * np.eye(4, k=1) - 3 * np.eye(4)
     typed = Typed(lambda y: A @ y + y**3, lambda y: A + 3 * np.diag(y**2))
     start, orbit = np.append(first.solution.profile, np.zeros(4)), first.solution
@@ -570,10 +608,10 @@ def test_a_fold_is_where_the_family_leaves_at_right_angles() -> None:
 @pytest.mark.parametrize(
     ("model", "mode", "name", "to"),
     [
-        (Chain(4, 1.0, 0.1, -1.0), 1, "gamma", 0.4),
-        (Chain(3, 1.0, 0.3, 1.0), 3, "g", 0.4),
+        (Chain(3, 1.0, 0.1, -1.0), 1, "gamma", 0.4),
+        slow(Chain(3, 1.0, 0.3, 1.0), 3, "g", 0.4),
         (fput(3), 2, "bond", 0.4),
-        (pendulums(2), 2, "bond", 0.7),
+        slow(pendulums(2), 2, "bond", 0.7),
     ],
 )
 def test_an_orbit_is_followed_in_a_parameter_of_its_model(
@@ -599,10 +637,11 @@ def test_an_orbit_is_followed_in_a_parameter_of_its_model(
 
 def test_an_orbit_is_followed_in_its_amplitude_as_its_family_goes() -> None:
     for model, name in ((springs(), "S"), (springs(lambda q, S: q[0] ** 2 - S), "amplitude")):
-        family = follow_family(model, 1, 0.5, at=(0.2, 0.5), parameters={"k": 1.0}, tolerance=1e-9)
-        last = family.at(0.2).follow(name, 0.5).orbits[-1]
-        assert last.Omega == pytest.approx(family.at(0.5).Omega, rel=1e-8)
-        assert pytest.approx(0.5, rel=1e-9) == last.S
+        values = {"k": 1.0}
+        family = follow_family(model, 1, 0.3, at=(0.2,), parameters=values, tolerance=1e-8, corrector="newton")
+        last = family.at(0.2).follow(name, 0.3).orbits[-1]
+        assert last.Omega == pytest.approx(family.at(0.3).Omega, rel=1e-8)
+        assert pytest.approx(0.3, rel=1e-9) == last.S
     with pytest.raises(ValueError, match=r"^parameter: given 'kk'; did you mean k\? accepted: k, amplitude"):
         family.at(0.2).follow("kk", 1.0)
 
@@ -610,40 +649,42 @@ def test_an_orbit_is_followed_in_its_amplitude_as_its_family_goes() -> None:
 # Changes of stability of other orbits ---------------------------------------------------------------------------------
 
 
-def test_a_driven_oscillator_changes_its_stability_at_its_folds() -> None:
+def test_a_driven_oscillator_loses_its_stability_at_its_fold() -> None:
     """A multiplier passes 1 where omega turns back, and DOP853 has it there too."""
-    first = find_orbit(duffing(), [0.0, 0.0], parameters={"omega": 0.9}, tolerance=1e-9)
-    branch = first.follow("omega", 3.0, stability=True, max_step=0.5)
-    assert branch.complete
-    assert [c.stable_before for c in branch.changes] == [True, False]
-    assert len(branch.folds) == 2
-    for change, point in zip(branch.changes, branch.special_points, strict=True):
-        assert change.kind == "real"
-        assert abs(change.value - point.parameters["omega"]) <= change.width + 10 * point.error + 1e-9
-        assert change.Omega == pytest.approx(change.value, rel=1e-12)
-        orbit = point.solution
-        assert isinstance(orbit, Orbit)
+    guess = lambda s: [1.7 * np.sin(1.8 * s), 1.7 * 1.8 * np.cos(1.8 * s)]  # noqa: E731
+    first = find_orbit(duffing(), guess, parameters={"omega": 1.8}, tolerance=1e-9, corrector="newton")
+    options: dict[str, Any] = {"stability": True, "max_step": 0.5, "until": lambda o: not o.floquet().stable}
+    branch = first.follow("omega", 3.0, **options)
+    (change,), (point,) = branch.changes, branch.special_points
+    assert (change.kind, change.stable_before, change.stable_after) == ("real", True, False)
+    assert abs(change.value - point.parameters["omega"]) <= change.width + 10 * point.error + 1e-9
+    assert change.Omega == pytest.approx(change.value, rel=1e-12)
+    orbit = point.solution
+    assert isinstance(orbit, Orbit)
+    omega = orbit.parameters["omega"]
 
-        def field(t: float, x: Array, omega: float = orbit.parameters["omega"]) -> Array:
-            J = np.array([[0.0, 1.0], [-1 - 3 * x[0] ** 2, -0.1]])
-            accelerated = -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.5 * np.cos(omega * t)
-            return np.concatenate([[x[1], accelerated], (J @ x[2:].reshape(2, 2)).ravel()])
+    def field(t: float, x: Array) -> Array:
+        J = np.array([[0.0, 1.0], [-1 - 3 * x[0] ** 2, -0.1]])
+        accelerated = -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.5 * np.cos(omega * t)
+        return np.concatenate([[x[1], accelerated], (J @ x[2:].reshape(2, 2)).ravel()])
 
-        start = np.append(orbit.evaluate(0.0)[0], np.eye(2).ravel())
-        end = solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-        nearest = np.linalg.eigvals(end[2:].reshape(2, 2))
-        assert np.min(np.abs(nearest - 1.0)) < 1e-3
-    plain = first.follow("omega", 3.0, stability=True, events=False, max_step=0.5)
+    start = np.append(orbit.evaluate(0.0)[0], np.eye(2).ravel())
+    end = solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    assert np.min(np.abs(np.linalg.eigvals(end[2:].reshape(2, 2)) - 1.0)) < 1e-3
+    plain = first.follow("omega", 3.0, events=False, **options)
     assert plain.changes == ()
     np.testing.assert_array_equal(plain.stable, branch.stable)
 
 
+@pytest.mark.slow
 def test_an_entrained_oscillator_loses_its_stability_to_a_torus() -> None:
     """Van der Pol's, driven: |multiplier|^2 = exp(mu int (1 - x^2)) by Liouville, 1 where the mean of x^2 is 1."""
     x, y, F, t = (ca.SX.sym(name) for name in ("x", "y", "F", "t"))
     rhs = ca.vertcat(y, 0.4 * (1 - x**2) * y - x + F * ca.cos(1.6 * t))
     model = OdeModel("driven", ca.vertcat(x, y), rhs, F, time=t, forcing_period=2 * np.pi / 1.6)
-    large = find_orbit(model, lambda s: [-2 * np.cos(1.6 * s), 3.2 * np.sin(1.6 * s)], parameters={"F": 4.0}, tolerance=1e-9)
+    large = find_orbit(
+        model, lambda s: [-2 * np.cos(1.6 * s), 3.2 * np.sin(1.6 * s)], parameters={"F": 4.0}, tolerance=1e-9
+    )
     branch = large.follow("F", 1.0, stability=True)
     (change,) = branch.changes
     assert change.kind == "complex"
