@@ -57,7 +57,7 @@ def test_the_example_of_an_infinite_chain(
     text = (EXAMPLES / "infinite_chain.toml").read_text(encoding="utf-8")
     assert "amplitude_max = 3.2" in text
     scene.write_text(text.replace("amplitude_max = 3.2", f"amplitude_max = {end}") + rest, encoding="utf-8")
-    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    assert main(["run", str(scene), "--out", str(out)]) == 0
     assert "end breather of the infinite chain born at S_c = 0.3669929036" in capsys.readouterr().out
     points = rows(out / "family.csv")
     asked = {float(row["S"]): row for row in points if row["requested"] == "1"}

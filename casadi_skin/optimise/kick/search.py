@@ -15,6 +15,7 @@ from casadi_skin.optimise.kick.flow import KickedFlow
 from casadi_skin.optimise.kick.nlp import KickNlp, KickOptimum
 from casadi_skin.optimise.kick.verify import escape
 from casadi_skin.optimise.nlp import STOPPED
+from casadi_skin.solvers.nlp import nlp_reason
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
 REFINEMENTS = 4
