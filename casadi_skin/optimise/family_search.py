@@ -222,20 +222,11 @@ class FamilySearch:
             S = nlp.amplitude(x, k)
             scale = self.family.scale(values, S)
             orbits.append(CosineOrbit.of(S, float(Omega), nlp.state_of(x, k) * scale[:, None]))
-        return Optimum(
-            objective=solution.objective,
-            parameters=dict(zip(self.free_names, x[: nlp.free_count].tolist(), strict=True)),
-            orbits=tuple(orbits),
-            quantities=tuple(nlp.values(x)),
-            checks=tuple(self._check(nlp, x, k) for k in range(len(orbits))),
-            conditions=nlp.conditions(x),
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors=errors,
-            resolution=nlp.harmonics,
-            starts=starts,
-        )
+        checks = tuple(self._check(nlp, x, k) for k in range(len(orbits)))
+        return Optimum.of(
+            nlp, solution, found, self.free_names, orbits=tuple(orbits), quantities=tuple(nlp.values(x)), checks=checks,
+            errors=errors, resolution=nlp.harmonics, starts=starts,
+        )  # fmt: skip
 
     def _check(self, nlp: FamilyNlp, x: Array, orbit: int) -> PlainCheck:
         """One orbit solved again by Newton's method on more harmonics, and beside the family from S = 0."""

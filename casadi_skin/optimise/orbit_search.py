@@ -239,24 +239,12 @@ class OrbitSearch:
         return self._optimum(best, orbit, plain, starts)
 
     def _optimum(self, best: Refined, orbit: PeriodicOrbit, plain: PeriodicOrbit, starts: tuple[int, ...]) -> Optimum:
-        nlp, solution = best.nlp, best.solution
-        found, residual = best.optimality, nlp.residual(solution.x)
-        free = {name: orbit.parameters[name] for name in self.free}
-        relative = {"period": 0.0 if self.model.forced else orbit.period} | {n: abs(v) for n, v in free.items()}
-        return Optimum(
-            objective=solution.objective,
-            parameters=free,
-            orbits=(orbit,),
-            quantities=(self._quantities(orbit),),
-            checks=(compared(orbit, plain),),
-            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()},
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors={"objective": best.objective_error} | {n: orbit.parameter_error * v for n, v in relative.items()},
-            resolution=orbit.intervals,
-            starts=starts,
-        )
+        sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
+        errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
+        return Optimum.of(
+            best.nlp, best.solution, best.optimality, self.free, orbits=(orbit,), checks=(compared(orbit, plain),),
+            quantities=(self._quantities(orbit),), errors=errors, resolution=orbit.intervals, starts=starts,
+        )  # fmt: skip
 
     def _quantities(self, orbit: PeriodicOrbit) -> dict[str, float]:
         """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
