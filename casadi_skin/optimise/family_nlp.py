@@ -14,8 +14,8 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.trigonometric import prolongation_matrix
-from casadi_skin.optimise.family import Member
 from casadi_skin.optimise.nlp import Limits, Nlp
+from casadi_skin.optimise.observables import Member
 
 if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -16,12 +16,11 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.declared import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
-from casadi_skin.optimise.family import FreeNumber, Member
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.observables import Observables
+from casadi_skin.optimise.observables import FreeNumber, Member, Observables
 from casadi_skin.optimise.optimality import FLAT, optimality
 from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
@@ -55,6 +54,7 @@ class FamilySearch:
     conditions: tuple[Condition, ...]
     tolerance: float = 1e-8
     harmonics: int = 0
+    resolution_name: ClassVar[str] = "harmonics"
 
     @classmethod
     def of(
@@ -108,10 +108,6 @@ class FamilySearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return ("S", "Omega", *self.family.columns)
-
-    @property
-    def resolution_name(self) -> str:
-        return "harmonics"
 
     @property
     def _numbers(self) -> dict[str, FreeNumber]:

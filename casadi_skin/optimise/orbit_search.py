@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -58,6 +58,8 @@ class OrbitSearch:
     maximise: bool
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     method: Method
+    resolution_name: ClassVar[str] = "intervals"
+    wanted: ClassVar[str] = "near the guess"
 
     @classmethod
     def of(
@@ -131,14 +133,6 @@ class OrbitSearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return (PERIOD, *self.model.parameter_names)
-
-    @property
-    def resolution_name(self) -> str:
-        return "intervals"
-
-    @property
-    def wanted(self) -> str:
-        return "near the guess"
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
