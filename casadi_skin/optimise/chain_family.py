@@ -18,8 +18,7 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.family import FreeNumber, Member
-from casadi_skin.optimise.observables import FamilyEquations
+from casadi_skin.optimise.observables import FamilyEquations, FreeNumber, Member
 from casadi_skin.orbits.follow import follow_family
 
 STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -16,12 +16,11 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.expressions import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
-from casadi_skin.optimise.family import FreeNumber, Member
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.observables import Observables
+from casadi_skin.optimise.observables import FreeNumber, Member, Observables
 from casadi_skin.optimise.optimality import FLAT, optimality
 from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
@@ -55,6 +54,7 @@ class FamilySearch:
     conditions: tuple[Condition, ...]
     tolerance: float = 1e-8
     harmonics: int = 0
+    resolution_name: ClassVar[str] = "harmonics"
 
     @classmethod
     def of(
@@ -108,10 +108,6 @@ class FamilySearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return ("S", "Omega", *self.family.columns)
-
-    @property
-    def resolution_name(self) -> str:
-        return "harmonics"
 
     @property
     def _numbers(self) -> dict[str, FreeNumber]:
@@ -222,20 +218,11 @@ class FamilySearch:
             S = nlp.amplitude(x, k)
             scale = self.family.scale(values, S)
             orbits.append(CosineOrbit.of(S, float(Omega), nlp.state_of(x, k) * scale[:, None]))
-        return Optimum(
-            objective=solution.objective,
-            parameters=dict(zip(self.free_names, x[: nlp.free_count].tolist(), strict=True)),
-            orbits=tuple(orbits),
-            quantities=tuple(nlp.values(x)),
-            checks=tuple(self._check(nlp, x, k) for k in range(len(orbits))),
-            conditions=nlp.conditions(x),
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors=errors,
-            resolution=nlp.harmonics,
-            starts=starts,
-        )
+        checks = tuple(self._check(nlp, x, k) for k in range(len(orbits)))
+        return Optimum.of(
+            nlp, solution, found, self.free_names, orbits=tuple(orbits), quantities=tuple(nlp.values(x)), checks=checks,
+            errors=errors, resolution=nlp.harmonics, starts=starts,
+        )  # fmt: skip
 
     def _check(self, nlp: FamilyNlp, x: Array, orbit: int) -> PlainCheck:
         """One orbit solved again by Newton's method on more harmonics, and beside the family from S = 0."""

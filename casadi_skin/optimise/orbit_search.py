@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import casadi as ca
 import numpy as np
@@ -59,6 +59,8 @@ class OrbitSearch:
     maximise: bool
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
+    resolution_name: ClassVar[str] = "intervals"
+    wanted: ClassVar[str] = "near the guess"
 
     @classmethod
     def of(
@@ -133,14 +135,6 @@ class OrbitSearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return (PERIOD, *self.model.parameter_names)
-
-    @property
-    def resolution_name(self) -> str:
-        return "intervals"
-
-    @property
-    def wanted(self) -> str:
-        return "near the guess"
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
@@ -239,24 +233,12 @@ class OrbitSearch:
         return self._optimum(best, orbit, plain, starts)
 
     def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
-        nlp, solution = best.nlp, best.solution
-        found, residual = best.optimality, nlp.residual(solution.x)
-        free = {name: orbit.parameters[name] for name in self.free}
-        relative = {"period": 0.0 if self.model.forced else orbit.period} | {n: abs(v) for n, v in free.items()}
-        return Optimum(
-            objective=solution.objective,
-            parameters=free,
-            orbits=(orbit,),
-            quantities=(self._quantities(orbit),),
-            checks=(compared(orbit, plain),),
-            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()},
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors={"objective": best.objective_error} | {n: orbit.parameter_error * v for n, v in relative.items()},
-            resolution=orbit.intervals,
-            starts=starts,
-        )
+        sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
+        errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
+        return Optimum.of(
+            best.nlp, best.solution, best.optimality, self.free, orbits=(orbit,), checks=(compared(orbit, plain),),
+            quantities=(self._quantities(orbit),), errors=errors, resolution=orbit.intervals, starts=starts,
+        )  # fmt: skip
 
     def _quantities(self, orbit: Orbit) -> dict[str, float]:
         """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
