@@ -1,6 +1,6 @@
 """Time evolution of any model, from any start or near an orbit."""
 
-from casadi_skin.dynamics.distance import cosine_curve, distance_from_orbit
+from casadi_skin.dynamics.distance import distance_from_orbit
 from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
 from casadi_skin.dynamics.evolve import evolve
@@ -10,7 +10,6 @@ __all__ = [
     "EquationsOfMotion",
     "Evolution",
     "EvolutionError",
-    "cosine_curve",
     "distance_from_orbit",
     "equations_of_motion",
     "evolve",

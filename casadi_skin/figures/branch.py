@@ -13,6 +13,7 @@ from casadi_skin.figures.style import DASHES, blank, colours, finished, number, 
 from casadi_skin.figures.style import title as model_title
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
@@ -119,8 +120,6 @@ def in_plane(solution: Solution, t: Array) -> tuple[Array, tuple[str, str]] | No
         return x[:, :2], (names[0], names[1])
     if not (isinstance(solution, Orbit) and isinstance(solution.space, Family)):
         return None
-    from casadi_skin.dynamics.distance import cosine_curve
-
     velocity = cosine_curve(solution).points(solution.Omega * t)[0][:, 1]
     return np.column_stack([x, velocity]), (names[0], rf"velocity of {names[0]} over $\Omega$")
 

@@ -17,16 +17,17 @@ from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, 
 
 from casadi_skin import BoundaryValueProblem, Branch, Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.animation import animate
-from casadi_skin.dynamics import cosine_curve, simulate_orbit
+from casadi_skin.dynamics import simulate_orbit
 from casadi_skin.figures import (
     branch_figure,
     frequency_figure,
     multiplier_figure,
     orbit_figure,
     profile_figure,
-    spacetime_figure,
     spectrum_figure,
 )
+from casadi_skin.figures.spacetime import spacetime_figure
+from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.progress import Progress
 from casadi_skin.results.extremes import extremes

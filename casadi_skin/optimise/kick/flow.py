@@ -12,9 +12,9 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.dynamics.distance import cosine_curve
 from casadi_skin.integrators.srkn import srkn_step
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
@@ -152,7 +152,7 @@ class KickedFlow:
         return np.concatenate([column[:, None], later], axis=1)[: self.size].transpose(2, 1, 0)
 
     def distances(self, states: Array) -> Array:
-        """Distance of states (..., 2N) from the orbit, shape (...), by `dynamics.cosine_curve`; inf for nan."""
+        """Distance of states (..., 2N) from the orbit, shape (...), by `closed_curve.cosine_curve`; inf for nan."""
         rows = states.reshape(-1, self.size)
         finite = np.all(np.abs(rows) < 1e100, axis=1)
         found = np.full(len(rows), np.inf)
