@@ -31,7 +31,7 @@ def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAM
     if not animation.writers.is_available(writers[target.suffix]):
         raise RuntimeError(f"{target.name}: matplotlib finds no {writers[target.suffix]}; accepted: .gif")
     t = orbit.period * np.arange(periods * frames) / frames
-    n = orbit.shown_sites
+    n = orbit.output_sites
     y = orbit.evaluate(t, n)
     with style():
         figure = blank(5.0, 3.0)

@@ -10,7 +10,7 @@ from typing import cast
 SHOWN = 60  # characters of a given value that a message shows
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """A value in one line, cut where it is long."""
     huge = isinstance(value, int) and value.bit_length() > 2000  # Python may refuse to write its decimals
     words = " ".join((hex(value) if huge and isinstance(value, int) else repr(value)).split())
@@ -20,13 +20,13 @@ def shown(value: object) -> str:
 def number(name: str, value: object, accepted: str = "a finite number") -> float:
     """The value as a float; raises TypeError where it is no real number and ValueError where it is not finite."""
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name}: given {shown(value)}; accepted: {accepted}")
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
     try:
         found = float(value)
     except OverflowError:
         found = math.inf
     if not math.isfinite(found):
-        raise ValueError(f"{name}: given {shown(value)}; accepted: {accepted}")
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
     return found
 
 
@@ -34,9 +34,9 @@ def numbers(name: str, values: object) -> tuple[float, ...]:
     """The values as a tuple of floats; raises TypeError and ValueError as `number` does."""
     accepted = "a list of finite numbers"
     if isinstance(values, str | bytes | dict):
-        raise TypeError(f"{name}: given {shown(values)}; accepted: {accepted}")
+        raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}")
     try:
         given = tuple(cast(Iterable[object], values))
     except TypeError:
-        raise TypeError(f"{name}: given {shown(values)}; accepted: {accepted}") from None
+        raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}") from None
     return tuple(number(name, value, accepted) for value in given)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.integrators import IntegrationError, Trajectory
 from casadi_skin.interrupts import interrupts_deferred
@@ -106,7 +106,7 @@ def simulate(
         raise ValueError(f"start: given {x.size} states; accepted: {first.full_size}, {', '.join(first.state_names)}")
     times = np.array(numbers("t", np.ravel(t)))
     if times.size < 2 or np.any(np.diff(times) <= 0):
-        raise ValueError(f"t: given {shown(times.tolist())}; accepted: two or more times, ascending")
+        raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
     return Simulation(first, p, times, _integrated(first, p, x, times, tolerance))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.models.declared import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
@@ -52,7 +52,7 @@ class BoundaryValueProblem:
         self._check_kinds()
         _check_names("free", self.free, self.model.parameter_names)
         if len(set(self.free)) < len(self.free):
-            raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
+            raise ValueError(f"free: given {short_repr(list(self.free))}; accepted: each parameter once")
         self._check_values()
         self._check_expressions()
         self._check_count()
@@ -62,22 +62,22 @@ class BoundaryValueProblem:
 
     def _check_kinds(self) -> None:
         if not isinstance(self.model, OdeModel):
-            raise TypeError(f"model: given {shown(self.model)}; accepted: an OdeModel")
+            raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
         for label, given in (("conditions", self.conditions), ("integrals", self.integrals), ("free", self.free)):
             if not isinstance(given, Sequence) or isinstance(given, str | bytes):
-                raise TypeError(f"{label}: given {shown(given)}; accepted: a list")
+                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list")
         for label, mapping in (("parameters", self.parameters), ("bounds", self.bounds)):
             if not isinstance(mapping, Mapping):
-                raise TypeError(f"{label}: given {shown(mapping)}; accepted: a mapping from names")
+                raise TypeError(f"{label}: given {short_repr(mapping)}; accepted: a mapping from names")
         if not isinstance(self.interval, Sequence) or len(self.interval) != 2:
-            raise TypeError(f"interval: given {shown(self.interval)}; accepted: (start, end)")
+            raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:
             if isinstance(end, ca.SX | ca.MX):
                 check_expression("interval", end, [self.model.parameters])
                 if end.numel() != 1:
                     raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
             elif isinstance(end, bool) or not isinstance(end, Real):
-                raise TypeError(f"interval: given {shown(end)}; accepted: numbers or expressions in parameters")
+                raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
 
     def _check_values(self) -> None:
         start, end = self.span(np.array(list(self.values.values())))
@@ -115,7 +115,9 @@ class BoundaryValueProblem:
         for name, bound in self.bounds.items():
             pair = isinstance(bound, Sequence) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
             if not pair or not bound[0] < bound[1]:
-                raise ValueError(f"bounds: given {shown(bound)} for {name}; accepted: (lower, upper), lower < upper")
+                raise ValueError(
+                    f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
+                )
 
     # What it is made of ---------------------------------------------------------------------------------------------
 
@@ -228,7 +230,7 @@ def check_name(label: str, name: object, known: Sequence[str]) -> None:
     if name not in known:
         near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
         hint = f"did you mean {near}? " if near else ""
-        raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
+        raise ValueError(f"{label}: given {short_repr(name)}; {hint}accepted: {', '.join(known) or 'none'}")
 
 
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
@@ -240,9 +242,13 @@ def check_expression(label: str, expression: Any, symbols: list[Expression]) -> 
     """Raises TypeError for what is no expression of the symbols' kind, ValueError where it depends on others."""
     kind = type(symbols[0])
     if not isinstance(expression, kind):
-        raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
+        raise TypeError(
+            f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
+        )
     if is_comparison(expression):
-        raise ValueError(f"{label}: given a comparison, {shown(expression)}; accepted: an expression, x - 1 for x == 1")
+        raise ValueError(
+            f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
+        )
     stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
     if stranger:
         known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]

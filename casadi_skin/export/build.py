@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.export.compiler import compile_with, find_compiler
 
 
@@ -16,6 +16,6 @@ def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     folder = Path(directory)
     sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
     if "main.c" not in sources:
-        raise ValueError(f"directory: given {shown(str(directory))}; accepted: one that export_c wrote")
+        raise ValueError(f"directory: given {short_repr(str(directory))}; accepted: one that export_c wrote")
     compile_with(find_compiler(compiler), [*sources, "-lm", "-o", "main"], folder)
     return folder / "main"

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
@@ -25,7 +25,7 @@ def find_compiler(name: str | None = None) -> str:
         path = shutil.which(candidate)
         if path is not None:
             return path
-    missing = shown(named) if named else ", ".join(COMPILERS)
+    missing = short_repr(named) if named else ", ".join(COMPILERS)
     raise CompilerError(f"compiler: {missing} not found; accepted: a C99 compiler such as gcc, or CC=path/to/compiler")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
@@ -108,24 +108,24 @@ def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
     Raises TypeError for anything but a chain, a model or an orbit, ValueError for arguments out of range.
     """
     if not isinstance(source, Chain | OdeModel | Orbit):
-        raise TypeError(f"source: given {shown(source)}; accepted: a Chain, an OdeModel or an Orbit")
+        raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an Orbit")
     if isinstance(source, OdeModel):
         return Subject(source, _name(source.name if name is None else name, name), harmonics)
     chain = source if isinstance(source, Chain) else source.chain
     if chain.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:
-        raise ValueError(f"harmonics: given {shown(harmonics)}; accepted: a whole number from 2 to 512")
+        raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number from 2 to 512")
     return Subject(source, _name("chain" if name is None else name, name), harmonics)
 
 
 def _name(words: str, given: str | None) -> str:
     if not isinstance(words, str):
-        raise TypeError(f"name: given {shown(given)}; accepted: a string")
+        raise TypeError(f"name: given {short_repr(given)}; accepted: a string")
     name = c_name(words[:LONGEST_NAME])
     if given is not None and given != name:
         accepted = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {name}"
-        raise ValueError(f"name: given {shown(given)}; accepted: {accepted}")
+        raise ValueError(f"name: given {short_repr(given)}; accepted: {accepted}")
     return name
 
 
@@ -137,7 +137,7 @@ def wanted(subject: Subject, what: Collection[str] | None) -> list[str]:
     if what is None:
         return [name for name in WHAT if name not in OPTIONAL and subject.refusal(name) is None]
     if isinstance(what, str | bytes) or not isinstance(what, Collection):
-        raise TypeError(f"what: given {shown(what)}; accepted: a list of {', '.join(WHAT)}")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(WHAT)}")
     if not what:
         raise ValueError(f"what: given an empty list; accepted: some of {', '.join(WHAT)}")
     chosen: set[str] = set()
@@ -145,7 +145,7 @@ def wanted(subject: Subject, what: Collection[str] | None) -> list[str]:
         if not isinstance(name, str) or name not in WHAT:
             near = get_close_matches(str(name).lower(), list(WHAT), n=1)
             hint = f"did you mean {near[0]}? (accepted: {', '.join(WHAT)})" if near else f"accepted: {', '.join(WHAT)}"
-            raise ValueError(f"what: given {shown(name)}; {hint}")
+            raise ValueError(f"what: given {short_repr(name)}; {hint}")
         reason = subject.refusal(name)
         if reason is not None:
             can = ", ".join(other for other in WHAT if subject.refusal(other) is None)

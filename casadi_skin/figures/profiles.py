@@ -49,7 +49,7 @@ def linear_mode(chain: Chain, mode: int) -> Array:
 
 def _logarithms(orbit: Orbit) -> Array:
     """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (sites,)."""
-    logs = orbit.log10_displacements(orbit.shown_sites)[0] - 0.5 * np.log10(orbit.S)
+    logs = orbit.log10_displacements(orbit.output_sites)[0] - 0.5 * np.log10(orbit.S)
     around = np.pad(logs, 1, constant_values=-np.inf)
     return np.where(logs > np.maximum(around[:-2], around[2:]) - 13.0, logs, np.nan)
 
@@ -105,7 +105,7 @@ def _draw_profiles(
         if isinstance(layout, CoreWithTail)
         else linear_mode(branch.tools.request.chain, branch.tools.request.mode)
     )
-    n, dot = layout.shown, "o" if mode.size == 1 else None
+    n, dot = layout.output_sites, "o" if mode.size == 1 else None
     first, *second = panels
     first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
     for key, orbit in orbits.items():
@@ -144,7 +144,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
     if not chosen:
         return None
-    shown = chosen[0][0].tools.layout.shown
+    shown = chosen[0][0].tools.layout.output_sites
     profiles = np.array([orbit.evaluate(0.0, shown)[0] for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))

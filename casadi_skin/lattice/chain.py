@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
@@ -42,7 +42,7 @@ class Chain:
 
     def __post_init__(self) -> None:
         if self.sites != np.inf and (not _is_whole(self.sites) or self.sites < 1):
-            raise ValueError(f"sites: given {shown(self.sites)}; accepted: a whole number >= 1, or inf")
+            raise ValueError(f"sites: given {short_repr(self.sites)}; accepted: a whole number >= 1, or inf")
         for name in ("alpha", "gamma", "g"):
             number(name, getattr(self, name))
         if abs(self.gamma) > 1:
@@ -172,7 +172,8 @@ class Chain:
         energy = ca.dot(v, v) / 2 - ca.dot(q, linear_part) / 2 + kappa * ca.dot(w, q**4) / 4
         return OdeModel(
             "gauge chain", q, linear_part - kappa * w * q**3, kappa, 2, v,
-            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, shown=tuple(self.rho), **self._signs(self.sites),
+            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, output_scale=tuple(self.rho),
+            **self._signs(self.sites),
         )  # fmt: skip
 
     @staticmethod

@@ -61,7 +61,7 @@ class CoreWithTail:
         return self.parameter(2).at(float(np.arctan2(np.sin((m + 1.0) * theta), np.sin(m * theta))))
 
     @property
-    def shown(self) -> Indices:
+    def output_sites(self) -> Indices:
         core, N = np.arange(1, self.core.sites + 1), self.chain.sites
         if self.chain.gamma < 0:
             return core
@@ -73,7 +73,7 @@ class CoreWithTail:
         """Distances of sites from the edge that the modes lean to; raises ValueError for sites that are not there."""
         N, towards_last = self.chain.sites, self.chain.gamma >= 0
         if sites is None:
-            sites = np.arange(1, N + 1) if np.isfinite(N) else self.shown
+            sites = np.arange(1, N + 1) if np.isfinite(N) else self.output_sites
         last = N if np.isfinite(N) else 0
         distances = np.asarray(last - sites if towards_last else sites - 1, dtype=np.int64)
         if distances.size and (distances.min() < 0 or distances.max() >= N):

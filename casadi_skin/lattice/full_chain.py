@@ -27,7 +27,7 @@ class Layout(Protocol):
         ...
 
     @property
-    def shown(self) -> Indices:
+    def output_sites(self) -> Indices:
         """Numbers of the sites that files and pictures show."""
         ...
 
@@ -84,7 +84,7 @@ class FullChain:
         return unit_mode(self.core, standing_wave(self.core.sites, self.mode_number))
 
     @property
-    def shown(self) -> Indices:
+    def output_sites(self) -> Indices:
         return np.arange(1, self.core.sites + 1)
 
     def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
@@ -110,7 +110,7 @@ class EdgeSite(FullChain):
     chain: Chain
 
     @property
-    def shown(self) -> Indices:
+    def output_sites(self) -> Indices:
         return np.arange(1, self.chain.sites + 1)
 
     @property

@@ -83,7 +83,7 @@ def _numbers(model: OdeModel) -> Iterator[str]:
     """What has one entry a component."""
     parameters = int(model.parameters.numel())
     for label, given, count, entries in (
-        ("shown", model.shown, model.size, "factors"),
+        ("output_scale", model.output_scale, model.size, "factors"),
         ("nominal", model.nominal, parameters, "values"),
         ("state_labels", model.state_labels, model.full_size, "names"),
         ("parameter_labels", model.parameter_labels, parameters, "names"),

@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.fmu_archive import unpack
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
@@ -90,7 +90,7 @@ def from_fmu(
         raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
     for label, names in (("states", states), ("parameters", parameters)):
         if isinstance(names, str) or not all(isinstance(name, str) for name in names or ()):
-            raise ValueError(f"{label}: given {shown(names)}; accepted: a list of names")
+            raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
     unpacked = unpack(path)
     try:
         chosen = [_parameter(name, unpacked.description) for name in parameters]
@@ -215,7 +215,7 @@ def _check_numbers(path: str | Path, variable: Any) -> None:
         try:
             float(text or 0.0)
         except ValueError:
-            given = f"{label} value {shown(text)} of {variable.name}"
+            given = f"{label} value {short_repr(text)} of {variable.name}"
             raise ValueError(f"{path}: {given}; accepted: a number") from None
 
 

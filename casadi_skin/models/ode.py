@@ -29,10 +29,10 @@ class OdeModel:
     expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
     state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
     `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
-    amplitude (and, where no reversal does, their phase: it is stationary there). `shown` are factors, one a component
-    of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values of the
-    parameters; components are called as their symbols unless labels are given. Where `checked`, the declared symmetries
-    and the conserved quantity are evaluated at random points.
+    amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
+    component of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values
+    of the parameters; components are called as their symbols unless labels are given. Where `checked`, the declared
+    symmetries and the conserved quantity are evaluated at random points.
 
     MX expressions are accepted in models of first order whose state and parameters are one symbol each.
 
@@ -49,7 +49,7 @@ class OdeModel:
     half_period: Signs | None = None
     normalisation: Expression | None = None
     hamiltonian: Expression | None = None
-    shown: tuple[float, ...] | None = None
+    output_scale: tuple[float, ...] | None = None
     time: Expression | None = None
     forcing_period: Expression | float | None = None
     outputs: Mapping[str, Expression] = field(default_factory=dict)

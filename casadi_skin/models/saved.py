@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Symbols = tuple[Expression, Expression, Expression | None, Expression]
 FORMAT = "casadi_skin model 1"
 PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
-PLAIN = ("name", "order", "reversal", "half_period", "shown", "nominal")
+PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 OPTIONAL = ("normalisation", "hamiltonian")
 
 

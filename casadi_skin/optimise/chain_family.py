@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
@@ -71,14 +71,16 @@ class ChainFamily:
             raise ValueError("free: given alpha and alpha_n; accepted: one of them")
         lower, upper = bounds.get("gamma", (self.model.gamma, self.model.gamma))
         if max(abs(lower), abs(upper)) >= 1:
-            raise ValueError(f"gamma: given {shown([lower, upper])}; accepted in a search: |gamma| < 1")
+            raise ValueError(f"gamma: given {short_repr([lower, upper])}; accepted in a search: |gamma| < 1")
         if lower < 0 < upper:
-            given, reason = shown([lower, upper]), "a mirrored chain has -gamma, and its gauge is another"
+            given, reason = short_repr([lower, upper]), "a mirrored chain has -gamma, and its gauge is another"
             raise ValueError(f"bounds[gamma]: given {given}; accepted: bounds on one side of 0 ({reason})")
         low, high = bounds.get("g", (self.model.g, self.model.g))
         if not (low >= 0 and high > 0 if self.model.g > 0 else low < 0 and high <= 0):
             side = ">= 0" if self.model.g > 0 else "<= 0"
-            raise ValueError(f"bounds[g]: given {shown([low, high])}; accepted: bounds {side}, as the chain's own g")
+            raise ValueError(
+                f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's g"
+            )
         return replace(self, mirrored=upper <= 0 if "gamma" in bounds else self.model.gamma < 0)
 
     # Expressions ----------------------------------------------------------------------------------------------------

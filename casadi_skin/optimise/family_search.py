@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.declared import is_comparison
@@ -73,7 +73,7 @@ class FamilySearch:
         several = not (isinstance(S, int | float) or hasattr(S, "__float__"))
         amplitudes = numbers("S", S) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:
-            raise ValueError(f"S: given {shown(S)}; accepted: a finite number > 0, or a list of such numbers")
+            raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
         known = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
         names = free_names(free, known)
         if several and "S" in names:
@@ -83,7 +83,7 @@ class FamilySearch:
         if "S" in names:
             low, high = limits["S"]
             if low < 0 or high <= 0:
-                raise ValueError(f"bounds[S]: given {shown([low, high])}; accepted: bounds within 0 to inf")
+                raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
             limits["S"] = max(low, FAINTEST), high
         if not 1e-12 <= number("tolerance", tolerance) <= 1e-2:
             raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-12 to 1e-2")
@@ -269,12 +269,12 @@ class FamilySearch:
     def _expression(self, place: str, quantity: Quantity, orbits: tuple[Observables, ...]) -> ca.SX:
         if isinstance(quantity, str):
             if quantity not in orbits[0].names:
-                raise ValueError(f"{place}: given {shown(quantity)}; {nearest_name(quantity, orbits[0].names)}")
+                raise ValueError(f"{place}: given {short_repr(quantity)}; {nearest_name(quantity, orbits[0].names)}")
             if self.several and not orbits[0].is_shared(quantity):
-                given = f"{shown(quantity)} with a list of S"
+                given = f"{short_repr(quantity)} with a list of S"
                 raise ValueError(f"{place}: given {given}; accepted: a function of the orbits")
         elif not callable(quantity):
-            raise TypeError(f"{place}: given {shown(quantity)}; accepted: a name or a function of the observables")
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: a name or a function of the observables")
         try:
             made = self.evaluated(quantity, orbits)
         except AttributeError as error:
@@ -282,10 +282,10 @@ class FamilySearch:
         except (TypeError, ValueError, NotImplementedError, RuntimeError, IndexError) as error:
             raise TypeError(f"{place}: the function given fails: {' '.join(str(error).split())[:200]}") from None
         if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
-            raise TypeError(f"{place}: given a function that returns {shown(made)}; accepted: a CasADi expression")
+            raise TypeError(f"{place}: given a function that returns {short_repr(made)}; accepted: a CasADi expression")
         expression = ca.SX(made)
         if is_comparison(expression):
-            given = f"a comparison, {shown(made)}"
+            given = f"a comparison, {short_repr(made)}"
             raise ValueError(f"{place}: given {given}; accepted: a difference, x - 1 for x == 1")
         if not (expression.is_column() and expression.numel() > 0):
             given = f"an expression of shape {expression.shape}"

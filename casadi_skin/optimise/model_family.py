@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -56,7 +56,7 @@ class ModelFamily:
                 raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")
         number = {None: 1, "first": 1, "last": model.size}.get(mode, mode) if isinstance(mode, str | None) else mode
         if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= model.size:
-            raise ValueError(f"mode: given {shown(mode)}; accepted: 1 to {model.size}, first, last")
+            raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1 to {model.size}, first, last")
         family = cls(model, number, named_values(model, parameters))
         family._linear_mode({})  # raises where it does not oscillate
         return family

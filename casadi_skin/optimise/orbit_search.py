@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import BoundaryValueProblem, check_expression, named_values
@@ -105,7 +105,7 @@ class OrbitSearch:
         if first.forced:
             length = cycles * first.forcing_period_at(list(values.values()))
         if not length or not length > 0:
-            raise ValueError(f"period: given {shown(period)}; accepted: a number > 0")
+            raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
         part = symmetry_class(first).value if symmetric else 1.0
         t = np.linspace(0.0, part * float(length), SAMPLES)
         closed = BoundaryValueProblem(first, [first.end(first.state) - first.start(first.state)], parameters=values)
@@ -274,7 +274,7 @@ def _output(
     if isinstance(given, str):
         known = [name for name in quantities if label != "running" or name not in SPECIAL]
         if given not in known:
-            raise ValueError(f"{label}: given {shown(given)}; {nearest_name(given, known)}, or an expression")
+            raise ValueError(f"{label}: given {short_repr(given)}; {nearest_name(given, known)}, or an expression")
         return given
     symbols = [model.full_state, model.parameters]
     check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])

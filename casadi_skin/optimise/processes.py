@@ -18,7 +18,7 @@ from multiprocessing.managers import SyncManager
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.threads import one_thread
 
@@ -81,10 +81,10 @@ class Runner:
 
     def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-            raise ValueError(f"workers: given {shown(workers)}; accepted: a whole number >= 1")
+            raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
-            raise TypeError(f"executor: given {shown(executor)}; accepted: {accepted}")
+            raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
         self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
 
     def _receive(self, number: int, frame: FrameType | None) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.optimise.names import nearest_name
 
 PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
@@ -32,7 +32,7 @@ class Condition:
 def whole(name: str, value: Any, least: int) -> int:
     """The value; raises ValueError where it is no whole number from `least` on."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < least:
-        raise ValueError(f"{name}: given {shown(value)}; accepted: a whole number >= {least}")
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number >= {least}")
     return int(value)
 
 
@@ -41,9 +41,9 @@ def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ..
     names, accepted = (free,) if isinstance(free, str) else tuple(free), tuple(known)
     for name in names:
         if name not in accepted:
-            raise ValueError(f"free: given {shown(name)}; {nearest_name(str(name), accepted)}")
+            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(str(name), accepted)}")
     if not names or len(set(names)) < len(names):
-        given = shown(list(names)) if names else "none"
+        given = short_repr(list(names)) if names else "none"
         raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
     return names
 
@@ -55,13 +55,15 @@ def pair(place: str, given: object) -> tuple[float, float]:
     except TypeError:
         ends = ()
     if len(ends) != 2 or isinstance(given, str):
-        raise TypeError(f"{place}: given {shown(given)}; accepted: {PAIR}")
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR}")
     lower, upper = (
         absent if value is None or value == absent else number(place, value, PAIR)
         for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
     )
     if lower > upper:
-        raise ValueError(f"{place}: given {shown(given)}; accepted: (lower, upper), a lower bound <= the upper one")
+        raise ValueError(
+            f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper"
+        )
     return lower, upper
 
 
@@ -83,17 +85,17 @@ def checked_bounds(
         ValueError, TypeError: names and pairs that cannot be used.
     """
     if not isinstance(bounds, Mapping | None):
-        raise TypeError(f"bounds: given {shown(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
+        raise TypeError(f"bounds: given {short_repr(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
     limits, conditions, held = dict(free), list[Condition](), tuple(fixed)
     known = tuple(dict.fromkeys((*free, *held, *quantities)))
     for name, given in (bounds or {}).items():
         place = f"bounds[{name}]"
         if name not in known:
-            raise ValueError(f"bounds: given {shown(name)}; {nearest_name(str(name), known)}")
+            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(str(name), known)}")
         lower, upper = pair(place, given)
         if name in free:
             if lower == upper:
-                raise ValueError(f"{place}: given {shown(given)}; accepted: different bounds, or {name} not free")
+                raise ValueError(f"{place}: given {short_repr(given)}; accepted: different bounds, or {name} not free")
             least, most = free[name]
             limits[name] = (lower if lower > -math.inf else least, upper if upper < math.inf else most)
         elif name in held:
@@ -111,16 +113,16 @@ def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], wh
     """
     accepted = CONDITION.format(what)
     if isinstance(constraints, str | Mapping) or not isinstance(constraints, Iterable):
-        raise TypeError(f"constraints: given {shown(constraints)}; accepted: a list of items, each {accepted}")
+        raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
     found = []
     for item, given in enumerate(constraints, start=1):
         place, (quantity, lower, upper) = f"constraints, item {item}", (given, 0.0, 0.0)
         if not isinstance(given, kinds):
             if not isinstance(given, tuple | list) or len(given) != 3:
-                raise TypeError(f"{place}: given {shown(given)}; accepted: {accepted}")
+                raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
             quantity, (lower, upper) = given[0], pair(place, given[1:])
         if not isinstance(quantity, (str, *kinds)):
-            raise TypeError(f"{place}: given {shown(quantity)}; accepted: {accepted}")
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: {accepted}")
         name = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "<lambda>")
         found.append(Condition(quantity, lower, upper, name if name != "<lambda>" else f"constraint {item}"))
     return tuple(found)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
@@ -95,4 +95,4 @@ def stated_search(chain_or_model: Chain | OdeModel, **stated: Any) -> SearchProb
         return FamilySearch.of(ChainFamily.of(chain_or_model, mode), S=S, **stated)
     if isinstance(chain_or_model, OdeModel):
         return FamilySearch.of(ModelFamily.of(chain_or_model, mode, parameters or {}), S=S, **stated)
-    raise TypeError(f"chain_or_model: given {shown(chain_or_model)}; accepted: a Chain or an OdeModel")
+    raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import check_name
@@ -86,7 +86,7 @@ def follow(
         if not min(start, end) <= value <= max(start, end):
             raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
     if isinstance(max_points, bool) or not isinstance(max_points, int) or max_points < 2:
-        raise ValueError(f"max_points: given {shown(max_points)}; accepted: a whole number >= 2")
+        raise ValueError(f"max_points: given {short_repr(max_points)}; accepted: a whole number >= 2")
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)

@@ -227,7 +227,7 @@ class Branch:
         request = self.tools.request
         chain = request.chain
         attributes = {"sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
-        coordinates = {"site": self.tools.layout.shown}
+        coordinates = {"site": self.tools.layout.output_sites}
         return xr.Dataset(data, coordinates, {**attributes, "mode": request.mode, "tolerance": request.tolerance})
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.statement import BoundaryValueProblem, Bounds, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.models.declared import Expression
@@ -95,7 +95,7 @@ def _check(
     free: Sequence[str],
 ) -> None:
     if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"cycles: given {shown(cycles)}; accepted: a whole number >= 1")
+        raise ValueError(f"cycles: given {short_repr(cycles)}; accepted: a whole number >= 1")
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
@@ -180,7 +180,9 @@ class _Asked:
         found: dict[str, Any] = {"bounds": self.bounds}
         if isinstance(self.objective, str):
             if self.objective != PERIOD:
-                raise ValueError(f"objective: given {shown(self.objective)}; accepted: an expression, or {PERIOD!r}")
+                raise ValueError(
+                    f"objective: given {short_repr(self.objective)}; accepted: an expression, or {PERIOD!r}"
+                )
             found["objective"] = type(model.state)(period)
         elif self.objective is not None:
             found["objective"] = self.at_start(model, "objective", self.objective)

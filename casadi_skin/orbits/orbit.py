@@ -116,9 +116,9 @@ class Orbit:
         return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / np.linalg.norm(start))
 
     @property
-    def shown_sites(self) -> Indices:
+    def output_sites(self) -> Indices:
         """Numbers of the sites in files and pictures: all, or those of the nonlinear core of a long chain."""
-        return self.tools.layout.shown
+        return self.tools.layout.output_sites
 
     @property
     def harmonics(self) -> int:
@@ -149,7 +149,7 @@ class Orbit:
         """
         layout = self.tools.layout
         logs, signs = self._core_logs
-        numbers = layout.shown if self.chain.infinite else np.arange(1, self.chain.sites + 1)
+        numbers = layout.output_sites if self.chain.infinite else np.arange(1, self.chain.sites + 1)
         numbers = numbers if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
         if isinstance(layout, CoreWithTail):
             m = layout.distances(numbers)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.radau import RadauProblem
@@ -95,7 +95,7 @@ class FamilyRequest:
         ):
             if getattr(self, name) not in accepted:
                 names = ", ".join(word for word in accepted if word)
-                raise ValueError(f"{name}: given {shown(getattr(self, name))}; accepted: {names}")
+                raise ValueError(f"{name}: given {short_repr(getattr(self, name))}; accepted: {names}")
         if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == "trigonometric":
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
         if self.walker == "series" and self.transcription != "trigonometric":
@@ -112,17 +112,17 @@ class FamilyRequest:
     def _check_types(self) -> None:
         """Raises TypeError, and ValueError for numbers that are not finite."""
         if not isinstance(self.chain, Chain):
-            raise TypeError(f"chain: given {shown(self.chain)}; accepted: a Chain")
+            raise TypeError(f"chain: given {short_repr(self.chain)}; accepted: a Chain")
         number("amplitude_max", self.amplitude_max, "a finite number > 0")
         number("tolerance", self.tolerance, "1e-13 to 1e-2")
         for name in ("at", "at_Omega", "at_period"):
             numbers(name, getattr(self, name))
             if not isinstance(getattr(self, name), tuple):
-                raise TypeError(f"{name}: given {shown(getattr(self, name))}; accepted: a tuple of finite numbers")
+                raise TypeError(f"{name}: given {short_repr(getattr(self, name))}; accepted: a tuple of finite numbers")
         if self.period_max is not None:
             number("period_max", self.period_max)
         if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
-            raise TypeError(f"symmetry: given {shown(self.symmetry)}; accepted: a SymmetryClass")
+            raise TypeError(f"symmetry: given {short_repr(self.symmetry)}; accepted: a SymmetryClass")
 
     # The tail of a long chain ---------------------------------------------------------------------------------------
 
@@ -167,9 +167,11 @@ class FamilyRequest:
         if self.degree is None:
             return
         if self.transcription not in COLLOCATIONS:
-            raise ValueError(f"degree: given {shown(self.degree)}; accepted: with {' or '.join(COLLOCATIONS)} only")
+            raise ValueError(
+                f"degree: given {short_repr(self.degree)}; accepted: with {' or '.join(COLLOCATIONS)} only"
+            )
         if not (isinstance(self.degree, int) and low <= self.degree <= high):
-            raise ValueError(f"degree: given {shown(self.degree)}; accepted: a whole number from {low} to {high}")
+            raise ValueError(f"degree: given {short_repr(self.degree)}; accepted: a whole number from {low} to {high}")
 
     def _check_periods(self) -> None:
         linear = TWO_PI / self.chain.linear_frequency(self.mode)
@@ -186,7 +188,7 @@ class FamilyRequest:
                 most = "" if self.period_max is None else f", with periods up to period_max = {longest:g}"
                 raise ValueError(f"{name}: given {list(values)}; accepted: finite numbers > 0, each once{most}")
         if not (isinstance(self.max_points, int) and self.max_points >= 1):
-            raise ValueError(f"max_points: given {shown(self.max_points)}; accepted: a whole number >= 1")
+            raise ValueError(f"max_points: given {short_repr(self.max_points)}; accepted: a whole number >= 1")
 
     @property
     def way(self) -> str:

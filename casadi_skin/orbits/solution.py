@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
@@ -61,7 +61,7 @@ class BoundarySolution:
         try:
             times = np.atleast_1d(np.asarray(t, dtype=float))
         except (TypeError, ValueError):
-            raise ValueError(f"t: given {shown(t)}; accepted: numbers") from None
+            raise ValueError(f"t: given {short_repr(t)}; accepted: numbers") from None
         start, end = self.interval
         slack = 1e-9 * (end - start)
         if not np.all((times >= start - slack) & (times <= end + slack)):

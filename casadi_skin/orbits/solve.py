@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.butcher import gauss_table, radau_table
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.bvp.stated_problem import BoundaryProblem
@@ -58,13 +58,13 @@ class Method:
             ("corrector", self.corrector, CORRECTORS),
         ):
             if given not in accepted:
-                raise ValueError(f"{name}: given {shown(given)}; accepted: {', '.join(accepted)}")
+                raise ValueError(f"{name}: given {short_repr(given)}; accepted: {', '.join(accepted)}")
         for name, whole, highest in (
             ("degree", self.degree, DEGREES[-1]),
             ("intervals", self.intervals, INTERVALS[-2]),
         ):
             if isinstance(whole, bool) or not isinstance(whole, int) or not 1 <= whole <= highest:
-                raise ValueError(f"{name}: given {shown(whole)}; accepted: a whole number from 1 to {highest}")
+                raise ValueError(f"{name}: given {short_repr(whole)}; accepted: a whole number from 1 to {highest}")
         low, high = TOLERANCES
         if not low <= number("tolerance", self.tolerance) <= high:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")

@@ -62,7 +62,7 @@ def _known(value: float) -> float:
 def _put_logarithms(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     """log10 |y_n(0)| and signs; a site at rest has no logarithm and is left empty (`_FillValue`, sign 0)."""
     logarithms, signs = (
-        np.stack(parts) for parts in zip(*(o.log10_displacements(o.shown_sites) for o in orbits), strict=True)
+        np.stack(parts) for parts in zip(*(o.log10_displacements(o.output_sites) for o in orbits), strict=True)
     )
     at_rest = np.isneginf(logarithms) & (signs == 0)
     meaning = "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0"
@@ -82,7 +82,7 @@ def write_netcdf(path: Path, branches: Sequence[Branch], scene_text: str, title:
     orbits = [orbit for branch in branches for orbit in branch.orbits]
     if not orbits:
         return
-    chain, sites = orbits[0].chain, orbits[0].shown_sites
+    chain, sites = orbits[0].chain, orbits[0].output_sites
     with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
         write_origin(file, chain, scene_text, title)
         file.createDimension("point", len(orbits))
@@ -149,7 +149,7 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     }
     for name, (values, meaning) in columns.items():
         put(file, name, ("point",), np.array(values), meaning)
-    profiles = np.array([o.evaluate(0.0, o.shown_sites)[0] for o in orbits])
+    profiles = np.array([o.evaluate(0.0, o.output_sites)[0] for o in orbits])
     put(file, "profile", ("point", "site"), profiles, "displacements y_n at t = 0")
     if all(o.regime is not None for o in orbits):
         regimes = np.array([list(Regime).index(o.regime) for o in orbits if o.regime is not None])
@@ -157,7 +157,7 @@ def _write_orbits(file: netcdf_file, orbits: Sequence[Orbit]) -> None:
     _put_logarithms(file, orbits)
     harmonics = max(o.harmonics for o in orbits)
     file.createDimension("harmonic", harmonics)
-    coefficients = np.stack([o.coefficients(harmonics, o.shown_sites) for o in orbits])
+    coefficients = np.stack([o.coefficients(harmonics, o.output_sites) for o in orbits])
     meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
     put(file, "coefficients", ("point", "harmonic", "site"), coefficients, meaning)
 

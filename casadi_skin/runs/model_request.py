@@ -17,7 +17,7 @@ from casadi_skin.models.loading import ModelFileError, call, named, read_source,
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import PERIOD, UNFOLDING
 from casadi_skin.orbits.guesses import Guess
-from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, shown
+from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, toml_repr
 from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelScene, OrbitTable
 
 KINDS = (OdeModel, BoundaryValueProblem)
@@ -192,7 +192,7 @@ def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
     pinned = [model.state_names[i] for i in first]
     if name in pinned:
         accepted = f"a quantity that the reversal leaves free; it makes {', '.join(pinned)} vanish at phase zero"
-        raise refusal("[orbit] select", shown(name), accepted)
+        raise refusal("[orbit] select", toml_repr(name), accepted)
 
 
 # What both have -------------------------------------------------------------------------------------------------------
@@ -233,5 +233,5 @@ def _check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
 def _check_known(place: str, name: str, known: Sequence[str]) -> None:
     if name not in known:
         near = nearest(name, known)
-        hint = did_you_mean(near and shown(near), ", ".join(known) or "none")
-        raise SceneError(f"{place}: given {shown(name)}{hint}")
+        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
+        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")

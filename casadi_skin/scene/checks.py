@@ -3,7 +3,7 @@
 import math
 
 from casadi_skin.optimise.names import FREE, NAMED
-from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, shown
+from casadi_skin.scene.faults import SceneError, did_you_mean, nearest, refusal, toml_repr
 from casadi_skin.scene.tables import AccuracyTable, ChainTable, DynamicsTable, FamilyTable, MethodTable, Scene
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
@@ -54,9 +54,13 @@ def _check_modes(chain: ChainTable, modes: tuple[int, ...]) -> None:
     for mode in modes:
         if chain.sites == math.inf and mode != (-1 if chain.g > 0 else 1):
             only = f'"{"last" if chain.g > 0 else "first"}" (of an infinite chain, with g = {chain.g:g})'
-            raise refusal("[family] mode", '"last"' if mode == -1 else '"first"' if mode == 1 else shown(mode), only)
+            raise refusal(
+                "[family] mode", '"last"' if mode == -1 else '"first"' if mode == 1 else toml_repr(mode), only
+            )
         if chain.sites != math.inf and not 1 <= mode <= chain.sites:
-            raise refusal("[family] mode", shown(mode), f"whole numbers from 1 to {chain.sites} (sites), first, last")
+            raise refusal(
+                "[family] mode", toml_repr(mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
+            )
         if mode in seen:
             raise refusal("[family] mode", f"{mode} more than once", "each mode once")
         seen.add(mode)
@@ -146,11 +150,11 @@ def check_dynamics(scene: Scene) -> None:
     if family is None:
         raise refusal("[dynamics]", "without [family]", "beside a [family], one of whose orbits it follows in time")
     followed = family.modes(scene.chain.sites)
-    modes = f"one of the modes of [family], {shown(list(followed))}"
+    modes = f"one of the modes of [family], {toml_repr(list(followed))}"
     if dynamics.mode is None and len(followed) > 1:
         raise SceneError(f"[dynamics] mode: missing; accepted: {modes}")
     if dynamics.mode is not None and dynamics.mode not in followed:
-        raise refusal("[dynamics] mode", shown(dynamics.mode), modes)
+        raise refusal("[dynamics] mode", toml_repr(dynamics.mode), modes)
     if family.amplitude_max < dynamics.S:
         raise refusal("[dynamics] S", repr(dynamics.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
     if (dynamics.duration is None) == (dynamics.periods is None):
@@ -176,7 +180,7 @@ def _check_perturbation(chain: ChainTable, dynamics: DynamicsTable) -> None:
     if dynamics.size is not None and not kinds:
         raise refusal("[dynamics] size", repr(dynamics.size), "beside one of site, vector, seed")
     if dynamics.site is not None and not 1 <= dynamics.site <= chain.sites:
-        raise refusal("[dynamics] site", shown(dynamics.site), f"whole numbers from 1 to {chain.sites} (sites)")
+        raise refusal("[dynamics] site", toml_repr(dynamics.site), f"whole numbers from 1 to {chain.sites} (sites)")
     if dynamics.vector is not None:
         if len(dynamics.vector) not in (chain.sites, 2 * chain.sites):
             accepted = f"{chain.sites} displacements, or these and {chain.sites} velocities"
@@ -207,23 +211,23 @@ def check_export(scene: Scene) -> None:
     if export.c not in (None, "all") and abs(scene.chain.gamma) == 1:
         for part in export.c:
             if part in ("flow", "residual", "newton", "ipopt"):
-                given = f"{shown(part)} with gamma = {scene.chain.gamma!r}"
+                given = f"{toml_repr(part)} with gamma = {scene.chain.gamma!r}"
                 accepted = "rhs, jacobian, variational, orbit (the gauge holds the edge site alone)"
                 raise refusal("[export] c", given, accepted)
     if export.S is None:
         if export.mode is not None:
-            raise refusal("[export] mode", shown(export.mode), "beside S, the orbit of that mode's family")
+            raise refusal("[export] mode", toml_repr(export.mode), "beside S, the orbit of that mode's family")
         if export.c is not None and "orbit" in export.c:
             raise refusal("[export] c", '"orbit" without S', "with S, that of the orbit")
         return
     if family is None:
         raise refusal("[export] S", repr(export.S), "beside a [family], one of whose orbits it names")
     followed = family.modes(scene.chain.sites)
-    modes = f"one of the modes of [family], {shown(list(followed))}"
+    modes = f"one of the modes of [family], {toml_repr(list(followed))}"
     if export.mode is None and len(followed) > 1:
         raise SceneError(f"[export] mode: missing; accepted: {modes}")
     if export.mode is not None and export.mode not in followed:
-        raise refusal("[export] mode", shown(export.mode), modes)
+        raise refusal("[export] mode", toml_repr(export.mode), modes)
     if family.amplitude_max < export.S:
         raise refusal("[export] S", repr(export.S), f"a number <= amplitude_max = {family.amplitude_max!r}")
 
@@ -240,7 +244,7 @@ def check_search(scene: Scene) -> None:
         raise refusal("[chain] g", repr(chain.g), "with a [search] a finite number other than 0")
     if isinstance(search.mode, int) and search.mode > chain.sites:
         raise refusal(
-            "[search] mode", shown(search.mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
+            "[search] mode", toml_repr(search.mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
         )
     _check_known("[search] objective", search.objective, tuple(NAMED))
     for name in search.free:
@@ -248,7 +252,9 @@ def check_search(scene: Scene) -> None:
     for name, (lower, upper) in search.bounds.items():
         _check_known("[search] bounds", name, tuple({**FREE, **NAMED}))
         if not lower <= upper:
-            raise refusal(f"[search] bounds {name}", shown([lower, upper]), "a list [lower, upper] with lower <= upper")
+            raise refusal(
+                f"[search] bounds {name}", toml_repr([lower, upper]), "a list [lower, upper] with lower <= upper"
+            )
     for item, held in enumerate(search.constraints, start=1):
         place = f"[search] constraints, item {item}"
         _check_known(place, held.quantity, tuple(NAMED))
@@ -260,4 +266,4 @@ def check_search(scene: Scene) -> None:
 def _check_known(place: str, name: str, known: tuple[str, ...]) -> None:
     if name not in known:
         near = nearest(name, known)
-        raise SceneError(f"{place}: given {shown(name)}{did_you_mean(near and shown(near), ', '.join(known))}")
+        raise SceneError(f"{place}: given {toml_repr(name)}{did_you_mean(near and toml_repr(near), ', '.join(known))}")

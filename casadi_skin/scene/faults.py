@@ -45,7 +45,7 @@ def cut(text: str) -> str:
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
 
 
-def shown(value: object, depth: int = 3) -> str:
+def toml_repr(value: object, depth: int = 3) -> str:
     """A value as TOML would write it, cut where it is long, nested or huge."""
     if isinstance(value, str):
         return cut(json.dumps(value[:LONGEST], ensure_ascii=False))
@@ -54,14 +54,14 @@ def shown(value: object, depth: int = 3) -> str:
     if isinstance(value, int):  # beyond some hundred digits Python may refuse to write decimals, never hex
         return cut(str(value) if value.bit_length() < 2000 else hex(value))
     if isinstance(value, list):
-        items = [shown(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
+        items = [toml_repr(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
         return cut(f"[{', '.join(items)}]")
     return "a table" if isinstance(value, dict) else str(value)
 
 
 def inline(table: Mapping[str, object]) -> str:
     """A table as TOML would write it in one line, cut where it is long."""
-    return cut(f"{{{', '.join(f'{cut(key)} = {shown(value)}' for key, value in table.items())}}}")
+    return cut(f"{{{', '.join(f'{cut(key)} = {toml_repr(value)}' for key, value in table.items())}}}")
 
 
 def with_kind(value: object) -> str:
@@ -69,4 +69,4 @@ def with_kind(value: object) -> str:
     if is_table(value):
         return "a table" if isinstance(value, dict) else "an array of tables"
     kinds = {bool: "a boolean", int: "a whole number", float: "a float", str: "a string", list: "an array"}
-    return f"{shown(value)} ({kinds.get(type(value), 'a date or time')})"
+    return f"{toml_repr(value)} ({kinds.get(type(value), 'a date or time')})"

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from casadi_skin.scene.checks import check_accuracy
-from casadi_skin.scene.faults import SceneError, refusal, shown
+from casadi_skin.scene.faults import SceneError, refusal, toml_repr
 from casadi_skin.scene.model_tables import MODEL_TABLES, SELECTED, ModelScene, OrbitTable
 from casadi_skin.scene.tables import TABLES
 
@@ -38,12 +38,12 @@ def check_chain_tables(names: Iterable[str]) -> None:
 def _check_file(scene: ModelScene) -> None:
     file, name = scene.model.file, scene.model.name
     if "\0" in file:
-        raise refusal("[model] file", shown(file), "the name of a file")
+        raise refusal("[model] file", toml_repr(file), "the name of a file")
     if file.endswith(".json"):
         if name is not None:
-            raise refusal("[model] name", f'{shown(name)} with file = "{file}"', "none: the file holds one model")
+            raise refusal("[model] name", f'{toml_repr(name)} with file = "{file}"', "none: the file holds one model")
     elif not file.endswith(".py"):
-        raise refusal("[model] file", shown(file), "a name that ends in .py or .json")
+        raise refusal("[model] file", toml_repr(file), "a name that ends in .py or .json")
     elif name is None:
         raise SceneError("[model] name: missing; accepted: with a Python file the name of the model in it")
 
@@ -79,4 +79,4 @@ def _check_continuation(scene: ModelScene) -> None:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
     selected = scene.orbit is not None and scene.orbit.select is not None
     if table.parameter == SELECTED and scene.solution is not None and not selected:
-        raise refusal("[continuation] parameter", shown(SELECTED), "with [orbit] select, whose value it moves")
+        raise refusal("[continuation] parameter", toml_repr(SELECTED), "with [orbit] select, whose value it moves")

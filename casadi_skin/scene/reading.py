@@ -28,7 +28,7 @@ from casadi_skin.scene.faults import (
     is_table,
     nearest,
     refusal,
-    shown,
+    toml_repr,
     with_kind,
 )
 from casadi_skin.scene.model_checks import check_chain_tables, check_model_scene, check_model_tables
@@ -142,7 +142,7 @@ def _check_keys(name: str, table: type[Table], given: object) -> None:
         for number in _leaves(value):
             # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
             if isinstance(number, int) and abs(number) > sys.float_info.max:
-                raise refusal(f"[{name}] {key}", shown(number), accepted_words(table, key))
+                raise refusal(f"[{name}] {key}", toml_repr(number), accepted_words(table, key))
     for field in msgspec.structs.fields(table):
         if field.required and field.name not in given:
             raise SceneError(f"[{name}] {field.name}: missing; accepted: {accepted_words(table, field.name)}")
@@ -170,9 +170,9 @@ def _convert(raw: dict[str, Any], kind: type[Kind], tables: Mapping[str, type[Ta
     value = raw[name][key] if key else raw[name]
     accepted = accepted_words(tables[name], key) if key else accepted_words(kind, name)
     value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
-    given = with_kind(value) if ", got `" in message else shown(value)
+    given = with_kind(value) if ", got `" in message else toml_repr(value)
     if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted
         given = inline(value)
     near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
     place = f"[{name}] {key}" if key else name
-    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and shown(near), accepted)}")
+    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and toml_repr(near), accepted)}")

@@ -359,7 +359,7 @@ def test_the_ends_of_an_interval_have_their_own_symbols() -> None:
         ({"hamiltonian": ca.SX(1)}, "forced: a hamiltonian in a model that is forced"),
         ({"half_period": (1, -1)}, "forced: the declared half_period is not a symmetry"),
         ({"reversal": (1, -1)}, "forced: the declared reversal is not a symmetry"),
-        ({"shown": (1.0,)}, "forced: shown needs 2 factors, given 1"),
+        ({"output_scale": (1.0,)}, "forced: output_scale needs 2 factors, given 1"),
     ],
 )
 def test_declarations_that_do_not_fit_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:

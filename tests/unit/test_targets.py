@@ -39,7 +39,7 @@ class Graph(OrbitProblem):
 
     symmetry = SymmetryClass.QUARTER
     states = 1
-    shown = None
+    output_scale = None
 
     def __init__(self, resolution: int) -> None:
         self.resolution = resolution

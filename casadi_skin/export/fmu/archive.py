@@ -11,7 +11,7 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.export.fmu.build import compile_library
 from casadi_skin.export.fmu.config import config_header
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
@@ -56,7 +56,7 @@ def export_fmu(
     """
     target = Path(path)
     if fmi not in SOURCES:
-        raise ValueError(f"fmi: given {shown(fmi)}; accepted: {', '.join(SOURCES)}")
+        raise ValueError(f"fmi: given {short_repr(fmi)}; accepted: {', '.join(SOURCES)}")
     if target.suffix != ".fmu":
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():

@@ -55,7 +55,7 @@ class Description:
         subject, model = self.subject, self.subject.model
         found = [Variable("time", 0, "independent", "continuous", description="time")]
         nominal = subject.nominal
-        for name, start, shown in zip(model.state_names, subject.start, subject.shown, strict=True):
+        for name, start, shown in zip(model.state_names, subject.start, subject.is_output, strict=True):
             causality, meaning = "output" if shown else "local", subject.meanings.get(name, "state")
             found.append(
                 Variable(name, len(found), causality, "continuous", "exact", start, None, None, nominal, meaning)

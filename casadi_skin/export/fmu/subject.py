@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.orbit import Orbit
@@ -27,7 +27,7 @@ Bounds = tuple[float, float]
 class Subject:
     """A model as an FMU sees it: x' = f(t, x, p), outputs y(t, x, p), dimensionless.
 
-    `start` has one value a state and `parameters` one a parameter; `shown` tells which states are outputs themselves.
+    `start` has one value a state and `parameters` one a parameter; `is_output` tells which states are outputs too.
     `bounds` limit parameters and `meanings` describe variables, both by name.
     """
 
@@ -35,7 +35,7 @@ class Subject:
     description: str
     start: tuple[float, ...]
     parameters: tuple[float, ...]
-    shown: tuple[bool, ...]
+    is_output: tuple[bool, ...]
     stop_time: float
     tolerance: float
     bounds: Mapping[str, Bounds] = field(default_factory=dict)
@@ -76,7 +76,7 @@ def subject_of(
     if isinstance(what, Orbit):
         return _of_chain(what.chain, what.profile if start is None else start, what.period, chosen, tolerance)
     if not isinstance(what, Chain):
-        raise TypeError(f"what: given {shown(what)}; accepted: a Chain, an Orbit or an OdeModel")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an Orbit or an OdeModel")
     if what.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
@@ -160,7 +160,7 @@ def _of_chain(chain: Chain, start: ArrayLike, period: float, stop_time: float | 
         description=f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)",
         start=full,
         parameters=(chain.alpha, chain.gamma, chain.g),
-        shown=(True,) * sites + (False,) * sites,
+        is_output=(True,) * sites + (False,) * sites,
         stop_time=PERIODS * period if stop_time is None else stop_time,
         tolerance=tolerance,
         bounds={"gamma": (-1.0, 1.0)},
@@ -181,7 +181,9 @@ def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None,
     names += [*model.parameter_names, *model.outputs, "time"]
     strange = [name for name in (model.name, *names) if not name.isprintable()]
     if strange:
-        raise ValueError(f"name: given {shown(strange[0])}; accepted: printable characters, for XML takes no others")
+        raise ValueError(
+            f"name: given {short_repr(strange[0])}; accepted: printable characters, for XML takes no others"
+        )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(
@@ -192,7 +194,7 @@ def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None,
         description=model.name,
         start=given + (0.0,) * (count - len(given)),
         parameters=parameters,
-        shown=(True,) * model.size + (False,) * (count - model.size),
+        is_output=(True,) * model.size + (False,) * (count - model.size),
         stop_time=_default_stop(model, parameters) if stop_time is None else stop_time,
         tolerance=tolerance,
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.problem import Indices
 from casadi_skin.optimise.search_arguments import whole
 from casadi_skin.orbits.orbit import Orbit
@@ -19,7 +19,7 @@ LONGEST = 100.0  # periods
 def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) -> None:
     """Raises TypeError or ValueError for arguments out of range or an orbit that is not linearly stable."""
     if not isinstance(orbit, Orbit):
-        raise TypeError(f"orbit: given {shown(orbit)}; accepted: an Orbit, such as branch.at(S=0.2)")
+        raise TypeError(f"orbit: given {short_repr(orbit)}; accepted: an Orbit, such as branch.at(S=0.2)")
     chain = orbit.chain
     if chain.infinite or abs(chain.gamma) == 1.0:
         raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
@@ -33,7 +33,7 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) ->
     if number("distance", distance, "a finite fraction of the breather") < least:
         raise ValueError(f"distance: given {distance!r}; accepted: from {least:.1e} on, what the orbit's error allows")
     if norm not in NORMS:
-        raise ValueError(f"norm: given {shown(norm)}; accepted: {', '.join(NORMS)}")
+        raise ValueError(f"norm: given {short_repr(norm)}; accepted: {', '.join(NORMS)}")
     if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
         raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
     whole("starts", starts, 1)
@@ -52,5 +52,5 @@ def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
     given = [at] if isinstance(at, int | np.integer) else list(at)
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and 1 <= n <= count for n in given)
     if not given or not whole or len(set(given)) < len(given):
-        raise ValueError(f"at: given {shown(at)}; accepted: one or more different sites 1..{count}")
+        raise ValueError(f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}")
     return np.array(sorted(given)) - 1
