@@ -20,12 +20,12 @@ from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.models.saved import programs_in
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution
-from casadi_skin.optimise.optimality import optimality
+from casadi_skin.optimise.optimality import FLAT, Optimality, optimality
 from casadi_skin.optimise.search_arguments import Condition
+from casadi_skin.orbits import optimum as of_solution
 from casadi_skin.orbits import solution as solutions
 from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
 from casadi_skin.orbits.guesses import Guess
-from casadi_skin.orbits.optimum import Optimality, Optimum
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solve import packed, space_of
 from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
@@ -64,7 +64,6 @@ class BoundaryNlp(Nlp):
         residual, jacobian, value = ca.graph_substitute(made, *lengths)
         tolerance = float(np.clip(1e-2 * accuracy, 1e-11, 1e-6))
         super().__init__(
-            "boundary",
             z,
             value,
             residual,
@@ -112,9 +111,9 @@ class BoundaryNlp(Nlp):
     def equation_name(self, row: int, x: Array) -> str:
         return self.problem.place(row)
 
-    def solved(self, start: Array) -> Solution:
+    def solved(self, start: Array, warm: bool = False) -> Solution:
         """The local optimum near a start; raises BoundaryError with Ipopt's reason, condition and place."""
-        name, solution = self.statement.model.name, self.solve(start)
+        name, solution = self.statement.model.name, self.solve(start, warm=warm)
         if solution.words != SOLVED:
             raise BoundaryError(f"{name}: {nlp_reason(solution.words)}; {self._worst(solution.x)}")
         if self.fault(solution.x):
@@ -125,12 +124,6 @@ class BoundaryNlp(Nlp):
             where = self.problem.whereabouts(solution.x)
             raise BoundaryError(f"{name}: the point found {words}, {where}; try another guess")
         return solution
-
-    def optimality(self, solution: Solution) -> Optimality:
-        """The conditions of optimality as a solution carries them."""
-        found = optimality(self, solution)
-        largest = max(found.kkt.stationarity, found.kkt.complementarity)
-        return Optimality(largest, found.kkt.violation, found.active, self.exact)
 
     def _worst(self, z: Array) -> str:
         """The equation that is violated most, by how much and where."""
@@ -144,12 +137,21 @@ class BoundaryNlp(Nlp):
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """An optimum on a mesh that meets the tolerance: its estimated errors, and that of the objective."""
+    """An optimum on a mesh that meets the tolerance, with its estimated errors, that of the objective among them."""
 
     nlp: BoundaryNlp
     solution: Solution
+    optimality: Optimality
     error: ErrorEstimate
     objective_error: float
+
+    @property
+    def optimum(self) -> of_solution.Optimum:
+        """What a solution carries of it."""
+        first = self.optimality.kkt
+        largest, active = max(first.stationarity, first.complementarity), self.optimality.active
+        conditions = of_solution.Optimality(largest, first.violation, active, self.nlp.exact)
+        return of_solution.Optimum(self.solution.objective, self.objective_error, conditions)
 
     @property
     def point(self) -> Point:
@@ -157,11 +159,6 @@ class Refined:
         problem = self.nlp.problem
         unit = np.append(np.zeros(problem.size - 1), 1.0)
         return Point(problem, self.solution.x, unit, self.error, 0.0, self.solution.iterations)
-
-    @property
-    def optimum(self) -> Optimum:
-        """What was optimised, with the conditions of optimality."""
-        return Optimum(self.solution.objective, self.objective_error, self.nlp.optimality(self.solution))
 
 
 def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.Solution:
@@ -180,10 +177,11 @@ def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.So
     return solutions.Solution(space, found.point, optimum=found.optimum)
 
 
-def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, **more: Any) -> Refined:
+def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bool = False, **more: Any) -> Refined:
     """An optimum on meshes that are refined until it no longer changes; `more` are arguments of their programmes.
 
-    Raises BoundaryError where no mesh on offer is fine enough, or finer ones do not converge.
+    Where a `flat` objective is allowed, which does not tell neighbours apart, one refinement is enough. Raises
+    BoundaryError where no mesh on offer is fine enough, or finer ones do not converge.
     """
     name, errors = nlp.statement.model.name, list[float]()
     while True:
@@ -192,13 +190,15 @@ def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, **more: 
             raise BoundaryError(f"{name}: more than {nlp.problem.resolution} intervals are needed")
         assert isinstance(above, BoundaryProblem)
         start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(above, space.tolerance, **more)
-        better = finer.solved(start)
+        better = finer.solved(start, warm=True)
         moved = better.x - start
         scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
         error = ErrorEstimate(SAFETY * scalars, SAFETY * profile)
-        found = Refined(finer, better, error, SAFETY * abs(better.objective - solution.objective))
-        holds = finer.optimality(better).holds_states(nlp.statement.model.state_names)
-        if error.relative(1.0) <= space.tolerance or (holds and above.resolution >= ENOUGH):
+        conditions, moved_by = optimality(finer, better), SAFETY * abs(better.objective - solution.objective)
+        found = Refined(finer, better, conditions, error, moved_by)
+        holds = found.optimum.optimality.holds_states(nlp.statement.model.state_names)
+        enough = (holds and above.resolution >= ENOUGH) or (flat and conditions.curvature < FLAT)
+        if enough or error.relative(1.0) <= space.tolerance:
             return found
         errors.append(error.relative(1.0))
         if len(errors) > PATIENCE and errors[-1] > 0.5 * errors[-1 - PATIENCE]:

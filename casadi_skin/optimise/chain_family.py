@@ -18,8 +18,7 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.family import FreeNumber, Member
-from casadi_skin.optimise.observables import FamilyEquations
+from casadi_skin.optimise.observables import FamilyEquations, FreeNumber, Member
 from casadi_skin.orbits.follow import follow_family
 
 STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
@@ -44,25 +43,30 @@ class ChainFamily:
 
     @property
     def size(self) -> int:
+        """Number of components."""
         return self.model.sites
 
     @property
     def columns(self) -> tuple[str, ...]:
+        """Parameters that tables show."""
         return ("gamma", "alpha", "g")
 
     @property
     def free(self) -> Mapping[str, FreeNumber]:
+        """Parameters that may be free."""
         chain = self.model
         gammas = (0.0, STEEPEST) if chain.gamma >= 0 else (-STEEPEST, 0.0)
         signs = (0.0, math.inf) if chain.g > 0 else (-math.inf, 0.0)
+        each = tuple(f"alpha_{n}" for n in range(1, chain.sites + 1))
         return {
-            "gamma": FreeNumber(chain.gamma, *gammas),
-            "alpha": FreeNumber(chain.alpha, -math.inf, math.inf),
-            "g": FreeNumber(chain.g, *signs),
-            "alpha_n": FreeNumber(chain.alpha, -math.inf, math.inf, chain.sites),
+            "gamma": FreeNumber(chain.gamma, *gammas, ("gamma",)),
+            "alpha": FreeNumber(chain.alpha, -math.inf, math.inf, ("alpha",)),
+            "g": FreeNumber(chain.g, *signs, ("g",)),
+            "alpha_n": FreeNumber(chain.alpha, -math.inf, math.inf, each),
         }
 
     def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ChainFamily:
+        """The family for parameters within bounds; raises ValueError for bounds that cannot be."""
         if "alpha" in bounds and "alpha_n" in bounds:
             raise ValueError("free: given alpha and alpha_n; accepted: one of them")
         lower, upper = bounds.get("gamma", (self.model.gamma, self.model.gamma))
@@ -74,14 +78,13 @@ class ChainFamily:
         low, high = bounds.get("g", (self.model.g, self.model.g))
         if not (low >= 0 and high > 0 if self.model.g > 0 else low < 0 and high <= 0):
             side = ">= 0" if self.model.g > 0 else "<= 0"
-            raise ValueError(
-                f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's own g"
-            )
+            raise ValueError(f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's g")
         return replace(self, mirrored=upper <= 0 if "gamma" in bounds else self.model.gamma < 0)
 
     # Expressions ----------------------------------------------------------------------------------------------------
 
     def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
+        """The equations of an orbit; parameters that are missing have the chain's own values."""
         chain, N = self.model, self.model.sites
         gamma, g = values.get("gamma", ca.SX(chain.gamma)), values.get("g", ca.SX(chain.g))
         alpha_n = values.get("alpha_n", ca.repmat(values.get("alpha", ca.SX(chain.alpha)), N, 1))
@@ -126,9 +129,11 @@ class ChainFamily:
         )
 
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
+        """Factors that make displacements of q, shape (components,)."""
         return np.asarray(np.sqrt(S) * self.at(values).rho)
 
     def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
+        """The equations of q as a model with one parameter, and the value of that at S."""
         chain = self.at(values)
         model = chain.gauge_model()
         if "alpha_n" in values:
@@ -137,6 +142,7 @@ class ChainFamily:
         return model, chain.g * S
 
     def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Member] | None:
+        """The orbits at amplitudes; None of a nonuniform chain. Raises ValueError and ArithmeticError."""
         if len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) > 1:
             return None
         at, chain = sorted(set(amplitudes)), self.at(values)

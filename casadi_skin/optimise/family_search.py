@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -15,22 +15,23 @@ from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.expressions import is_comparison
-from casadi_skin.optimise.family import Family, Member
+from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_nlp import FamilyNlp
+from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.observables import Observables
-from casadi_skin.optimise.optimality import optimality
+from casadi_skin.optimise.observables import FreeNumber, Member, Observables
+from casadi_skin.optimise.optimality import FLAT, optimality
 from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
 from casadi_skin.solvers.newton import NewtonCorrector
 
+Family = ChainFamily | ModelFamily
 Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of several orbits: a tuple of them)
 
 HARMONICS = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that tells how many it needs
-FLAT = 1e-9  # curvature of an objective that does not tell neighbours apart
 MOVED = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 FAINTEST = 1e-6  # S where no lower bound is given
 
@@ -53,6 +54,7 @@ class FamilySearch:
     conditions: tuple[Condition, ...]
     tolerance: float = 1e-8
     harmonics: int = 0
+    resolution_name: ClassVar[str] = "harmonics"
 
     @classmethod
     def of(
@@ -72,13 +74,12 @@ class FamilySearch:
         amplitudes = numbers("S", S) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:
             raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
-        names = free_names(free, ("S", *family.free))
+        known = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
+        names = free_names(free, known)
         if several and "S" in names:
             raise ValueError("free: given S with a list of S; accepted: S free with one number as its start")
-        natural = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
-        fixed = [name for name in natural if name not in names]
-        quantities = _names(family)
-        limits, more = checked_bounds(bounds, {name: natural[name] for name in names}, fixed, quantities)
+        fixed, quantities = [name for name in known if name not in names], family.equations({}, ca.SX.sym("S")).names
+        limits, more = checked_bounds(bounds, {name: known[name] for name in names}, fixed, quantities)
         if "S" in names:
             low, high = limits["S"]
             if low < 0 or high <= 0:
@@ -86,10 +87,11 @@ class FamilySearch:
             limits["S"] = max(low, FAINTEST), high
         if not 1e-12 <= number("tolerance", tolerance) <= 1e-2:
             raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-12 to 1e-2")
-        conditions = (*checked_conditions(constraints, Callable, "a function of the observables"), *more)  # type: ignore[arg-type]
-        family = family.limited({name: limits[name] for name in names if name != "S"})
-        pairs = tuple(limits[name] for name in names)
-        search = cls(family, amplitudes, several, objective, bool(maximise), names, pairs, conditions, float(tolerance))
+        conditions = (*checked_conditions(constraints, (Callable,), "a function of the observables"), *more)
+        search = cls(
+            family.limited({name: limits[name] for name in names if name != "S"}), amplitudes, several, objective,
+            bool(maximise), names, tuple(limits[name] for name in names), conditions, float(tolerance),
+        )  # fmt: skip
         search._check_expressions()
         return search
 
@@ -108,34 +110,24 @@ class FamilySearch:
         return ("S", "Omega", *self.family.columns)
 
     @property
-    def resolution_name(self) -> str:
-        return "harmonics"
-
-    @property
-    def _counts(self) -> dict[str, int]:
-        return {name: 1 if name == "S" else self.family.free[name].count for name in self.free}
+    def _numbers(self) -> dict[str, FreeNumber]:
+        known = {"S": FreeNumber(self.amplitudes[0], FAINTEST, math.inf, ("S",)), **self.family.free}
+        return {name: known[name] for name in self.free}
 
     @property
     def free_names(self) -> tuple[str, ...]:
         """Names of the free numbers, one each."""
-        numbered = {
-            name: [f"{name.removesuffix('_n')}_{i}" for i in range(1, n + 1)] for name, n in self._counts.items()
-        }
-        return tuple(
-            one
-            for name, n in self._counts.items()
-            for one in (numbered[name] if n > 1 or name == "alpha_n" else [name])
-        )
+        return tuple(name for number in self._numbers.values() for name in number.names)
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
         """Bounds of the free numbers, one pair each."""
-        counts = self._counts.values()
-        return tuple(pair for pair, n in zip(self.bounds, counts, strict=True) for _ in range(n))
+        pairs = zip(self.bounds, self._numbers.values(), strict=True)
+        return tuple(pair for pair, number in pairs for _ in number.names)
 
     def symbols(self, harmonics: int) -> tuple[ca.SX, tuple[Observables, ...]]:
         """The free numbers as symbols, shape (free numbers, 1), and the orbits made of them."""
-        symbols = {name: ca.SX.sym(name, n) for name, n in self._counts.items()}
+        symbols = {name: ca.SX.sym(name, len(number.names)) for name, number in self._numbers.items()}
         values = {name: symbol for name, symbol in symbols.items() if name != "S"}
         amplitudes = [symbols.get("S", ca.SX.sym("S")) for _ in self.amplitudes]
         orbits = tuple(Observables(self.family.equations(values, S), harmonics) for S in amplitudes)
@@ -148,11 +140,12 @@ class FamilySearch:
         return quantity(orbits if self.several else orbits[0])
 
     def values(self, free: Sequence[float] | Array) -> dict[str, Any]:
-        """What is free by name: numbers, or arrays of those that have several."""
-        parts = np.split(np.asarray(free, dtype=float), np.cumsum(list(self._counts.values()))[:-1])
-        return {
-            name: part if name == "alpha_n" else float(part[0]) for name, part in zip(self.free, parts, strict=True)
-        }
+        """What is free by name: numbers, or arrays where every component has one."""
+        places, found = iter(np.asarray(free, dtype=float)), dict[str, Any]()
+        for name, free_number in self._numbers.items():
+            values = np.array([next(places) for _ in free_number.names])
+            found[name] = float(values[0]) if free_number.names == (name,) else values
+        return found
 
     def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Member] | None:
         """The orbits of the family at these free numbers, see `Family.members`; raises ArithmeticError."""
@@ -167,11 +160,9 @@ class FamilySearch:
     # Starts ---------------------------------------------------------------------------------------------------------
 
     def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
-        own = {"S": self.amplitudes[0]} | {name: free.value for name, free in self.family.free.items()}
-        if first is not None:
-            own |= {name: float(np.mean(value)) for name, value in self.values(first).items()}
-        rows = sampled_starts([own[name] for name in self.free], self.bounds, count, seed)
-        repeats = list(self._counts.values())
+        values = self.values(first) if first is not None else {n: number.value for n, number in self._numbers.items()}
+        rows = sampled_starts([float(np.mean(value)) for value in values.values()], self.bounds, count, seed)
+        repeats = [len(number.names) for number in self._numbers.values()]
         return tuple(Start(k, tuple(np.repeat(row, repeats).tolist())) for k, row in enumerate(rows, start=1))
 
     def prepared(self, first: Start) -> FamilySearch:
@@ -227,20 +218,11 @@ class FamilySearch:
             S = nlp.amplitude(x, k)
             scale = self.family.scale(values, S)
             orbits.append(CosineOrbit.of(S, float(Omega), nlp.state_of(x, k) * scale[:, None]))
-        return Optimum(
-            objective=solution.objective,
-            parameters=dict(zip(self.free_names, x[: nlp.free_count].tolist(), strict=True)),
-            orbits=tuple(orbits),
-            quantities=tuple(nlp.values(x)),
-            checks=tuple(self._check(nlp, x, k) for k in range(len(orbits))),
-            conditions=nlp.conditions(x),
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors=errors,
-            resolution=nlp.harmonics,
-            starts=starts,
-        )
+        checks = tuple(self._check(nlp, x, k) for k in range(len(orbits)))
+        return Optimum.of(
+            nlp, solution, found, self.free_names, orbits=tuple(orbits), quantities=tuple(nlp.values(x)), checks=checks,
+            errors=errors, resolution=nlp.harmonics, starts=starts,
+        )  # fmt: skip
 
     def _check(self, nlp: FamilyNlp, x: Array, orbit: int) -> PlainCheck:
         """One orbit solved again by Newton's method on more harmonics, and beside the family from S = 0."""
@@ -315,7 +297,3 @@ class FamilySearch:
 def family_nlp(search: FamilySearch, harmonics: int) -> FamilyNlp:
     """The nonlinear programme of a search; the last few are kept, since starts share them."""
     return FamilyNlp(search, harmonics)
-
-
-def _names(family: Family) -> tuple[str, ...]:
-    return family.equations({}, ca.SX.sym("S")).names

@@ -23,8 +23,7 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, Point, Target
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.family import FreeNumber, Member
-from casadi_skin.optimise.observables import RESERVED, FamilyEquations, Observables, orbit_quantities
+from casadi_skin.optimise.observables import QUANTITIES, RESERVED, FamilyEquations, FreeNumber, Member, Observables
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 
@@ -34,7 +33,10 @@ HARMONICS = (4, 6, 8, 10, 12, 16, 24, 32, 48, 64, 96, 128)
 
 @dataclass(frozen=True, eq=False)
 class ModelFamily:
-    """One mode's family of a model, by ascending linear frequency from 1; `values` are those of all parameters."""
+    """One mode's family of a model, by ascending linear frequency from 1, with the interface of `ChainFamily`.
+
+    `values` are those of all parameters.
+    """
 
     model: OdeModel
     mode: int = 1
@@ -47,7 +49,8 @@ class ModelFamily:
         if model.order != 2 or not even or model.half_period != (-1,) * model.full_size or model.forced:
             accepted = "a guess of an orbit, or a model of second order that declares reversal with even positions and "
             raise ValueError(f"guess: given none for {model.name}; accepted: {accepted}half_period with all signs -1")
-        reserved = {*orbit_quantities(model.hamiltonian is not None), *RESERVED}
+        energy = () if model.hamiltonian is None else ("energy", "energy_slope")
+        reserved = {*QUANTITIES, *RESERVED} - {"energy", "energy_slope"} | set(energy)
         for name in (*model.parameter_names, *model.outputs):
             if name in reserved:
                 raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")
@@ -71,7 +74,7 @@ class ModelFamily:
 
     @property
     def free(self) -> Mapping[str, FreeNumber]:
-        return {name: FreeNumber(value, -math.inf, math.inf) for name, value in self.values.items()}
+        return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
 
     def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ModelFamily:
         return self

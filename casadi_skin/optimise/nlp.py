@@ -5,8 +5,9 @@ Every search states its problem as one: an orbit in odd cosines, a boundary-valu
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +27,7 @@ WARM_START: Mapping[str, Any] = {
     "ipopt.mu_init": 1e-9, "ipopt.bound_push": 1e-12, "ipopt.bound_frac": 1e-12, "ipopt.slack_bound_push": 1e-12,
     "ipopt.slack_bound_frac": 1e-12,
 }  # fmt: skip
+IPOPT_TOLERANCE = 1e-8  # Ipopt's own, unless options have another
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,45 +73,26 @@ class Limits:
 
 
 class Nlp:
-    """Minimise f(x, p), or maximise it, within `limits` of x and g(x, p); p has fixed `values`.
+    """Minimise f(x, p), or maximise it, within `limits` of x and g(x, p), where p has fixed `values`.
 
-    Arguments:
-        name: of the solver.
-        x: unknowns, a symbol or (SX) a column of symbols.
-        f: objective.
-        g: constraints, equations first.
-        limits: bounds.
-        p, values: parameters, numbers that are no unknowns.
-        jacobian: dg/dx where it is known; CasADi's otherwise.
-        maximise: whether f is maximised.
-        exact: whether second derivatives are used; without, Ipopt approximates them.
-        options: of Ipopt, beyond those that every search has.
+    `jacobian` is dg/dx where that is known. Second derivatives are used where they are `exact`; Ipopt approximates them
+    elsewhere. `options` of Ipopt are added to those that every search has. `place` are scaled unknowns by which optima
+    are told apart.
     """
 
-    place: Expression | None = None  # scaled unknowns by which optima are told apart, for deflation
+    place: Expression | None = None
 
     def __init__(
-        self,
-        name: str,
-        x: Expression,
-        f: Expression,
-        g: Expression,
-        limits: Limits,
-        *,
-        p: Expression | None = None,
-        values: Sequence[float] = (),
-        jacobian: Expression | None = None,
-        maximise: bool = False,
-        exact: bool = True,
-        options: Mapping[str, Any] = {},
-    ) -> None:
-        self.name, self.limits, self.exact, self.options = name, limits, exact, options
-        self.sign = -1.0 if maximise else 1.0
+        self, x: Expression, f: Expression, g: Expression, limits: Limits, *, p: Expression | None = None,
+        values: Sequence[float] | Array = (), jacobian: Expression | None = None, maximise: bool = False,
+        exact: bool = True, options: Mapping[str, Any],
+    ) -> None:  # fmt: skip
+        self.limits, self.exact, self.options, self.sign = limits, exact, options, -1.0 if maximise else 1.0
         self._x, self._f, self._g = x, self.sign * f, ca.densify(g)
         self._p = type(x).sym("p", 0) if p is None else p
         self.p = np.array(values, dtype=float)
         self._jacobian = ca.jacobian(self._g, x) if jacobian is None else jacobian
-        self._solvers: dict[tuple[bool, bool], tuple[ca.Function, IterationCallback]] = {}
+        self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
 
     @property
     def size(self) -> int:
@@ -185,90 +168,80 @@ class Nlp:
 
     # Solving --------------------------------------------------------------------------------------------------------
 
-    def solve(
-        self, x: Array, monitor: Monitor | None = None, known: Sequence[Array] = (), warm: bool = False
-    ) -> Solution:
-        """Where Ipopt ends.
+    def solve(self, x: Array, monitor: Monitor | None = None, warm: bool = False) -> Solution:
+        """Where Ipopt ends from x, moved within its bounds; a `warm` start is next to an optimum, maybe on its bounds.
 
-        Arguments:
-            x: start; it is moved within its bounds.
-            monitor: called at every iteration with its number, the objective and the largest violation.
-            known: places, scaled, that are kept away from.
-            warm: whether the start is next to an optimum, on which the barrier is not to push it off its bounds.
-
-        Raises:
-            KeyboardInterrupt: after an interruption that nobody else listens for.
-            Exception: what the monitor raised.
+        Raises KeyboardInterrupt after an interruption that nobody else listens for, and what the monitor raised.
         """
-        limits, p = self.limits, self.p
-        low, high = limits.low, limits.high
-        if known:
-            width = np.asarray(known[0]).size
-            centres = [*known[-BALLS:], *[np.full(width, 1e3)] * (BALLS - len(known[-BALLS:]))]
-            p = np.concatenate([p, *centres])
-            low, high = np.append(low, np.full(BALLS, RADIUS**2)), np.append(high, np.full(BALLS, np.inf))
-        solver, callback = self._solver(bool(known), warm)
+        limits = self.limits
+        if warm not in self._solvers:
+            self._solvers[warm] = self._built(WARM_START if warm else {})
+        solver, callback = self._solvers[warm]
         with interrupts_deferred(end_solver=True):
-            callback.begin(low, high, monitor and (lambda i, f, v: monitor(i, self.sign * f, v)))
+            callback.begin(limits.low, limits.high, monitor and (lambda i, f, v: monitor(i, self.sign * f, v)))
             start = np.clip(x, limits.lower, limits.upper)
-            result = solver(x0=start, p=p, lbx=limits.lower, ubx=limits.upper, lbg=low, ubg=high)
+            bounds = {"lbx": limits.lower, "ubx": limits.upper, "lbg": limits.low, "ubg": limits.high}
+            result = solver(x0=start, p=self.p, **bounds)
         if callback.failure is not None and not isinstance(callback.failure, KeyboardInterrupt):
             raise callback.failure
         stats = solver.stats()
         found, lam_g, lam_x = (np.array(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        objective, words = self.sign * float(result["f"]), str(stats["return_status"])
-        return Solution(found, lam_g[: limits.low.size], lam_x, objective, words, int(stats["iter_count"]))
+        value, words = self.sign * float(result["f"]), str(stats["return_status"])
+        return Solution(found, lam_g, lam_x, value, words, int(stats["iter_count"]))
 
-    def _solver(self, deflated: bool, warm: bool) -> tuple[ca.Function, IterationCallback]:
-        """Ipopt with its callback, built once."""
-        if (deflated, warm) not in self._solvers:
-            self._solvers[deflated, warm] = self._built(deflated, WARM_START if warm else {})
-        return self._solvers[deflated, warm]
+    def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
+        """Ipopt with bounds that are not relaxed, and its callback."""
+        parts = {"x": self._x, "p": self._p, "f": self._f, "g": self._g}
+        callback = IterationCallback(self.size, self._g.numel(), self._p.numel())
+        options = {
+            "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints,
+            "iteration_callback": callback, **self.options, **more,
+        }  # fmt: skip
+        options |= {"hess_lag": self._hessian} if self.exact else {"ipopt.hessian_approximation": "limited-memory"}
+        return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback
 
-    def _built(self, deflated: bool, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
-        x, g, p = self._x, self._g, self._p
-        derivatives = {"jac_g": self._constraints} | ({"hess_lag": self._hessian} if self.exact else {})
-        if deflated:
-            assert self.place is not None
-            centres = type(x).sym("centres", self.place.numel(), BALLS)
-            distances = ca.sum1((ca.repmat(self.place, 1, BALLS) - centres) ** 2).T
-            g, p, derivatives = ca.vertcat(g, distances), ca.vertcat(p, ca.vec(centres)), {}
-        callback = IterationCallback(x.numel(), g.numel(), p.numel())
-        options = {**self.options, **more, **derivatives, "iteration_callback": callback}
-        if not self.exact:
-            options["ipopt.hessian_approximation"] = "limited-memory"
-        return _ipopt(self.name, {"x": x, "p": p, "f": self._f, "g": g}, options), callback
+    def away_from(self, known: Sequence[Array]) -> Nlp:
+        """The same programme with constraints that keep out of balls round known places, the last few of them."""
+        other, far = copy.copy(self._deflated), np.full(self.place.numel(), 1e3)  # type: ignore[union-attr]
+        other.p = np.concatenate([self.p, *known[-BALLS:], *[far] * (BALLS - len(known[-BALLS:]))])
+        return other
 
     @cached_property
-    def _elastic(self) -> ca.Function:
-        """Ipopt on: least sum of squares of what the conditions are off by, on orbits that satisfy their equations."""
-        equations, conditions = self.limits.equations.tolist(), self.limits.condition_rows.tolist()
-        met = type(self._x).sym("met", len(conditions))
-        off = ca.sumsqr(self._g[conditions] - met)
-        parts = {"x": ca.vertcat(self._x, met), "p": self._p, "f": off, "g": self._g[equations]}
-        return _ipopt("elastic", parts, {**self.options, "ipopt.tol": 1e-9})
+    def _deflated(self) -> Nlp:
+        assert self.place is not None
+        centres = type(self._x).sym("centres", self.place.numel(), BALLS)
+        distances = ca.sum1((ca.repmat(self.place, 1, BALLS) - centres) ** 2).T
+        low = np.append(self.limits.low, np.full(BALLS, RADIUS**2))
+        high = np.append(self.limits.high, np.full(BALLS, np.inf))
+        return Nlp(
+            self._x, self.sign * self._f, ca.vertcat(self._g, distances), replace(self.limits, low=low, high=high),
+            p=ca.vertcat(self._p, ca.vec(centres)), maximise=self.sign < 0, exact=self.exact, options=self.options,
+            jacobian=ca.vertcat(self._jacobian, ca.jacobian(distances, self._x)),
+        )  # fmt: skip
 
     def nearest(self, x: Array) -> Solution | None:
         """The orbit, found from x, that misses the conditions least; None where there is none, or no condition."""
-        limits, rows = self.limits, self.limits.condition_rows
+        rows, n = self.limits.condition_rows, self.size
         if rows.size == 0:
             return None
-        met = np.clip(self.residual(x)[rows], limits.low[rows], limits.high[rows])
-        with interrupts_deferred(end_solver=True):
-            result = self._elastic(
-                x0=np.append(np.clip(x, limits.lower, limits.upper), met), p=self.p, lbg=0, ubg=0,
-                lbx=np.append(limits.lower, limits.low[rows]), ubx=np.append(limits.upper, limits.high[rows]),
-            )  # fmt: skip
-        stats = self._elastic.stats()
-        if stats["return_status"] != SOLVED:
+        met = np.clip(self.residual(x), self.limits.low, self.limits.high)[rows]
+        elastic = self._elastic.solve(np.append(x, met))
+        if elastic.words != SOLVED:
             return None
-        found = np.array(result["x"]).ravel()[: self.size]
-        value = self.sign * float(self._gradient(found, self.p)[0])
-        zero = np.zeros(limits.low.size)
-        return Solution(found, zero, np.zeros(self.size), value, "nearest", int(stats["iter_count"]))
+        value = self.sign * float(self._gradient(elastic.x[:n], self.p)[0])
+        return Solution(
+            elastic.x[:n], np.zeros(self.limits.low.size), np.zeros(n), value, "nearest", elastic.iterations
+        )
 
-
-def _ipopt(name: str, parts: Mapping[str, Expression], options: Mapping[str, Any]) -> ca.Function:
-    """Ipopt with bounds that are not relaxed and no acceptable point; Ipopt's own tolerance unless options have one."""
-    strict = {"ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0}
-    return nlp_solver(name, parts, 1e-8, strict | dict(options), exact=False)
+    @cached_property
+    def _elastic(self) -> Nlp:
+        """Least sum of squares of what the conditions are off by, on orbits that satisfy their equations."""
+        limits, rows, equations = self.limits, self.limits.condition_rows, self.limits.equations
+        z = type(self._x).sym("z", self.size + rows.size)
+        g, met = ca.substitute(self._g, self._x, z[: self.size]), z[self.size :]
+        lower, upper = np.append(limits.lower, limits.low[rows]), np.append(limits.upper, limits.high[rows])
+        return Nlp(
+            z, ca.sumsqr(g[rows.tolist()] - met), g[equations.tolist()],
+            Limits(lower, upper, limits.low[equations], limits.high[equations]), p=self._p, values=self.p,
+            exact=self.exact, options={**self.options, "ipopt.tol": 1e-9},
+        )  # fmt: skip

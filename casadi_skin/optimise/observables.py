@@ -9,17 +9,54 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import cosine_matrix, second_derivative_matrix
+from casadi_skin.continuation.points import Point
 from casadi_skin.optimise.names import nearest_name
 
-RESERVED = (  # attributes that are no quantities
-    "y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent", "unknowns",
-    "residual", "harmonics", "alpha_n",
-)  # fmt: skip
+# Attributes of `Observables` that are no quantities.
+RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
+            "unknowns", "residual", "harmonics", "alpha_n")  # fmt: skip
+QUANTITIES: Mapping[str, Callable[[Observables], ca.SX]] = MappingProxyType(
+    {
+        "S": lambda o: o._equations.S,
+        "Omega": lambda o: ca.sqrt(o.Omega_squared),
+        "period": lambda o: 2 * np.pi / o.Omega,
+        "participation": lambda o: 1 / ca.sumsqr(o._equations.weights * o._rest**2),
+        "Omega_slope": lambda o: o.slope(o.Omega),
+        "energy": lambda o: o.at_rest(o._equations.energy),
+        "energy_slope": lambda o: o.slope(o.energy),
+    }
+)
+
+
+@dataclass(frozen=True)
+class FreeNumber:
+    """A parameter that may be free: its own value, its range where no bound is given, names of its numbers."""
+
+    value: float
+    lower: float
+    upper: float
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """An orbit of a family: frequency, number of odd cosines, and a function of phases that gives q, (phases, n)."""
+
+    Omega: float
+    harmonics: int
+    sample: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, point: Point) -> Member:
+        """From a point of the family in odd cosines."""
+        return cls(point.Omega, point.problem.resolution, lambda theta: point.problem.sample(point.z, theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +116,12 @@ class Observables:
     derivatives; where none is used there is no tangent.
     """
 
+    _equations: FamilyEquations
+    _rest: ca.SX
+    Omega_squared: ca.SX
+
     def __init__(self, equations: FamilyEquations, harmonics: int) -> None:
-        self._equations, self.harmonics, self.S = equations, harmonics, equations.S
+        self._equations, self.harmonics = equations, harmonics
         self.nodes = ca.SX.sym("q", equations.state.numel(), harmonics)
         self.Omega_squared = ca.SX.sym("Omega2")
         self.tangent: ca.SX | None = None
@@ -98,7 +139,7 @@ class Observables:
             return equations.own[name](self)
         if name not in equations.names:
             raise AttributeError(f"observable: given {name}; {nearest_name(name, equations.names)}")
-        return self.S if name == "S" else getattr(self, f"_{name}")()
+        return QUANTITIES[name](self)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,27 +186,7 @@ class Observables:
             self.tangent = ca.SX.sym("tangent", self.state.numel())
         return ca.jtimes(ca.SX(expression), ca.vertcat(self.state, self.S), ca.vertcat(self.tangent, 1))
 
-    # Quantities -----------------------------------------------------------------------------------------------------
-
     @property
     def y0(self) -> ca.SX:
         """Displacements at the phase where all velocities vanish, shape (components, 1)."""
         return ca.sqrt(self.S) * ca.sqrt(self._equations.weights) * self._rest
-
-    def _Omega(self) -> ca.SX:
-        return ca.sqrt(self.Omega_squared)
-
-    def _period(self) -> ca.SX:
-        return 2 * np.pi / self._Omega()
-
-    def _energy(self) -> ca.SX:
-        return self.at_rest(self._equations.energy)
-
-    def _participation(self) -> ca.SX:
-        return 1 / ca.sumsqr(self._equations.weights * self._rest**2)
-
-    def _Omega_slope(self) -> ca.SX:
-        return self.slope(self._Omega())
-
-    def _energy_slope(self) -> ca.SX:
-        return self.slope(self._energy())

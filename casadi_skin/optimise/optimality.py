@@ -14,6 +14,8 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.optimise.nlp import Nlp, Solution
 
 CURVED = 1e-6  # of what the Hessian does to the free directions: less is rounding
+NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
+FLAT = 1e-9  # curvature of an objective that does not tell neighbours apart
 NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at which it is active
 HOLDS = 1e-5  # size of a multiplier, relative to the largest, at which its bound is active
 
@@ -134,7 +136,8 @@ def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: In
         least = float(eigh(reduced, free.T @ free, eigvals_only=True)[0])
     except np.linalg.LinAlgError:  # a direction that changes no free number
         least = np.nan
-    return least, negative / size if negative < -CURVED * size else 0.0
+    noise = max(CURVED * size, NOISE * float(np.max(np.abs(sizes.ravel() * nlp.gradient(solution.x)))))
+    return least, negative / size if negative < -noise else 0.0
 
 
 def _null_space(J: Any) -> Array:

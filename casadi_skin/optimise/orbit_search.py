@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,6 @@ from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.result import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
@@ -60,6 +59,8 @@ class OrbitSearch:
     maximise: bool
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
+    resolution_name: ClassVar[str] = "intervals"
+    wanted: ClassVar[str] = "near the guess"
 
     @classmethod
     def of(
@@ -87,18 +88,17 @@ class OrbitSearch:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
         first = model.first_order()
         values, names = named_values(first, parameters or {}), free_names(free, first.parameter_names)
-        quantities = _quantities(first)
-        outputs, named = dict(first.outputs), dict[str, str]()
-        for label, given in (("objective", objective), ("running", running), ("select", select), ("section", section)):
-            if given is not None:
-                named[label] = _output(first, label, given, outputs, quantities)
-        held = []
-        for k, c in enumerate(
-            checked_conditions(constraints, (ca.SX, ca.MX), "an expression in states and parameters")
-        ):
-            held.append(
-                replace(c, quantity=_output(first, f"constraints, item {k + 1}", c.quantity, outputs, quantities))
-            )
+        quantities, outputs = _quantities(first), dict(first.outputs)
+        stated = {"objective": objective, "running": running, "select": select, "section": section}
+        named = {
+            label: _output(first, label, given, outputs, quantities)
+            for label, given in stated.items() if given is not None
+        }  # fmt: skip
+        kind = "an expression in states and parameters"
+        held = [
+            replace(c, quantity=_output(first, f"constraints, item {k}", c.quantity, outputs, quantities))
+            for k, c in enumerate(checked_conditions(constraints, (ca.SX, ca.MX), kind), start=1)
+        ]
         fixed = [name for name in values if name not in names]
         limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
         own = (*first.state_names, *(() if first.forced else (PERIOD,)))
@@ -135,14 +135,6 @@ class OrbitSearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return (PERIOD, *self.model.parameter_names)
-
-    @property
-    def resolution_name(self) -> str:
-        return "intervals"
-
-    @property
-    def wanted(self) -> str:
-        return "near the guess"
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
@@ -232,8 +224,8 @@ class OrbitSearch:
         try:
             near = self.plain(outcome.free, outcome.times, states)
             stated = self._stated(near)
-            first = stated.nlp.solved(stated.x)
-            best = refined(stated.space, stated.nlp, first, **stated.more)
+            first = stated.nlp.solved(stated.x, warm=True)
+            best = refined(stated.space, stated.nlp, first, flat=True, **stated.more)
             orbit = Orbit(stated.space, best.point, optimum=best.optimum)
             plain = self.plain([orbit.parameters[name] for name in self.free], orbit.t, orbit.states, orbit.intervals)
         except BoundaryError:
@@ -241,24 +233,12 @@ class OrbitSearch:
         return self._optimum(best, orbit, plain, starts)
 
     def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
-        nlp, solution = best.nlp, best.solution
-        found, residual = optimality(nlp, solution), nlp.residual(solution.x)
-        free = {name: orbit.parameters[name] for name in self.free}
-        relative = {"period": 0.0 if self.model.forced else orbit.period} | {n: abs(v) for n, v in free.items()}
-        return Optimum(
-            objective=solution.objective,
-            parameters=free,
-            orbits=(orbit,),
-            quantities=(self._quantities(orbit),),
-            checks=(compared(orbit, plain),),
-            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()},
-            active=found.active,
-            kkt=found.kkt,
-            curvature=found.curvature,
-            errors={"objective": best.objective_error} | {n: orbit.parameter_error * v for n, v in relative.items()},
-            resolution=orbit.intervals,
-            starts=starts,
-        )
+        sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
+        errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
+        return Optimum.of(
+            best.nlp, best.solution, best.optimality, self.free, orbits=(orbit,), checks=(compared(orbit, plain),),
+            quantities=(self._quantities(orbit),), errors=errors, resolution=orbit.intervals, starts=starts,
+        )  # fmt: skip
 
     def _quantities(self, orbit: Orbit) -> dict[str, float]:
         """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""

@@ -12,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from multiprocessing.managers import SyncManager
 from types import FrameType
@@ -24,21 +24,6 @@ from casadi_skin.threads import one_thread
 
 POLL = 0.1  # seconds between two reports of a process
 ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
-
-
-class Job(Protocol):
-    """A start of a search: its number, from 1, and a name where it has one."""
-
-    @property
-    def number(self) -> int: ...
-
-    @property
-    def name(self) -> str: ...
-
-
-J = TypeVar("J", bound=Job)
-T = TypeVar("T")
-Solve = Callable[[J, Monitor | None], T]
 
 
 @dataclass(frozen=True)
@@ -58,85 +43,124 @@ class SearchProgress:
 
     def __str__(self) -> str:
         name = f" ({self.name})" if self.name else ""
-        return (
-            f"{self.done} of {self.starts} starts done; start {self.start}{name}, iteration {self.iteration}: "
-            f"objective {self.objective:.8g}, violation {self.violation:.1e}"
-        )
+        where = f"{self.done} of {self.starts} starts done; start {self.start}{name}, iteration {self.iteration}"
+        return f"{where}: objective {self.objective:.8g}, violation {self.violation:.1e}"
 
 
 Report = Callable[[SearchProgress], None]
 
 
-class Interruption:
-    """Whether SIGINT or SIGTERM came while it listens; the second one interrupts at once."""
+class Job(Protocol):
+    """A start of a search."""
 
-    def __init__(self) -> None:
-        self.received = False
+    @property
+    def number(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+
+
+class Ended(Protocol):
+    """What a start led to: `last` has its iterations, objective and largest violation."""
+
+    @property
+    def start(self) -> Job: ...
+    @property
+    def last(self) -> tuple[int, float, float]: ...
+
+
+J = TypeVar("J", bound=Job)
+T = TypeVar("T", bound=Ended)
+
+
+class Runner:
+    """Runs starts with `workers` processes or an `executor` of processes, and reports where it is.
+
+    `interrupted` tells whether SIGINT or SIGTERM came while it listened; the second one interrupts at once. Raises
+    TypeError or ValueError for processes that cannot be used.
+    """
+
+    def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
+        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+            raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
+        if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
+            accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
+            raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
+        self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        if self.received:
+        if self.interrupted:
             raise KeyboardInterrupt
-        self.received = True
+        self.interrupted = True
 
     @contextmanager
-    def listening(self) -> Iterator[Interruption]:
-        """Listen inside the block; signals reach the main thread alone."""
-        if threading.current_thread() is not threading.main_thread():
-            yield self
-            return
+    def listening(self) -> Iterator[None]:
+        """Listen for signals inside the block, in the main thread, and keep linear algebra on one thread."""
         heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-        before = {n: signal.signal(n, self._receive) for n in heeded}
+        main = threading.current_thread() is threading.main_thread()
+        before = {n: signal.signal(n, self._receive) for n in heeded if main}
         try:
-            yield self
+            with one_thread():
+                yield
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
+    def run(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
+        """Results of `solve(job, monitor)` as they end; after an interruption those of jobs that had begun.
 
-def check_processes(workers: object, executor: object) -> None:
-    """Raises TypeError or ValueError for a number of workers or an executor that cannot be used."""
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
-    accepted = "a concurrent.futures.Executor of processes"
-    if isinstance(executor, ThreadPoolExecutor):
-        accepted += " (CasADi shares no function between threads)"
-    if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
-        raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
+        For other processes `solve` is a method of an object that can be pickled, or a partial of a function with one.
+        An executor of the caller is not waited for after an interruption. Raises RuntimeError if a process ends early.
+        """
+        for done, ended in enumerate(self._ended(solve, jobs), start=1):
+            yield ended
+            if self.report is not None and not self.interrupted:
+                self.report(SearchProgress(ended.start.number, len(jobs), done, *ended.last, ended.start.name))
 
+    def _ended(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
+        if self.executor is not None:
+            yield from self._elsewhere(solve, jobs, self.executor, None)
+        elif self.workers > 1 and len(jobs) > 1:
+            made = ProcessPoolExecutor(min(self.workers, len(jobs)), mp_context=get_context("spawn"))
+            with _sharing() as shared, made:
+                yield from self._elsewhere(solve, jobs, made, shared)
+        else:
+            for done, job in enumerate(jobs):
+                if self.interrupted:
+                    return
+                where = partial(SearchProgress, job.number, len(jobs), done, name=job.name)
+                yield solve(job, _monitor(where, self.report, lambda: self.interrupted))
 
-def run_jobs(
-    solve: Solve[J, T],
-    jobs: Sequence[J],
-    interruption: Interruption,
-    report: Report | None = None,
-    workers: int = 1,
-    executor: Executor | None = None,
-) -> Generator[T]:
-    """Results of `solve(job, monitor)` as they end; after an interruption those of jobs that had begun.
-
-    Arguments:
-        solve: in other processes a method of an object that can be pickled, or a partial of one.
-        jobs: the starts.
-        interruption: listens while this runs.
-        report: called at iterations; `done` counts the results yielded so far.
-        workers: number of processes; 1 for this one.
-        executor: processes of the caller, in place of `workers`. It is not waited for after an interruption.
-
-    Raises:
-        RuntimeError: a process ends early.
-    """
-    if executor is None and (workers == 1 or len(jobs) < 2):
-        yield from _in_this_process(solve, jobs, interruption, report)
-    elif executor is not None:
-        yield from _in_processes(solve, jobs, interruption, report, executor, None)
-    else:
-        made = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn"))
-        with _sharing() as shared, made:
-            yield from _in_processes(solve, jobs, interruption, report, made, shared)
+    def _elsewhere(
+        self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J], executor: Executor, shared: _Shared | None
+    ) -> Generator[T]:
+        data, done = pickle.dumps(solve), 0
+        waiting: set[Future[T | None]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
+        try:
+            while waiting:
+                ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+                for progress in _reports(shared):
+                    if self.report is not None:
+                        self.report(replace(progress, done=done))
+                for result in (future.result() for future in ended):
+                    if result is not None:
+                        done += 1
+                        yield result
+                if self.interrupted:
+                    waiting = {future for future in waiting if not future.cancel()}
+                    if shared is None:
+                        return
+                    shared.stop.set()
+        except BrokenProcessPool as error:
+            raise RuntimeError(ENDED_EARLY) from error
+        finally:
+            for future in waiting:
+                future.cancel()
+            if shared is not None and waiting:
+                shared.stop.set()
 
 
 def _monitor(
-    job: Job, starts: int, done: int, report: Report | None, stop: Callable[[], bool], every: float = 0.0
+    where: Callable[..., SearchProgress], report: Report | None, stop: Callable[[], bool], every: float = 0.0
 ) -> Monitor:
     """Reports an iteration, and returns whether to stop, once in `every` seconds."""
     last = time.monotonic()
@@ -147,19 +171,10 @@ def _monitor(
             return False
         last = time.monotonic()
         if report is not None:
-            report(SearchProgress(job.number, starts, done, iteration, objective, violation, job.name))
+            report(where(iteration, objective, violation))
         return stop()
 
     return monitor
-
-
-def _in_this_process(
-    solve: Solve[J, T], jobs: Sequence[J], interruption: Interruption, report: Report | None
-) -> Generator[T]:
-    for done, job in enumerate(jobs):
-        if interruption.received:
-            return
-        yield solve(job, _monitor(job, len(jobs), done, report, lambda: interruption.received))
 
 
 # Other processes ------------------------------------------------------------------------------------------------------
@@ -186,10 +201,8 @@ def _sharing() -> Iterator[_Shared]:
         manager.start(_ignore_interrupts)
     except EOFError as error:
         raise RuntimeError(ENDED_EARLY) from error
-    try:
+    with manager:
         yield _Shared(manager.Queue(), manager.Event())
-    finally:
-        manager.shutdown()
 
 
 @lru_cache(maxsize=1)
@@ -203,43 +216,10 @@ def _work(solve: bytes, job: Job, starts: int, shared: _Shared | None) -> Any:
     _ignore_interrupts()
     if shared is not None and shared.stop.is_set():
         return None
-    monitor = None if shared is None else _monitor(job, starts, 0, shared.reports.put, shared.stop.is_set, POLL)
+    where = partial(SearchProgress, job.number, starts, 0, name=job.name)
+    monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
     with one_thread():
         return unpickled(solve)(job, monitor)
-
-
-def _in_processes(
-    solve: Solve[J, T],
-    jobs: Sequence[J],
-    interruption: Interruption,
-    report: Report | None,
-    executor: Executor,
-    shared: _Shared | None,
-) -> Generator[T]:
-    data, done = pickle.dumps(solve), 0
-    waiting: set[Future[T | None]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
-    try:
-        while waiting:
-            ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            for progress in _reports(shared):
-                if report is not None:
-                    report(replace(progress, done=done))
-            for result in (future.result() for future in ended):
-                if result is not None:
-                    done += 1
-                    yield result
-            if interruption.received:
-                waiting = {future for future in waiting if not future.cancel()}
-                if shared is None:
-                    return
-                shared.stop.set()
-    except BrokenProcessPool as error:
-        raise RuntimeError(ENDED_EARLY) from error
-    finally:
-        for future in waiting:
-            future.cancel()
-        if shared is not None and waiting:
-            shared.stop.set()
 
 
 def _reports(shared: _Shared | None) -> Iterator[SearchProgress]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import cosine_matrix
 from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.optimality import Kkt
+from casadi_skin.optimise.nlp import Nlp, Solution
+from casadi_skin.optimise.optimality import Kkt, Optimality
 
 if TYPE_CHECKING:
     from casadi_skin.optimise.search_problem import Outcome, SearchProblem
@@ -137,11 +138,28 @@ class Optimum:
     resolution: int
     starts: tuple[int, ...]
 
+    @classmethod
+    def of(cls, nlp: Nlp, solution: Solution, found: Optimality, free_names: Sequence[str], **known: Any) -> Optimum:
+        """From where Ipopt ended, with the conditions of optimality there and all else by name."""
+        residual, free = nlp.residual(solution.x), solution.x[nlp.measured].tolist()
+        return cls(
+            objective=solution.objective, parameters=dict(zip(free_names, free, strict=True)), kkt=found.kkt,
+            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()}, active=found.active,
+            curvature=found.curvature, **known,
+        )  # fmt: skip
+
     def __getattr__(self, name: str) -> Any:
         quantities = self.__dict__.get("quantities", ({},))[0]
         if name not in quantities:
             raise AttributeError(f"optimum: given {name}; {nearest_name(name, quantities)}")
         return quantities[name]
+
+    def is_near(self, other: Optimum, tolerance: float) -> bool:
+        """Whether objective, free numbers and frequencies are those of another optimum, relative to them or to 1."""
+        one, two = (
+            np.array([o.objective, *o.parameters.values(), *(q["Omega"] for q in o.quantities)]) for o in (self, other)
+        )
+        return bool(np.all(np.abs(one - two) <= tolerance * np.maximum(1.0, np.abs(one))))
 
     @property
     def orbit(self) -> Any:

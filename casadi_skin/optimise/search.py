@@ -6,16 +6,14 @@ import pickle
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.optimise.processes import Interruption, Report, SearchProgress, check_processes, run_jobs
+from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
 from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
-from casadi_skin.threads import one_thread
 
 SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
 NEAREST = 4  # starts from which the orbit nearest to the constraints is looked for
@@ -50,13 +48,13 @@ def search(
     Raises:
         ValueError, TypeError: processes that cannot be used, or a problem that cannot be sent to them.
     """
-    check_processes(workers, executor)
+    runner = Runner(progress, workers, executor)
     if executor is not None or workers > 1:
         _check_pickled(problem)
-    running, began = _Search(problem, tuple(starts), progress, workers, executor, list(known)), time.perf_counter()
-    with running.interruption.listening(), one_thread():
+    running, began = _Search(problem, tuple(starts), runner, list(known)), time.perf_counter()
+    with runner.listening():
         running.run_starts(keep)
-        if deflate and not running.interruption.received:
+        if deflate and not runner.interrupted:
             running.run_again()
         return running.result(began)
 
@@ -76,18 +74,19 @@ class _Search:
 
     problem: SearchProblem
     starts: tuple[Start, ...]
-    progress: Report | None
-    workers: int
-    executor: Executor | None
+    runner: Runner
     outcomes: list[Outcome]
     again: list[Outcome] = field(default_factory=list)
-    interruption: Interruption = field(default_factory=Interruption)
 
     def run_starts(self, keep: Callable[[Outcome], None] | None) -> None:
         """Run every start that has no outcome yet."""
         self.problem = self.problem.prepared(self.starts[0])
         done = {outcome.start.number for outcome in self.outcomes}
-        self._run([start for start in self.starts if start.number not in done], self.outcomes, keep, ())
+        left = [start for start in self.starts if start.number not in done]
+        for outcome in self.runner.run(partial(solve_start, self.problem), left):
+            self.outcomes.append(outcome)
+            if keep is not None:
+                keep(outcome)
         self.outcomes.sort(key=lambda outcome: outcome.start.number)
 
     def run_again(self) -> None:
@@ -95,28 +94,8 @@ class _Search:
         distinct = self._distinct()
         repeated = {number for _, numbers in distinct for number in numbers[1:]}
         known = tuple(outcome.place for outcome, _ in distinct)
-        if repeated:
-            self._run([start for start in self.starts if start.number in repeated], self.again, None, known)
-
-    def _run(
-        self,
-        starts: Sequence[Start],
-        outcomes: list[Outcome],
-        keep: Callable[[Outcome], None] | None,
-        known: tuple[Array, ...],
-    ) -> None:
-        solve = partial(solve_start, self.problem, known=known)
-        found = run_jobs(solve, starts, self.interruption, self.progress, self.workers, self.executor)
-        for done, outcome in enumerate(found, start=1):
-            outcomes.append(outcome)
-            if keep is not None:
-                keep(outcome)
-            if self.progress is not None and not self.interruption.received:
-                s = outcome.solution
-                objective, iterations = (np.inf, 0) if s is None else (s.objective, s.iterations)
-                self.progress(
-                    SearchProgress(outcome.start.number, len(starts), done, iterations, objective, outcome.gap)
-                )
+        starts = [start for start in self.starts if start.number in repeated]
+        self.again += self.runner.run(partial(solve_start, self.problem, known=known), starts)
 
     # Optima ---------------------------------------------------------------------------------------------------------
 
@@ -133,12 +112,17 @@ class _Search:
         return [(group[0], tuple(dict.fromkeys(o.start.number for o in group))) for group in groups]
 
     def _rank(self, outcome: Outcome) -> float:
-        return -_objective(outcome) if self.problem.maximise else _objective(outcome)
+        return -outcome.objective if self.problem.maximise else outcome.objective
 
     def result(self, began: float) -> SearchResult:
         """The optima made final, and the verdict."""
-        made = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()]
-        found = [optimum for optimum in made if optimum is not None]
+        made, found = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()], list[Optimum]()
+        for optimum in (optimum for optimum in made if optimum is not None):
+            same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME)), None)
+            if same is None:
+                found.append(optimum)
+            else:  # what differed on coarse discretisations
+                found[same] = replace(found[same], starts=(*found[same].starts, *optimum.starts))
         optima = tuple(optimum for optimum in found if optimum.on_family is not False)
         others = tuple(optimum for optimum in found if optimum.on_family is False)
         near = None if optima else self._nearest()
@@ -164,7 +148,7 @@ class _Search:
         """The status, with the reason in a sentence."""
         endings = [outcome.ending for outcome in self.outcomes]
         away, count = endings.count(Ending.UNBOUNDED), len(endings)
-        if self.interruption.received:
+        if self.runner.interrupted:
             words = f"best so far {optima[0].objective:.10g}" if optima else "no optimum so far"
             return SearchStatus.INTERRUPTED, f"interrupted after {count} of {len(self.starts)} starts; {words}"
         if optima:
@@ -192,14 +176,10 @@ class _Search:
         """The free number that ran off the farthest."""
         gone = next(o for o in self.outcomes if o.ending is Ending.UNBOUNDED)
         k = int(np.argmax(np.abs(gone.free)))
-        return f"{self.problem.free_names[k]} = {gone.free[k]:.3g}, objective {_objective(gone):.3g}"
+        return f"{self.problem.free_names[k]} = {gone.free[k]:.3g}, objective {gone.objective:.3g}"
 
 
 def same_optimum(one: Outcome, other: Outcome) -> bool:
     """Whether two outcomes are one optimum: at one place, with one value of the objective."""
-    a, b = _objective(one), _objective(other)
-    return bool(np.max(np.abs(one.place - other.place)) <= SAME and abs(a - b) <= SAME * max(1.0, abs(a)))
-
-
-def _objective(outcome: Outcome) -> float:
-    return np.inf if outcome.solution is None else outcome.solution.objective
+    near = np.max(np.abs(one.place - other.place)) <= SAME
+    return bool(near and abs(one.objective - other.objective) <= SAME * max(1.0, abs(one.objective)))

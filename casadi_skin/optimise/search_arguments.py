@@ -61,9 +61,7 @@ def pair(place: str, given: object) -> tuple[float, float]:
         for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
     )
     if lower > upper:
-        raise ValueError(
-            f"{place}: given {short_repr(given)}; accepted: (lower, upper), a lower bound <= the upper one"
-        )
+        raise ValueError(f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper")
     return lower, upper
 
 
@@ -106,12 +104,10 @@ def checked_bounds(
     return limits, tuple(conditions)
 
 
-def checked_conditions(
-    constraints: Sequence[object], kind: type[Any] | tuple[type[Any], ...], what: str
-) -> tuple[Condition, ...]:
+def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], what: str) -> tuple[Condition, ...]:
     """Conditions from a list of items, each a quantity that is to vanish or one with its bounds.
 
-    A quantity is a name or of a `kind`, which is called `what` where an item is refused.
+    A quantity is a name or of one of `kinds`, which are called `what` where an item is refused.
     """
     accepted = CONDITION.format(what)
     if isinstance(constraints, str | Mapping) or not isinstance(constraints, Iterable):
@@ -119,11 +115,11 @@ def checked_conditions(
     found = []
     for item, given in enumerate(constraints, start=1):
         place, (quantity, lower, upper) = f"constraints, item {item}", (given, 0.0, 0.0)
-        if not isinstance(given, kind):
+        if not isinstance(given, kinds):
             if not isinstance(given, tuple | list) or len(given) != 3:
                 raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
             quantity, (lower, upper) = given[0], pair(place, given[1:])
-        if not isinstance(quantity, str | kind):
+        if not isinstance(quantity, (str, *kinds)):
             raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: {accepted}")
         name = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "<lambda>")
         found.append(Condition(quantity, lower, upper, name if name != "<lambda>" else f"constraint {item}"))

@@ -83,6 +83,16 @@ class Outcome:
     deflated: bool = False
 
     @property
+    def last(self) -> tuple[int, float, float]:
+        """Iterations, objective and largest violation."""
+        return (0, np.inf, self.gap) if self.solution is None else (self.solution.iterations, self.objective, self.gap)
+
+    @property
+    def objective(self) -> float:
+        """Objective of the solution; infinite where there is none."""
+        return np.inf if self.solution is None else self.solution.objective
+
+    @property
     def feasible(self) -> bool:
         """Whether every constraint is met."""
         return self.violation <= FEASIBLE
@@ -145,7 +155,7 @@ def solve_start(
         nlp, x = problem.nlp_at(start)
     except ArithmeticError as error:
         return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
-    solution = nlp.solve(x, monitor, known)
+    solution = (nlp.away_from(known) if known else nlp).solve(x, monitor)
     if known and solution.words != STOPPED:
         solution = nlp.solve(solution.x, monitor)
     return replace(judged(nlp, start, solution), deflated=bool(known))

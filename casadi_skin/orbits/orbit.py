@@ -104,8 +104,8 @@ class Orbit(Solution):
                 the edge for gamma > 0 and 1, 2, 3, ... for gamma < 0, by default those of the nonlinear core.
 
         Returns:
-            Shape (times, components): displacements of an orbit of a family, whose largest is positive at t = 0; all
-            states of another orbit.
+            Shape (times, components): displacements of an orbit of a family, whose largest is positive at t = 0 where
+            the model is odd; all states of another orbit.
 
         Raises:
             ValueError: times that are no numbers, components that are not there.
@@ -122,11 +122,14 @@ class Orbit(Solution):
     def _scale(self) -> float:
         """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
 
-        Of sites that tie, as in a reciprocal chain, the last one decides. What the corrector left of the normalisation
-        is divided out, so that the amplitude is sqrt(S) to round-off.
+        Of sites that tie, as in a reciprocal chain, the last one decides; an orbit whose model is not odd has no image
+        of the other sign. What the corrector left of the normalisation is divided out, so that the amplitude is
+        sqrt(S) to round-off.
         """
         coordinates = self._family().coordinates
         start = coordinates.scale * self.point.problem.sample(self.point.z, np.zeros(1))[0]
+        if coordinates.scaled.half_period is None:
+            return float(np.sqrt(self.S) / coordinates.amplitude(start))
         tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE) * np.max(np.abs(start)))
         return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / coordinates.amplitude(start))
 

@@ -89,7 +89,12 @@ def _check_free(directory: Path, may_hold: bool, accepted: str) -> bool:
 
 def _check_writable(directory: Path) -> None:
     """Raises DirectoryError for a path that is not a directory, or where nothing can be written."""
-    if directory.exists() and not directory.is_dir():
+    try:
+        exists = directory.exists()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise DirectoryError(f"{directory}: {reason}; accepted: an empty or new directory") from error
+    if exists and not directory.is_dir():
         raise DirectoryError(f"{directory}: is not a directory; accepted: an empty or new directory")
     parent = directory
     while not parent.exists():

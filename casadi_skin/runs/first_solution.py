@@ -37,7 +37,7 @@ def first_solution(request: Request) -> Solution:
 
 
 def _orbit(request: Request, options: dict[str, Any]) -> Orbit:
-    orbit, model, values = request.orbit, request.ode, dict(request.parameters)
+    orbit, model, values = request.orbit, request.equations, dict(request.parameters)
     guess = cycle(request)
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
@@ -113,13 +113,14 @@ def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Ex
     outputs = list(model.outputs)
     conserved = [] if model.hamiltonian is None else [model.hamiltonian]
     results = [model.rhs, expression, *model.outputs.values(), *conserved]
-    rhs, selected, *rest = model.function("selected", *results).call([0.0, model.state, p[:count]], True, False)
+    rhs, selected, *rest = model.function("selected", *results).call([0.0, model.full_state, p[:count]], True, False)
     extended = replace(
         model,
         rhs=rhs,
         parameters=p,
         outputs=dict(zip(outputs, rest, strict=False)),
         hamiltonian=rest[-1] if conserved else None,
+        normalisation=None,
         nominal=None,
         parameter_labels=(*model.parameter_names, SELECTED),
         checked=False,  # these are the same declarations

@@ -48,9 +48,14 @@ class Request:
         return self.scene.accuracy.relative_tolerance
 
     @cached_property
+    def equations(self) -> OdeModel:
+        """The equations of motion in the coordinates of the model; always the same symbols."""
+        return self.model.tunable_model() if isinstance(self.model, Chain) else self.model
+
+    @cached_property
     def ode(self) -> OdeModel:
-        """The equations of motion of first order, in the coordinates of the model; always the same symbols."""
-        return (self.model.tunable_model() if isinstance(self.model, Chain) else self.model).first_order()
+        """The equations of motion of first order, in the same symbols."""
+        return self.equations.first_order()
 
     @property
     def orbit(self) -> OrbitTable:

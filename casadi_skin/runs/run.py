@@ -260,6 +260,14 @@ class Run:
         branches = [branch for branch in self.branches if len(branch)]
         if not branches:
             return
+        try:
+            self._write_branches(branches)
+        except ArithmeticError as error:  # a value that is not finite
+            self.failures.append(str(error))
+        self._tell_drift(branches)
+
+    def _write_branches(self, branches: Sequence[Branch]) -> None:
+        """The table of points, and what is made of whole branches."""
         if isinstance(branches[0].space, Family):
             self._write_table("family.csv")
         else:
@@ -267,7 +275,6 @@ class Run:
                 row["fold"] = int(bool(place.special))
             self._write_table("branch.csv")
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
-        self._tell_drift(branches)
 
     def _tell_drift(self, branches: Sequence[Branch]) -> None:
         """Say where trivial multipliers are farther from their value than errors allow."""

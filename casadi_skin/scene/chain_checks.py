@@ -15,6 +15,9 @@ def check_chain_family(scene: Scene, chain: ChainTable, family: FamilyTable) -> 
     if chain.g == 0:
         reason = "the family would be the linear mode at every amplitude"
         raise refusal("[chain] g", repr(chain.g), f"with a [family] a finite number other than 0 ({reason})")
+    if abs(chain.gamma) == 1 and scene.stability is not None and scene.stability.vectors:
+        reason = "the vectors form Jordan chains that the gauge does not have"
+        raise refusal("[stability] vectors", f"true with gamma = {chain.gamma!r}", f"false ({reason})")
     for mode in family.modes(chain.sites):
         _check_gauge(chain, mode)
         _check_frequency(chain, mode)

@@ -57,6 +57,10 @@ def _check_file(model: ModelTable) -> None:
 
 def _check_method(scene: Scene) -> None:
     method, transcription = scene.method, scene.methods.transcription
+    if scene.family is not None:
+        _check_family_method(method)
+    if scene.orbit is not None or scene.solution is not None:
+        _check_boundary_method(method)
     if method.degree is not None and transcription in (TRIGONOMETRIC, SHOOTING):
         given = f'{method.degree} with transcription = "{transcription}"'
         accepted = " or ".join(f'"{name}"' for name in COLLOCATION_TABLES)
@@ -64,10 +68,6 @@ def _check_method(scene: Scene) -> None:
     if method.walker == "series" and transcription not in (None, TRIGONOMETRIC):
         given = f'"series" with transcription = "{transcription}"'
         raise refusal("[method] walker", given, '"arclength", or transcription = "trigonometric"')
-    if scene.family is not None:
-        _check_family_method(method)
-    if scene.orbit is not None or scene.solution is not None:
-        _check_boundary_method(method)
 
 
 def _check_family_method(method: MethodTable) -> None:

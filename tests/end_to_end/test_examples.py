@@ -40,6 +40,7 @@ def test_pictures_of_a_run_are_drawn(tmp_path: Path) -> None:
     assert "</svg>" in (out / "frequency.svg").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_softening_end_breather(tmp_path: Path) -> None:
     assert main(["run", str(ROOT / "examples" / "softening_end_breather.toml"), "--out", str(tmp_path / "out")]) == 0

@@ -77,6 +77,7 @@ def test_the_plan_of_a_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "those of its tangent" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_infeasible_search_has_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write(tmp_path / "s.toml", constraints='[{ quantity = "Omega", lower = 5.0 }]')
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1

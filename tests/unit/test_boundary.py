@@ -63,7 +63,7 @@ def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> Non
             assert error < 1e-9
 
 
-@pytest.mark.parametrize("eps", [1e-2, 1e-4, pytest.param(1e-6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("eps", [1e-2, *(pytest.param(eps, marks=pytest.mark.slow) for eps in (1e-4, 1e-6))])
 @pytest.mark.parametrize("name", [name for name in LAYERS if not name.startswith("20")])
 def test_layers_are_met_at_the_tolerance_asked(name: str, eps: float) -> None:
     case = LAYERS[name]
@@ -322,7 +322,7 @@ def test_other_values_of_parameters_leave_the_statement_alone() -> None:
 # Other kinds of models ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("opaque", [False, True])
+@pytest.mark.parametrize("opaque", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bool) -> None:
     x, lam = ca.MX.sym("x", 2), ca.MX.sym("lam")
     rhs = ca.vertcat(x[1], -lam * ca.exp(x[0]))

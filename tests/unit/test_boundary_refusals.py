@@ -208,11 +208,12 @@ def test_a_condition_without_real_solution_is_named() -> None:
     assert "condition 1 (sq(u(start))+1) leaves" in message
 
 
-def test_beyond_a_fold_the_variable_and_the_place_are_named() -> None:
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
+def test_beyond_a_fold_the_variable_and_the_place_are_named(corrector: str) -> None:
     lam = ca.SX.sym("lambda")
     model = OdeModel("Bratu", ca.vertcat(U, V), ca.vertcat(V, -lam * ca.exp(U)), lam)
     problem = BoundaryValueProblem(model, [model.start(U), model.end(U)], parameters={"lambda": 4.0})
-    message = failing(lambda: problem.solve([0.0, 0.0]))
+    message = failing(lambda: problem.solve([0.0, 0.0], corrector=corrector))
     assert message.startswith("Bratu: no solution near the guess: ")
     assert "at the equation of v at t = " in message
     assert "with lambda = 4" in message

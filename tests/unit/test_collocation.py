@@ -243,9 +243,10 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
     assert found.error.relative(found.Omega) <= 1e-8
 
 
-def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off() -> None:
+@pytest.mark.parametrize("S", [2.99, pytest.param(2.9999, marks=pytest.mark.slow)])
+def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S: float) -> None:
     request = family_request(
-        Chain(1, 1.0, 0.0, -1.0), 1, 2.9999, at=(2.0,), tolerance=1e-8, transcription="gauss", corrector="newton"
+        Chain(1, 1.0, 0.0, -1.0), 1, S, at=(2.0,), tolerance=1e-8, transcription="gauss", corrector="newton"
     )
     whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
@@ -268,8 +269,17 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off()
 # Asked for by name --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["gauss", "radau"])
-@pytest.mark.parametrize("degree", [2, 4, 11])
+@pytest.mark.parametrize(
+    ("degree", "kind"),
+    [
+        (2, "gauss"),
+        (4, "radau"),
+        *(
+            pytest.param(d, k, marks=pytest.mark.slow)
+            for d, k in ((2, "radau"), (4, "gauss"), (11, "gauss"), (11, "radau"))
+        ),
+    ],
+)
 def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
     tools = Family(
         family_request(
@@ -301,7 +311,7 @@ def test_the_degree_left_out_goes_with_the_tolerance(tolerance: float, degree: i
         assert request.degree == degree
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
+@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-9, marks=pytest.mark.slow)])
 def test_radau_is_within_its_estimate_of_odd_cosines(tolerance: float) -> None:
     chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
     branch = followed(

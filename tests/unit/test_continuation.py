@@ -80,7 +80,7 @@ def test_one_site_has_the_exact_frequency_along_the_whole_family(
     assert worst_relative_error(branch) <= tolerance
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-11])
+@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (-1.0, 2.5)])
 def test_one_site_at_requested_amplitudes_is_within_the_estimated_error_of_the_exact_frequency(
     g: float, amplitude_max: float, tolerance: float
@@ -174,7 +174,7 @@ def test_the_guard_alone_keeps_a_walk_of_far_too_long_steps_on_its_family() -> N
     assert abs(points[-1].Omega - right) > 0.1
 
 
-@pytest.mark.parametrize(("mode", "g"), [(1, -1.0), (60, 1.0)])
+@pytest.mark.parametrize(("mode", "g"), [pytest.param(1, -1.0, marks=pytest.mark.slow), (60, 1.0)])
 def test_the_length_of_the_chain_hardly_matters_to_a_localised_orbit(mode: int, g: float) -> None:
     expected = SOFTENING_END if g < 0 else HARDENING_END
     branch = followed(Chain(60, 1.0, 0.25, g), mode, 3.0, 1e-10)
@@ -184,7 +184,7 @@ def test_the_length_of_the_chain_hardly_matters_to_a_localised_orbit(mode: int, 
 # Points asked for ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["newton", "ipopt"])
+@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("g", [-1.0, 0.7, 3.0])
 def test_points_lie_exactly_at_the_amplitudes_asked_for(g: float, corrector: str) -> None:
     """Equal as floating-point numbers, though the walk's parameter is g S."""
@@ -455,7 +455,7 @@ COMBINATIONS = [
 
 
 @pytest.mark.parametrize(("chain", "mode", "amplitude_max"), COMBINATIONS)
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [1e-6, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-3, 1e-9))])
 def test_the_estimated_error_covers_the_true_one(
     chain: Chain, mode: int, amplitude_max: float, tolerance: float
 ) -> None:

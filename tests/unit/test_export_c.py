@@ -273,8 +273,9 @@ def test_newton_tells_what_is_wrong_and_keeps_the_guess(library: Library, orbit:
 @pytest.mark.parametrize(
     ("sites", "gamma", "g", "flags"),
     [
-        (4, 0.25, 1.0, SANITIZED),
+        (4, 0.25, 1.0, ["-O0"]),
         pytest.param(2, -0.5, -1.0, SANITIZED, marks=pytest.mark.slow),
+        pytest.param(4, 0.25, 1.0, SANITIZED, marks=pytest.mark.slow),
         pytest.param(1, 0.0, 1.0, ["-O2"], marks=pytest.mark.slow),
         pytest.param(24, 0.25, 1.0, ["-O2"], marks=pytest.mark.slow),
     ],

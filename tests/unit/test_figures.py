@@ -229,7 +229,7 @@ def test_there_is_nothing_to_draw_without_stability_or_requests(plain: Branch, s
 # Special chains -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sites", "gamma", "mode"), [(1, 0.3, 1), (4, -1.0, 4)])
+@pytest.mark.parametrize(("sites", "gamma", "mode"), [(1, 0.3, 1), pytest.param(4, -1.0, 4, marks=pytest.mark.slow)])
 def test_chains_without_a_band(sites: int, gamma: float, mode: int) -> None:
     branch = follow_family(Chain(sites, 1.0, gamma, 1.0), mode, 1.0, at=[1.0], stability=True, tolerance=1e-4)
     figure = frequency_figure([branch])

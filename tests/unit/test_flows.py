@@ -185,7 +185,7 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     assert np.linalg.norm(transition.truncation) <= transition.error
 
 
-@pytest.mark.parametrize("flow", ["gauss", "rk4", "cvodes"])
+@pytest.mark.parametrize("flow", ["gauss", "rk4", pytest.param("cvodes", marks=pytest.mark.slow)])
 def test_every_flow_gives_a_family_the_same_multipliers(flow: str) -> None:
     chain, tolerance = Chain(4, 1.0, 0.3, -1.0), 1e-8
     a, b = (

@@ -99,8 +99,15 @@ def lyapunov_by_shooting(x0: float) -> tuple[Any, float, float]:
 # Autonomous -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("transcription", ["gauss", "radau"])
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize(
+    ("transcription", "corrector"),
+    [
+        ("gauss", "newton"),
+        ("radau", "ipopt"),
+        pytest.param("gauss", "ipopt", marks=pytest.mark.slow),
+        pytest.param("radau", "newton", marks=pytest.mark.slow),
+    ],
+)
 def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
     """Period and amplitude to 28 digits: Hairer, Norsett and Wanner (1993), section I.16, exercise 1."""
     options = {"transcription": transcription, "corrector": corrector, "tolerance": 1e-10}

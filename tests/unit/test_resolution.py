@@ -105,7 +105,7 @@ def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
     ("g", "amplitude_max"),
     [(1.0, 50.0), pytest.param(-1.0, 2.9, marks=pytest.mark.slow), pytest.param(0.5, 3.0, marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("method", ["trigonometric", "gauss", "radau"])
+@pytest.mark.parametrize("method", ["trigonometric", "gauss", pytest.param("radau", marks=pytest.mark.slow)])
 def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_of_round_off(
     g: float, amplitude_max: float, method: str
 ) -> None:
@@ -118,7 +118,7 @@ def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_o
         assert orbit.at_round_off == (orbit.point.error.relative(orbit.Omega) > 1e-13)
 
 
-@pytest.mark.parametrize("sites", [2, 10, 40])
+@pytest.mark.parametrize("sites", [2, 10, pytest.param(40, marks=pytest.mark.slow)])
 def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites: int) -> None:
     """The same orbit on many resolutions: they differ by round-off only, and by less than the estimates say."""
     chain = Chain(sites, 0.9, 0.25, -1.0)

@@ -24,7 +24,7 @@ SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.76595890
 FOLDED = [
     (Chain(6, 2.342, 0.33, 1.0), 3, 10.0),
     (Chain(4, 1.219, 0.57, 1.0), 3, 10.0),
-    (Chain(2, 1.224, 0.86, -1.0), 1, 3.2),
+    pytest.param(Chain(2, 1.224, 0.86, -1.0), 1, 3.2, marks=pytest.mark.slow),
 ]
 
 
@@ -114,7 +114,7 @@ def test_crossings_of_a_polynomial_that_turns() -> None:
 # The walk -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 def test_the_softening_end_breather_has_the_reference_frequencies(corrector: str) -> None:
     chain, at = Chain(24, 1.0, 0.25, -1.0), tuple(SOFTENING_END)
     branch = follow_family(chain, 1, 3.0, at=at, tolerance=1e-11, corrector=corrector, walker="series")

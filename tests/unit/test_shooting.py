@@ -54,7 +54,7 @@ QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.F
     "model",
     [
         Chain(1, 0.8, 0.0, 1.0).gauge_model(),
-        Chain(3, 0.8, 0.3, 1.0).gauge_model(),
+        pytest.param(Chain(3, 0.8, 0.3, 1.0).gauge_model(), marks=pytest.mark.slow),
         asymmetric_oscillator(half_period=(-1, -1)),  # of no use but for the shape of the equations
         predator_and_prey(reversal=(1, -1), half_period=(-1, -1)),
     ],
@@ -131,7 +131,7 @@ def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryCla
     np.testing.assert_allclose(problem.sample(z, theta)[:, 0], exact, atol=2e-9)  # thirty radians amplify the frequency
 
 
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
+@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), pytest.param(-1.0, 1.2, marks=pytest.mark.slow)])
 def test_more_digits_are_more_accurate(g: float, S: float) -> None:
     chain, exact = Chain(1, 1.0, 0.0, g), duffing_frequency(3.0, g, np.sqrt(S))
     errors = []
@@ -370,7 +370,7 @@ def test_digits_and_segments_out_of_range_are_refused(digits: int, segments: int
 # Families -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", [pytest.param("newton", marks=pytest.mark.slow), "ipopt"])
 def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -> None:
     chain, at = Chain(3, 1.0, 0.25, -1.0), (0.5, 1.5)
     found = follow_family(chain, 1, 1.5, at=at, transcription="shooting", corrector=kind)

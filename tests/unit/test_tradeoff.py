@@ -285,6 +285,7 @@ def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
     assert isnan(reference.errors_of(reference.orbits, none).mu)
 
 
+@pytest.mark.usefixtures("harmonics")
 def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> None:
     quick = measure(orbit_settings(FAMILY, (1e-4,))[0], reference, 1, with_memory=False)
     assert 0 < quick.seconds_min <= quick.seconds <= quick.seconds_max

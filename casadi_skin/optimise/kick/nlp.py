@@ -97,9 +97,7 @@ class KickNlp(Nlp):
         lower, upper, zero = np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf), np.zeros(g.numel())
         lower[-2], upper[-2] = 0.0, 1.0
         limits = Limits(lower, upper, zero, zero, {"time": np.array([z.numel() - 2])})
-        super().__init__(
-            "smallest_kick", z, ca.sumsqr(kick), g, limits, options={**OPTIONS, "ipopt.max_iter": ITERATIONS}
-        )
+        super().__init__(z, ca.sumsqr(kick), g, limits, options={**OPTIONS, "ipopt.max_iter": ITERATIONS})
 
     def _segments(self, before: ca.MX, h: ca.MX) -> ca.MX:
         """States after each segment, (2N, segments): equal ones in one map, the last by itself if it is shorter."""

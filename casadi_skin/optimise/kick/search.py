@@ -15,6 +15,7 @@ from casadi_skin.optimise.kick.flow import KickedFlow
 from casadi_skin.optimise.kick.nlp import KickNlp, KickOptimum
 from casadi_skin.optimise.kick.verify import escape
 from casadi_skin.optimise.nlp import STOPPED
+from casadi_skin.solvers.nlp import nlp_reason
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
 REFINEMENTS = 4
@@ -37,11 +38,15 @@ class KickStart:
 
 @dataclass(frozen=True, eq=False)
 class KickOutcome:
-    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there."""
+    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there.
+
+    `last` has iterations, norm and violation.
+    """
 
     start: KickStart
     first: KickOptimum | None = None
     found: KickOptimum | None = None
+    last: tuple[int, float, float] = (0, np.inf, np.inf)
 
     @property
     def interrupted(self) -> bool:
@@ -77,9 +82,11 @@ class KickSearch:
         if first is None:
             return KickOutcome(start)
         try:
-            return KickOutcome(start, first, self._from(first, monitor))
+            found = self._from(first, monitor)
         except KeyboardInterrupt:
-            return KickOutcome(start, first, replace(first, words=STOPPED))
+            found = replace(first, words=STOPPED)
+        last = (found.iterations, float(np.sqrt(self.flow.orbit.S)) * found.norm, found.violation)
+        return KickOutcome(start, first, found, last)
 
     def _first(self, name: str, direction: Array) -> KickOptimum | None:
         """The smallest multiple of a direction (m,) that escapes, as a point that Ipopt starts from."""
@@ -125,7 +132,7 @@ def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
     if optima:
         return sorted(optima, key=lambda optimum: optimum.norm)
     failures = {o.found.words for o in outcomes if o.found is not None and not o.interrupted}
-    words = f"Ipopt: {', '.join(sorted(failures))}" if failures else "Ipopt was not done"
+    words = f"Ipopt: {', '.join(sorted(map(nlp_reason, failures)))}" if failures else "Ipopt was not done"
     least = min((o.first for o in outcomes if o.first is not None), key=lambda first: first.norm)
     return [replace(least, words=words)]
 

@@ -30,9 +30,8 @@ from casadi_skin.optimise.kick.search import (
     verified,
 )
 from casadi_skin.optimise.kick.verify import Escape, escape, sampled, size_to_escape
-from casadi_skin.optimise.processes import Interruption, Report, SearchProgress, check_processes, run_jobs
+from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.threads import one_thread
 
 REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
 GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and its peak is missed by up to 0.01 %
@@ -166,7 +165,7 @@ def smallest_kick(
         KeyboardInterrupt: an interruption before any kick is known to escape.
     """
     check(orbit, time, distance, norm, starts)
-    check_processes(workers, executor)
+    runner = Runner(progress, workers, executor)
     sites = kicked_sites(orbit, at)
     flow = KickedFlow.up_to(orbit, float(time))
     if not distance < REACH_SHARE * flow.loop.reach:
@@ -181,9 +180,8 @@ def smallest_kick(
     far = _far_end(orbit)
     along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.model.rho, 2), rcond=None)[0], dtype=float)
     search = KickSearch(flow, distance, basis, scale)
-    outcomes, interrupted = _run(
-        search, directions(along_far, gains, vectors, starts, seed), progress, workers, executor
-    )
+    starting = directions(along_far, gains, vectors, starts, seed)
+    outcomes, interrupted = _run(search, starting, runner)
     best, *others = distinct(outcomes)
     checked = verified(search, best)
     try:
@@ -209,21 +207,11 @@ def smallest_kick(
     )
 
 
-def _run(
-    search: KickSearch, starts: list[KickStart], progress: Report | None, workers: int, executor: Executor | None
-) -> tuple[list[KickOutcome], bool]:
+def _run(search: KickSearch, starts: list[KickStart], runner: Runner) -> tuple[list[KickOutcome], bool]:
     """Outcomes of the starts, and whether an interruption ended them; raises KickError where no start escapes."""
-    outcomes, interruption = list[KickOutcome](), Interruption()
-    with interruption.listening(), one_thread():
-        for outcome in run_jobs(search.solve, starts, interruption, progress, workers, executor):
-            outcomes.append(outcome)
-            last = outcome.found or outcome.first
-            if progress is not None and not interruption.received:
-                size = (0, np.inf, np.inf)
-                if last is not None:
-                    size = (last.iterations, float(np.sqrt(search.flow.orbit.S)) * last.norm, last.violation)
-                progress(SearchProgress(outcome.start.number, len(starts), len(outcomes), *size, outcome.start.name))
-    interrupted = interruption.received or any(outcome.interrupted for outcome in outcomes)
+    with runner.listening():
+        outcomes = list(runner.run(search.solve, starts))
+    interrupted = runner.interrupted or any(outcome.interrupted for outcome in outcomes)
     if not any(outcome.first is not None for outcome in outcomes):
         if interrupted:
             raise KeyboardInterrupt
