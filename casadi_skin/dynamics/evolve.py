@@ -56,10 +56,10 @@ def evolve(
     _check_choices(method, tolerance, coordinates, step)
     equations = equations_of_motion(model, parameters)
     times, start = _times(t), _start(equations, positions, velocities)
-    return evolve_from(equations, start, times, method, tolerance, coordinates, step)
+    return _evolved(equations, start, times, method, tolerance, coordinates, step)
 
 
-def evolve_from(
+def _evolved(
     equations: EquationsOfMotion,
     start: Array,
     times: Array,

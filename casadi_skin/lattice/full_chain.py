@@ -54,10 +54,6 @@ class ChainCoordinates(Coordinates):
     def attributes(self) -> Mapping[str, float]:
         return {"sites": self.chain.sites, **self.parameters}
 
-    @property
-    def labels(self) -> tuple[tuple[str, float], ...]:
-        return self.chain.labels
-
     def band(self) -> tuple[float, float]:
         return self.chain.band()
 

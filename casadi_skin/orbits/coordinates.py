@@ -106,11 +106,6 @@ class Coordinates(ABC):
         """Values of the parameters of the model by name."""
 
     @property
-    @abstractmethod
-    def labels(self) -> tuple[tuple[str, float], ...]:
-        """Symbols and values that tell the model apart from others of its kind, for titles; symbols in TeX."""
-
-    @property
     def output_sites(self) -> Indices:
         """Numbers of the positions in files and pictures, counted from 1."""
         return np.arange(1, self.mode.size + 1)

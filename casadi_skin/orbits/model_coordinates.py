@@ -173,10 +173,6 @@ class ModelCoordinates(Coordinates):
         kind = "Hamiltonian" if self.symplectic else "reversible, and Hamiltonian in no such coordinates"
         return f"{scaled}; the equations are {kind}"
 
-    @property
-    def labels(self) -> tuple[tuple[str, float], ...]:
-        return tuple((rf"\mathrm{{{name}}}", value) for name, value in self._values.items())
-
     def band(self) -> tuple[float, float] | None:
         return float(self.modes.squares[0]), float(self.modes.squares[-1])
 
