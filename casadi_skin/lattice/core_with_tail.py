@@ -51,11 +51,11 @@ class CoreWithTail(ChainCoordinates):
     def is_whole(self) -> bool:
         return False
 
-    def check_whole(self) -> None:
+    def check_whole(self, purpose: str = "stability") -> None:
         """Raises ValueError where the sites are too many for the stability of all."""
         if self.chain.sites > LONGEST_WHOLE:
             raise ValueError(
-                f"sites: given {self.chain.sites}; stability is that of all sites, accepted: up to {LONGEST_WHOLE}"
+                f"sites: given {self.chain.sites}; {purpose} is that of all sites, accepted: up to {LONGEST_WHOLE}"
             )
 
     def on_all_sites(self, problem: Problem, z: Array) -> Array:

@@ -148,6 +148,8 @@ class Branch:
     def _fold(self, solution: Solution) -> SpecialPoint:
         value = self._value(self.parameter, solution)
         relative = solution.point.error.parameter or solution.point.error.relative(solution.point.Omega)
+        if isinstance(self.space, Family):
+            relative *= self.space.coordinates.S_rate
         return SpecialPoint(FOLD, {**solution.parameters, self.parameter: value}, relative * abs(value), solution)
 
     @property

@@ -31,11 +31,12 @@ class Coordinates(ABC):
     """Scaled coordinates of one family, with the linear mode that it grows from; dimensionless.
 
     `mode_number` counts modes by ascending linear frequency from 1. `symplectic` tells whether the flow of the scaled
-    equations is Hamiltonian in (q, q').
+    equations is Hamiltonian in (q, q'). `S_rate` is the relative change of S per that of the free parameter.
     """
 
     mode_number: int
     symplectic: bool = True
+    S_rate: float = 1.0
 
     # The equations --------------------------------------------------------------------------------------------------
 
@@ -90,8 +91,8 @@ class Coordinates(ABC):
         """Whether every position is an unknown, as the stability of the family needs."""
         return True
 
-    def check_whole(self) -> None:  # noqa: B027  nothing to check where every position is an unknown
-        """Raises ValueError where stability would need more positions than can be unknowns."""
+    def check_whole(self, purpose: str = "stability") -> None:  # noqa: B027  most have every position as an unknown
+        """Raises ValueError where what needs every position would have more of them than can be unknowns."""
 
     # What users see ---------------------------------------------------------------------------------------------------
 

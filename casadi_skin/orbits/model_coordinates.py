@@ -44,12 +44,20 @@ class LinearModes:
 class ModelCoordinates(Coordinates):
     """Coordinates of a family of an `OdeModel` at fixed values of its parameters.
 
-    The free parameter of the scaled equations is S where the forces are odd polynomials, else the amplitude sqrt(S).
-    Raises ValueError, naming what the model lacks, where it has no families of this kind or the mode none of its own.
+    The free parameter of the scaled equations is S where the forces are odd polynomials, else the amplitude sqrt(S),
+    both in units near those of `amplitude_max`, a value of S, so that positions may have any unit. Raises ValueError,
+    naming what the model lacks, where it has no families of this kind or the mode none of its own.
     """
 
-    def __init__(self, model: OdeModel, mode: int | str, parameters: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        model: OdeModel,
+        mode: int | str,
+        parameters: Mapping[str, float] | None = None,
+        amplitude_max: float = 1.0,
+    ) -> None:
         _check_kind(model)
+        self._unit = float(2.0 ** round(0.5 * np.log2(amplitude_max)))  # of positions: a power of 2 rounds nothing
         self._model, self._amplitude = model, amplitude_square(model)
         free = () if self._amplitude.parameter is None else (self._amplitude.parameter,)
         self._values = _fixed_values(model, parameters or {}, free)
@@ -102,7 +110,7 @@ class ModelCoordinates(Coordinates):
         D = ca.SX(ca.DM(self.scale))
         energy = None
         if model.hamiltonian is not None:
-            a = ca.sqrt(p) if self._squared else p
+            a = self._unit * (ca.sqrt(p) if self._squared else p)
             value = ca.Function("value", [model.state, model.velocity], [self._at_values(model.hamiltonian)])
             above_rest = value(a * D * q, a * D * v) - value(ca.DM.zeros(n), ca.DM.zeros(n))
             energy = above_rest / a**2
@@ -114,11 +122,11 @@ class ModelCoordinates(Coordinates):
         )  # fmt: skip
 
     def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
-        """D^-1 f(a D q) / a, with a^2 = p or a = p: for polynomials by homogeneous parts, regular at a = 0."""
+        """D^-1 f(a D q) / a, with a^2 or a = p in its unit: for polynomials by homogeneous parts, regular at a = 0."""
         linear = -ca.sparsify(ca.SX(ca.DM(self.modes.stiffness))) @ q
         if self._parts is not None:
             return linear + self._nonlinear_parts(q, p)
-        D, state, t = ca.SX(ca.DM(self.scale)), self._model.state, ca.SX.sym("t")
+        D, state, t = ca.SX(ca.DM(self._unit * self.scale)), self._model.state, ca.SX.sym("t")
         along = ca.substitute(self._force, state, t * D * q)
         curvature = ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0)  # d/da at a = 0 is half of it
         safe = ca.if_else(p == 0, 1, p)
@@ -127,7 +135,7 @@ class ModelCoordinates(Coordinates):
 
     def _nonlinear_parts(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """The scaled forces without their linear part, of polynomials."""
-        total, D = ca.SX.zeros(q.numel()), ca.SX(ca.DM(self.scale))
+        total, D = ca.SX.zeros(q.numel()), ca.SX(ca.DM(self._unit * self.scale))
         for degree, part in (self._parts or {}).items():
             if degree != 1:
                 power = (degree - 1) // 2 if self._squared else degree - 1
@@ -152,10 +160,15 @@ class ModelCoordinates(Coordinates):
         return float(np.sqrt(self.modes.squares[self.mode_number - 1]))
 
     def parameter_of(self, S: float) -> float:
-        return S if self._squared else float(np.sqrt(S))
+        square = S / self._unit / self._unit
+        return square if self._squared else float(np.sqrt(square))
 
     def S_of(self, parameter: float) -> float:
-        return parameter if self._squared else parameter**2
+        return (parameter if self._squared else parameter**2) * self._unit * self._unit
+
+    @property
+    def S_rate(self) -> float:  # type: ignore[override]
+        return 1.0 if self._squared else 2.0
 
     # What users see ---------------------------------------------------------------------------------------------------
 

@@ -76,7 +76,8 @@ class Orbit(Solution):
         Not 0 for an orbit asked for by its Omega or period, which has these exactly, and where S hardly changes along
         the family: near its folds, and where S has come to a limit that the period has not.
         """
-        return self.point.error.parameter * self.S
+        rate = self.space.coordinates.S_rate if isinstance(self.space, Family) else 1.0
+        return self.point.error.parameter * rate * self.S
 
     @property
     def profile_error(self) -> float:

@@ -77,7 +77,7 @@ class FamilyRequest:
         if isinstance(self.model, OdeModel):
             if self.method.tail is not None:
                 raise ValueError(f"tail: given {short_repr(self.method.tail)}; accepted: with a chain alone")
-            return ModelCoordinates(self.model, self.mode, self.parameters)
+            return ModelCoordinates(self.model, self.mode, self.parameters, self.amplitude_max)
         return self.model.family_coordinates(self.mode, self.amplitude_max, self.method)
 
     def _completed(self, method: Method) -> Method:

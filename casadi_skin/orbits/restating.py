@@ -31,6 +31,7 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
     """
     family = orbit.space
     assert isinstance(family, Family)
+    family.coordinates.check_whole("an orbit followed in a parameter")
     extended, amplitude, select = _with_amplitude(family.coordinates.model)
 
     def guess(t: float) -> list[float]:
@@ -49,9 +50,12 @@ def _with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
     form = amplitude_square(model)
     if form.parameter is not None:
         return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]
-    S = ca.SX.sym(AMPLITUDE)
+    name = AMPLITUDE
+    while name in (*model.parameter_names, *model.state_names):
+        name += "_"
+    S = ca.SX.sym(name)
     extended = replace(
         model, parameters=ca.vertcat(model.parameters, S), nominal=None,
-        parameter_labels=(*model.parameter_names, AMPLITUDE), checked=False,
+        parameter_labels=(*model.parameter_names, name), checked=False,
     )  # fmt: skip
-    return extended, AMPLITUDE, form.form - S
+    return extended, name, form.form - S

@@ -209,7 +209,7 @@ def test_pendulum_chains_by_integration(sites: int, mode: int, S: float) -> None
     assert branch.complete
     orbit, typed = branch.at(S), typed_lattice(0.0, True)
     typed.check(orbit, vectors=True)
-    assert branch.space.coordinates.parameter_of(S) == np.sqrt(S)
+    assert branch.space.coordinates.S_rate == 2.0  # followed in the amplitude
     angle = mode * np.pi / (sites + 1)
     omega, shape = np.sqrt(1 + 4 * np.sin(angle / 2) ** 2), np.sin(angle * np.arange(1, sites + 1))
     exact, _ = harmonic_balance(typed, shape, omega, np.linspace(0.2 * S, S, 5), 12)
@@ -530,6 +530,24 @@ def test_what_rounding_leaves_at_rest_is_nothing() -> None:
     np.testing.assert_allclose(branch.Omega, np.pi * np.sqrt(1 + branch.S) / (2 * ellipk(m)), rtol=1e-10)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e6])
+@pytest.mark.parametrize("polynomial", [True, False])
+def test_positions_may_have_any_unit(unit: float, polynomial: bool) -> None:
+    """The same oscillator, and its Omega to all digits that the tolerance asks for."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    soft = (lambda x: x - x**3 / 6) if polynomial else ca.sin
+    plain = second_order("plain", q, -soft(q), velocity=v)
+    scaled = second_order("scaled", q, -unit * soft(q / unit), velocity=v)
+    S = np.array([0.3, 1.0])
+    one = follow_family(plain, 1, 1.0, at=S, tolerance=1e-10, stability=True)
+    other = follow_family(scaled, 1, unit**2, at=S * unit**2, tolerance=1e-10, stability=True)
+    assert other.complete
+    for here, there in zip(S, S * unit**2, strict=True):
+        assert other.at(there).Omega == pytest.approx(one.at(here).Omega, rel=1e-12)
+        assert other.at(there).profile[0] == pytest.approx(unit * np.sqrt(here), rel=1e-14)
+        assert other.at(there).S_error == 0.0
+
+
 # Along the branch -----------------------------------------------------------------------------------------------------
 
 
@@ -642,6 +660,9 @@ def test_an_orbit_is_followed_in_its_amplitude_as_its_family_goes() -> None:
         last = family.at(0.2).follow(name, 0.3).orbits[-1]
         assert last.Omega == pytest.approx(family.at(0.3).Omega, rel=1e-8)
         assert pytest.approx(0.3, rel=1e-9) == last.S
+    long = follow_family(Chain(10**5, 1.0, 0.5, 1.0), "last", 0.1, at=(0.1,), tolerance=1e-6).at(0.1)
+    with pytest.raises(ValueError, match=r"^sites: given 100000; an orbit followed in a parameter is that of all"):
+        long.follow("gamma", 0.4)
     with pytest.raises(ValueError, match=r"^parameter: given 'kk'; did you mean k\? accepted: k, amplitude"):
         family.at(0.2).follow("kk", 1.0)
 
