@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
 from casadi_skin.solvers.levels import ErrorEstimate
 
+MOST_WORDS = 16  # that a line of the plan lists
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
 Lines = list[tuple[str, str]]
@@ -68,14 +69,21 @@ def _model_lines(request: Request) -> Lines:
     declared = ", ".join(word for word, holds in words.items() if holds)
     return [
         ("model", f"{model.name}, from {request.path}"),
-        ("states", ", ".join(model.state_names)),
+        ("states", _listed(model.state_names)),
         ("parameters", _named(request.parameters) or "none"),
         ("declared", declared or "no symmetry, no conserved quantity"),
     ]
 
 
 def _named(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
+    return _listed([f"{name} = {value:g}" for name, value in values.items()])
+
+
+def _listed(words: Sequence[str]) -> str:
+    """Words one after the other; of many the first and the last."""
+    if len(words) <= MOST_WORDS:
+        return ", ".join(words)
+    return f"{', '.join(words[:2])}, ..., {words[-1]} ({len(words)} in all)"
 
 
 def _dynamics(request: Request) -> str:

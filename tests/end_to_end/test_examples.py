@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from casadi_skin.cli import main
 
@@ -67,6 +69,58 @@ def test_twelve_families_of_figure_3(name: str, g: float, tmp_path: Path) -> Non
         np.testing.assert_array_equal(shift, g)
 
 
+FEWER = {
+    "mode = [1, 2, ": "mode = [", "amplitude_max = 2.0": "amplitude_max = 0.2", "at = [1.0]": "at = [0.2]",
+    "amplitude_max = 20.0": "amplitude_max = 4.0", "at = [1.0, 10.0]": "at = [4.0]", "S = 10.0": "S = 4.0",
+}  # fmt: skip
+
+
+def fput_forces(y: np.ndarray) -> np.ndarray:
+    d = np.diff(y, prepend=0.0, append=0.0)
+    return np.diff(d + d**3)
+
+
+def pendulum_forces(y: np.ndarray) -> np.ndarray:
+    return np.asarray(-np.sin(y) + 0.2 * np.diff(np.diff(y, prepend=0.0, append=0.0)))
+
+
+@pytest.mark.usefixtures("pictures")
+@pytest.mark.parametrize("fewer", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["fewer", "all"])
+@pytest.mark.parametrize(
+    ("name", "forces"), [("fput_modes", fput_forces), ("pendulum_chain", pendulum_forces)], ids=["fput", "pendula"]
+)
+def test_lattices_of_ones_own(
+    name: str, forces: Callable[[np.ndarray], np.ndarray], fewer: bool, tmp_path: Path
+) -> None:
+    """Orbits at requested points come back to themselves in an integration of equations written anew."""
+    xarray = pytest.importorskip("xarray")
+    text = (
+        (ROOT / "examples" / f"{name}.toml")
+        .read_text(encoding="utf-8")
+        .replace('"models/', f'"{ROOT}/examples/models/')
+    )
+    for old, new in FEWER.items() if fewer else ():
+        text = text.replace(old, new)
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
+    with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
+        for place in np.flatnonzero(data.requested.values):
+            y = data.profile.values[place]
+            assert y @ y == pytest.approx(float(data.S[place]), rel=1e-12)
+            n, period = y.size, 2 * np.pi / float(data.Omega[place])
+            flow = solve_ivp(
+                lambda t, s, n=n: [*s[n:], *forces(s[:n])], (0.0, period), [*y, *np.zeros(n)], method="DOP853",
+                rtol=1e-12, atol=1e-13,
+            )  # fmt: skip
+            allowed = 1e-7 * max(1.0, float(data.max_abs_multiplier[place]))
+            np.testing.assert_allclose(flow.y[:, -1], [*y, *np.zeros(n)], atol=allowed)
+    if name == "pendulum_chain":
+        with (tmp_path / "out" / "dynamics.csv").open(encoding="utf-8", newline="") as file:
+            table = [[float(value) for value in row.values()] for row in csv.DictReader(file)]
+        np.testing.assert_allclose(table[100], [table[100][0], *table[0][1:]], atol=1e-6)  # a period later
+        assert np.ptp([row[1] for row in table]) < 1e-9
+
+
 @pytest.mark.slow
 def test_the_python_examples_of_the_readme_run() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -76,4 +130,5 @@ def test_the_python_examples_of_the_readme_run() -> None:
     assert np.isfinite(names["branch"].Omega).all()
     names = {}
     exec(compile(own, "README.md", "exec"), names)
+    assert names["follow_family"](names["fput"], "last", 2.0).Omega[-1] == pytest.approx(3.1814974, abs=1e-7)
     assert names["orbit"].period == pytest.approx(6.66328685932)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
