@@ -11,21 +11,29 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import OdeModel, find_orbit, search_orbit
+from casadi_skin.optimise.pareto import pareto_front
 from casadi_skin.optimise.processes import SearchProgress
 from casadi_skin.optimise.result import SearchResult, SearchStatus
+from casadi_skin.optimise.search import search as run_search
+from casadi_skin.optimise.search_orbit import stated_search
+from casadi_skin.optimise.search_problem import Ending, Outcome
+from casadi_skin.results.search import outcome_record, restored
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))
 DUFFING = OdeModel(
     "Duffing", ca.vertcat(Q, V), FIELD, OMEGA, time=T, forcing_period=2 * ca.pi / OMEGA, nominal=(1.0,),
+    outputs={"square": Q**2},
 )  # fmt: skip
 
 
+ASKED: dict[str, Any] = {
+    "guess": [0.0, 0.0], "free": ["omega"], "running": -(Q**2), "bounds": {"omega": (0.3, 2.0)},
+}  # fmt: skip
+
+
 def search(**changes: Any) -> SearchResult:
-    asked: dict[str, Any] = {
-        "guess": [0.0, 0.0], "free": ["omega"], "running": -(Q**2), "bounds": {"omega": (0.3, 2.0)}, "starts": 3,
-    }  # fmt: skip
-    return search_orbit(DUFFING, **(asked | changes))
+    return search_orbit(DUFFING, **(ASKED | {"starts": 3} | changes))
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +79,90 @@ def test_progress_tells_of_every_start() -> None:
     assert str(told[-1]).startswith("2 of 2 starts done; start 2, iteration")
 
 
+def test_names_say_the_same_as_expressions(largest: SearchResult) -> None:
+    result = search(running="square", maximise=True)
+    assert result.best.objective == pytest.approx(-largest.best.objective, abs=1e-12)
+    assert result.best.omega == pytest.approx(largest.best.omega, abs=1e-9)
+    assert result.best.square == pytest.approx(result.best.q**2)  # at phase zero
+
+
+@pytest.mark.parametrize("held", [("q", 0.2, 0.2), (Q, 0.2, 0.2), Q - 0.2])
+def test_a_condition_holds_at_phase_zero(held: Any) -> None:
+    best = search(running="square", maximise=True, constraints=[held], starts=1).best
+    assert best.orbit.evaluate(0.0)[0, 0] == pytest.approx(0.2, abs=1e-9)
+    plain = find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": best.omega})
+    assert plain.evaluate(0.0)[0, 0] == pytest.approx(0.2, abs=1e-7)
+    assert best.curvature == np.inf  # one condition and one free number: nothing is left to optimise
+
+
+def test_a_condition_that_cannot_hold_is_off_by_the_least_at_the_nearest_orbit() -> None:
+    result = search(running="square", maximise=True, constraints=[("q", 0.3, 0.3)], starts=1)
+    assert result.status is SearchStatus.INFEASIBLE
+    assert result.nearest is not None
+    assert result.nearest.worst == "q"
+
+    def response(omega: float) -> float:
+        return -float(find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": omega}).evaluate(0.0)[0, 0])
+
+    most = -minimize_scalar(response, bounds=(0.5, 1.1)).fun
+    assert result.nearest.gap == pytest.approx(0.3 - most, abs=1e-6)
+
+
+def test_a_bound_on_a_quantity_is_active() -> None:
+    result = search(running="square", maximise=True, bounds={"omega": (0.3, 2.0), "v": (None, 0.2)}, constraints=[])
+    assert result.status is SearchStatus.ON_BOUND
+    assert "v <= 0.2 at " in result.best.active[0]  # a state is bounded over the whole period
+    assert np.max(result.best.orbit.states[:, 1]) <= 0.2 + 1e-9
+
+
+def test_starts_that_are_known_are_not_run_again(largest: SearchResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, kept = stated_search(DUFFING, **ASKED), list[Outcome]()
+    result = run_search(problem, problem.starts(3, 0)[:2], keep=kept.append)
+    assert [outcome.start.number for outcome in kept] == [1, 2]
+    known = [restored(outcome_record(outcome)) for outcome in result.outcomes]
+    again = run_search(problem, problem.starts(3, 0), known=known, keep=kept.append)
+    assert [outcome.start.number for outcome in kept] == [1, 2, 3]
+    assert again.best.starts == largest.best.starts
+    assert again.best.objective == pytest.approx(largest.best.objective, abs=1e-12)
+    monkeypatch.setattr("casadi_skin.optimise.search.solve_start", lambda *_, **__: pytest.fail("run again"))
+    complete = run_search(problem, problem.starts(3, 0), known=again.outcomes)
+    assert complete.best.objective == again.best.objective
+
+
+def test_deflation_uses_repeated_starts_once_more(largest: SearchResult) -> None:
+    result = search(deflate=True)
+    assert [(o.start.number, o.deflated) for o in result.outcomes] == [(1, False), (2, False), (3, False), (2, True),
+                                                                       (3, True)]  # fmt: skip
+    assert result.best.objective == pytest.approx(largest.best.objective, abs=1e-12)
+
+
+def test_a_pareto_front_of_any_model() -> None:
+    """Frequency against response: below resonance the least response asks for the longest period."""
+    front = pareto_front(
+        DUFFING, "period", "q", points=3, free=["omega"], guess=[0.0, 0.0], bounds={"omega": (0.3, 0.6)}, starts=1
+    )
+    assert front.complete
+    assert np.all(np.diff(front.values[:, 0]) < 0)
+    assert np.all(np.diff(front.values[:, 1]) > 0)
+    for (period, q), optimum in zip(front.values, front.points, strict=True):
+        orbit = find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": 2 * np.pi / period})
+        assert orbit.evaluate(0.0)[0, 0] == pytest.approx(q, abs=1e-7)
+        assert optimum.period == period
+
+
+def test_a_saddle_is_no_optimum() -> None:
+    """q(0) - q(0)^2 of a linear oscillator at rest at q = a is largest at a = 1/2."""
+    a = ca.SX.sym("a")
+    model = OdeModel("driven", ca.vertcat(Q, V), ca.vertcat(V, a - Q - V + ca.cos(T)), a, time=T,
+                     forcing_period=2 * ca.pi, nominal=(0.5,))  # fmt: skip
+    result = search_orbit(model, guess=[0.5, 0.0], free=["a"], objective=Q - Q**2, starts=1)
+    assert result.outcomes[0].ending is Ending.NO_OPTIMUM
+    assert "curvature" in result.reason
+    largest = search_orbit(model, guess=[0.5, 0.0], free=["a"], objective=Q - Q**2, maximise=True, starts=1)
+    assert largest.best.a == pytest.approx(0.5, abs=1e-8)
+    assert largest.best.objective == pytest.approx(0.25, abs=1e-10)
+
+
 @pytest.mark.slow
 def test_processes_find_the_same(largest: SearchResult) -> None:
     result = search(workers=2)
@@ -98,13 +190,19 @@ def test_a_model_that_was_pickled_is_the_same_model() -> None:
         ({"parameters": {"om": 1.0}}, "parameters: given 'om'"),
         ({"guess": [0.0]}, "guess: "),
         ({"running": Q == 1}, "running: given a comparison"),
+        ({"running": "sqare"}, "running: given 'sqare'; did you mean square"),
+        ({"running": "period"}, "running: given 'period'"),
+        ({"constraints": [("q", 1.0)]}, "constraints, item 1: given"),
+        ({"constraints": [("p", 1.0, 2.0)]}, "constraints, item 1: given 'p'"),
+        ({"bounds": {"p": (1.0, 2.0)}}, "bounds: given 'p'"),
+        ({"symmetric": True}, "symmetric: given for Duffing, which is forced"),
         ({"bounds": {"omega": (2.0, 1.0)}}, r"bounds.omega.: given \(2.0, 1.0\); accepted: \(lower, upper\)"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_any_solve(
     changes: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("casadi_skin.optimise.orbit_search.OrbitSearch.plain", lambda *_: pytest.fail("solved"))
-    with pytest.raises(ValueError, match=words) as caught:
+    monkeypatch.setattr("casadi_skin.bvp.statement.BoundaryValueProblem.solve", lambda *_: pytest.fail("solved"))
+    with pytest.raises((ValueError, TypeError), match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1
