@@ -32,7 +32,9 @@ def scene_tables(schema: dict[str, Any]) -> str:
         if table is None:
             continue
         definition = definitions[table]
-        needed = f"Required: one of {' and '.join(f'`[{m}]`' for m in sorted(models))}." if name in models else "Optional."
+        needed = (
+            f"Required: one of {' and '.join(f'`[{m}]`' for m in sorted(models))}." if name in models else "Optional."
+        )
         parts += [f"## `[{name}]`", f"{_first_line(definition['description'])} {needed}"]
         if definition["properties"]:
             parts.append(_rows(definition["properties"], definition["required"]))
