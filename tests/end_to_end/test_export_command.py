@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from casadi_skin.cli import main
-from casadi_skin.export.build import build_c
+from casadi_skin.export.compiler import build_c
 
 CHAIN = "[chain]\nsites = 6\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-11\n"

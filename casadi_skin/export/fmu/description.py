@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin._version import __version__
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.initial_value_problem import Subject
+from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem
 
 SOURCES = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c",)}  # of the interface; that of the equations is named after the model
 CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
@@ -45,18 +45,18 @@ class Variable:
 class Description:
     """What the XML files say of one model."""
 
-    subject: Subject
+    problem: InitialValueProblem
     equations: Equations
     token: str
 
     @cached_property
     def variables(self) -> list[Variable]:
         """All variables in the order of their value references."""
-        subject, model = self.subject, self.subject.model
+        problem, model = self.problem, self.problem.model
         found = [Variable("time", 0, "independent", "continuous", description="time")]
-        nominal = subject.nominal
-        for name, start, shown in zip(model.state_names, subject.start, subject.shown, strict=True):
-            causality, meaning = "output" if shown else "local", subject.meanings.get(name, "state")
+        nominal = problem.nominal
+        for name, start, is_output in zip(model.state_names, problem.start, problem.is_output, strict=True):
+            causality, meaning = "output" if is_output else "local", problem.meanings.get(name, "state")
             found.append(
                 Variable(name, len(found), causality, "continuous", "exact", start, None, None, nominal, meaning)
             )
@@ -65,13 +65,13 @@ class Description:
             found.append(
                 Variable(f"der({name})", len(found), "local", "continuous", "calculated", None, k, description=meaning)
             )
-        for name, value in zip(model.parameter_names, subject.parameters, strict=True):
-            bounds, meaning = subject.bounds.get(name), subject.meanings.get(name, "parameter")
+        for name, value in zip(model.parameter_names, problem.parameters, strict=True):
+            bounds, meaning = problem.bounds.get(name), problem.meanings.get(name, "parameter")
             found.append(
                 Variable(name, len(found), "parameter", "tunable", "exact", value, None, bounds, description=meaning)
             )
         for name in model.outputs:
-            meaning = subject.meanings.get(name, "output")
+            meaning = problem.meanings.get(name, "output")
             found.append(Variable(name, len(found), "output", "continuous", "calculated", description=meaning))
         return found
 
@@ -86,7 +86,7 @@ class Description:
 
         Tunable parameters are knowns at all times in FMI 3.0, and in FMI 2.0 in initialisation only.
         """
-        states, parameters = self.subject.model.full_size, len(self.subject.parameters)
+        states, parameters = self.problem.model.full_size, len(self.problem.parameters)
         row = reference - 1 - states if reference <= 2 * states else reference - 1 - states - parameters
         columns = np.flatnonzero(self.equations.depends[row])
         references = [int(c) if c <= states else int(c) + states for c in columns]
@@ -100,7 +100,7 @@ class Description:
         root = self._root("3.0", instantiationToken=self.token)
         flags = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
         flags |= {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
-        common = {"modelIdentifier": self.subject.identifier} | flags
+        common = {"modelIdentifier": self.problem.identifier} | flags
         ET.SubElement(root, "ModelExchange", common)
         ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
         self._units(root)
@@ -126,7 +126,7 @@ class Description:
         root = self._root("2.0", guid=self.token, numberOfEventIndicators="0")
         flags = {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
         flags |= {"canSerializeFMUstate": "true", "providesDirectionalDerivative": "true"}
-        common = {"modelIdentifier": self.subject.identifier} | flags
+        common = {"modelIdentifier": self.problem.identifier} | flags
         exchange = ET.SubElement(root, "ModelExchange", common)
         cosimulation = ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
         for parent in (exchange, cosimulation):
@@ -159,7 +159,7 @@ class Description:
 
     def source_files(self, fmi: str) -> tuple[str, ...]:
         """Names of the C files that are compiled."""
-        return (*SOURCES[fmi], f"{self.subject.identifier}_equations.c")
+        return (*SOURCES[fmi], f"{self.problem.identifier}_equations.c")
 
     def _unknowns(self) -> list[tuple[str, bool, list[Variable]]]:
         outputs = [v for v in self.variables if v.causality == "output"]
@@ -178,7 +178,7 @@ class Description:
         return self.dependencies(variable.reference, initially=initially, fmi=fmi)
 
     def _root(self, fmi: str, **attributes: str) -> ET.Element:
-        given = {"fmiVersion": fmi, "modelName": self.subject.model.name, "description": self.subject.description}
+        given = {"fmiVersion": fmi, "modelName": self.problem.model.name, "description": self.problem.description}
         given |= {"generationTool": f"casadi_skin {__version__}", "variableNamingConvention": self.naming}
         return ET.Element("fmiModelDescription", given | attributes)
 
@@ -190,8 +190,8 @@ class Description:
         categories = ET.SubElement(root, "LogCategories")
         for name, meaning in CATEGORIES.items():
             ET.SubElement(categories, "Category", {"name": name, "description": meaning})
-        stop = self.subject.stop_time
-        times = {"startTime": "0.0", "stopTime": repr(float(stop)), "tolerance": repr(float(self.subject.tolerance))}
+        stop = self.problem.stop_time
+        times = {"startTime": "0.0", "stopTime": repr(float(stop)), "tolerance": repr(float(self.problem.tolerance))}
         ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(float(stop) / STEPS)})
 
 
