@@ -94,7 +94,7 @@ def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
     token = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, unnamed + source)) + "}"
     description = Description(problem, equations, token)
     files = {
-        "modelDescription.xml": description.fmi3() if fmi == "3.0" else description.fmi2(),
+        "modelDescription.xml": description.xml(fmi),
         "documentation/index.html": page(description, fmi).encode(),
         "documentation/licenses/license.txt": _packaged("license.txt"),
         "sources/config.h": config_header(problem, equations, token).encode(),
