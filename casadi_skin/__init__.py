@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
-    from casadi_skin.bvp.statement import BoundaryValueProblem
     from casadi_skin.bvp.symmetry import SymmetryClass
+    from casadi_skin.dynamics.simulation import simulate
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
+    from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
-    from casadi_skin.optimise.kick import smallest_kick
+    from casadi_skin.models.saved import read_model, save_model
+    from casadi_skin.optimise.kick.smallest_kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
-    from casadi_skin.simulation import simulate
 
 __all__ = [
     "BoundaryValueProblem",
@@ -34,6 +36,9 @@ __all__ = [
     "export_fmu",
     "find_orbit",
     "follow_family",
+    "import_fmu",
+    "read_model",
+    "save_model",
     "search_orbit",
     "simulate",
     "smallest_kick",
@@ -43,7 +48,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     places = {
-        "BoundaryValueProblem": "bvp.statement",
+        "BoundaryValueProblem": "orbits.boundary_value_problem",
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
         "OdeModel": "models.ode",
@@ -53,9 +58,12 @@ def __getattr__(name: str) -> Any:
         "export_fmu": "export.fmu.archive",
         "find_orbit": "orbits.find_orbit",
         "follow_family": "orbits.follow",
-        "simulate": "simulation",
+        "import_fmu": "models.fmu",
+        "read_model": "models.saved",
+        "save_model": "models.saved",
+        "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.kick",
+        "smallest_kick": "optimise.kick.smallest_kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

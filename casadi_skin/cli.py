@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from casadi_skin._version import __version__
 from casadi_skin.commands import scene_commands, study_commands
-from casadi_skin.commands.status import DONE, INTERRUPTED, WRONG_INPUT, InputError
+from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.scene import SceneError
 
@@ -26,13 +26,18 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="casadi-skin",
-        description="Nonlinear periodic orbits of nonreciprocal chains: families, stability, pictures.",
+        description="Periodic orbits of lattices and of any model: families, branches, stability, pictures.",
         epilog="Exit status: 0 done, 1 failed or ended early, 2 wrong input, 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"casadi-skin {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    run = commands.add_parser("run", help="compute what a scene asks for", description="Compute what a scene asks for.")
+    run = commands.add_parser(
+        "run",
+        help="compute what a scene asks for",
+        description="Compute what a scene asks for.",
+        epilog="Example: casadi-skin run examples/softening_end_breather.toml --out results/breather",
+    )
     run.add_argument("scene", type=Path, metavar="SCENE.toml")
     run.add_argument(
         "--out", type=Path, metavar="DIR", help="directory of the results (default: results/NAME-OF-THE-SCENE)"
@@ -42,15 +47,23 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with a run that was killed, interrupted or ended early"
     )
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
-    run.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+    run.add_argument("--quiet", action="store_true", help="print nothing but errors")
     run.set_defaults(act=scene_commands.run)
 
-    check = commands.add_parser("check", help="print the plan of a scene", description="Print what a run would do.")
+    check = commands.add_parser(
+        "check",
+        help="print the plan of a scene",
+        description="Print what a run would do.",
+        epilog="Example: casadi-skin check examples/fput_modes.toml",
+    )
     check.add_argument("scene", type=Path, metavar="SCENE.toml")
     check.set_defaults(act=scene_commands.check)
 
     spectrum = commands.add_parser(
-        "spectrum", help="linear frequencies of a scene's chain", description="Print the linear frequencies omega_j."
+        "spectrum",
+        help="linear frequencies of a scene's model",
+        description="Print the linear frequencies omega_j.",
+        epilog="Example: casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
     )
     spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
     spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
@@ -82,6 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output has gone, as in `casadi-skin spectrum SCENE.toml | head`; nothing more can be said.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except OSError as error:
+        print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return FAILED
 
 
 if __name__ == "__main__":

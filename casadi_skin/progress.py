@@ -5,14 +5,16 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.solution import Solution
 
 if TYPE_CHECKING:
     from rich.status import Status
 
 
 class Progress:
-    """One line on standard error that tells family, S, points and step; only on a terminal and unless `quiet`."""
+    """One line on standard error with the place on a branch, points and step; only on a terminal and unless `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
         from rich.console import Console
@@ -32,15 +34,23 @@ class Progress:
         if self._status is not None:
             self._status.stop()
 
-    def orbit(self, orbit: Orbit, points: int) -> None:
-        """Tell that an orbit has been reached."""
+    def solution(self, solution: Solution, points: int) -> None:
+        """Show that a solution has been reached, which is that many of its branch."""
         if self._status is not None:
-            request, step = orbit.tools.request, orbit.point.step
-            self._status.update(
-                f"j = {request.mode}: S = {orbit.S:.6g} of {request.amplitude_max:g}, {points} points, step {step:.2g}"
-            )
+            self._status.update(f"{_place(solution)}, {points} points, step {solution.point.step:.2g}")
 
     def say(self, words: str) -> None:
-        """Tell what is being done now."""
+        """Show what is being done now."""
         if self._status is not None:
             self._status.update(words)
+
+
+def _place(solution: Solution) -> str:
+    """Where a solution is on its branch, and where that ends."""
+    space = solution.space
+    if isinstance(space, Family):
+        S, end = space.value("S", solution.point), space.request.amplitude_max
+        return f"j = {space.coordinates.mode_number}: S = {S:.6g} of {end:g}"
+    if isinstance(space, BoundarySpace) and space.parameter:
+        return f"{space.parameter} = {solution.parameters[space.parameter]:.6g} on the way to {space.to:g}"
+    return "solved"

@@ -34,7 +34,7 @@ def draw(branch: Branch) -> Figure:
     """Omega(S) above, the energy below; unstable intervals are grey."""
     figure = Figure(figsize=(6.4, 5.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    omega, first_change = branch.tools.request.chain.linear_frequency(1), branch.at(S=branch.changes[0].S)
+    omega, first_change = branch.space.model.linear_frequency(1), branch.at(S=branch.changes[0].S)
     above.plot([0, *branch.S], [omega, *branch.Omega], "k-", marker="o", ms=2.5, label="orbits")
     below.plot([0, *branch.S], [0, *branch.energy], "k-", marker="o", ms=2.5)
     below.plot(

@@ -32,7 +32,7 @@ def draw(branch) -> Figure:
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = figure.subplots()
     size = np.array([np.abs(orbit["q"]).max() for orbit in branch.solutions])
-    stable = np.array([orbit.multipliers().stable for orbit in branch.solutions])
+    stable = np.array([orbit.floquet().stable for orbit in branch.solutions])
     axes.plot(branch.values, size, "-", color="0.7", lw=1)
     axes.plot(branch.values[stable], size[stable], "ko", ms=3.5, label="stable")
     axes.plot(branch.values[~stable], size[~stable], "ko", ms=3.5, mfc="none", label="unstable")
@@ -47,7 +47,7 @@ def draw(branch) -> Figure:
 if __name__ == "__main__":
     found = main(*sys.argv[1:2])
     for fold in found.folds:
-        print(f"fold at omega = {fold['omega']:.8f}: multipliers {np.round(fold.multipliers().values.real, 6)}")
+        print(f"fold at omega = {fold['omega']:.8f}: multipliers {np.round(fold.floquet().multipliers.real, 6)}")
     for which in range(3):
         orbit = found.at(2.0, which)
-        print(f"omega = 2: largest |q| {np.abs(orbit['q']).max():.4f}, stable: {orbit.multipliers().stable}")
+        print(f"omega = 2: largest |q| {np.abs(orbit['q']).max():.4f}, stable: {orbit.floquet().stable}")

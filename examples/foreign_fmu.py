@@ -13,10 +13,10 @@ from tempfile import TemporaryDirectory
 import casadi as ca
 import numpy as np
 
-from casadi_skin import OdeModel, find_orbit
+from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.compiler import find_compiler, fmi_headers
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
-from casadi_skin.orbits.boundary_branch import BoundaryBranch
+from casadi_skin.orbits.branch import Branch
 
 
 def made_elsewhere(folder: Path) -> Path:
@@ -43,12 +43,12 @@ def made_elsewhere(folder: Path) -> Path:
     return folder / "vdp.fmu"
 
 
-def main(picture: Path | None = None) -> BoundaryBranch:
+def main(picture: Path | None = None) -> Branch:
     with TemporaryDirectory() as folder:
-        model = OdeModel.from_fmu(made_elsewhere(Path(folder)), parameters=["mu"])
+        model = import_fmu(made_elsewhere(Path(folder)), parameters=["mu"])
     print(f"states {', '.join(model.state_names)}, derivatives by the FMU: {model.derivatives}")
     cycle = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.5, corrector="newton")
-    print(f"mu = 1: period {cycle.period:.10f}, multipliers {cycle.multipliers().values.real}")
+    print(f"mu = 1: period {cycle.period:.10f}, multipliers {cycle.floquet().multipliers.real}")
     branch = cycle.follow("mu", 4.0, at=[1.0, 2.0, 3.0, 4.0])
     for mu in (2.0, 3.0, 4.0):
         print(f"mu = {mu:g}: period {branch.at(mu).period:.8f}")
@@ -57,7 +57,7 @@ def main(picture: Path | None = None) -> BoundaryBranch:
     return branch
 
 
-def draw(branch: BoundaryBranch, path: Path) -> None:
+def draw(branch: Branch, path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")

@@ -41,7 +41,7 @@ def draw(orbit: Orbit, growth: TransientGrowth) -> Figure:
     gains.plot(periods, growth.of(unit_displacement(1)), "s-", color="tab:red", ms=3, lw=0.8, label="kick at site 1")
     gains.plot(periods, growth.of(unit_displacement(SITES)), "o-", color="tab:blue", ms=3, lw=0.8,
                label=f"kick at site {SITES}")  # fmt: skip
-    condition = -orbit.chain.log_rho.min() / np.log(10)
+    condition = -orbit.model.log_rho.min() / np.log(10)
     gains.axhline(condition, color="0.5", ls=":", label=r"$r^{(N-1)/2}$: spread of the skin envelope")
     gains.set(xlabel="time in periods", ylabel=r"$\log_{10}$ of the amplification", xlim=(0, 10), ylim=(-1.4, 4.4))
     gains.legend(fontsize="small", loc="upper left")

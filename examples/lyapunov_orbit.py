@@ -57,5 +57,5 @@ def draw(branch) -> Figure:
 
 if __name__ == "__main__":
     for orbit in main(*sys.argv[1:2]).solutions:
-        largest = orbit.multipliers().values[0].real
+        largest = orbit.floquet().multipliers[0].real
         print(f"E = {orbit['E']:.6f}: T = {orbit.period:.10f} +- {orbit.period_error:.0e}, multiplier {largest:.5f}")

@@ -28,7 +28,7 @@ def linear_tail(orbit: Orbit) -> np.ndarray:
     There y_n is so small that the sites are linear: y_n = rho_n sinh(n kappa) (-1)^n with 2 s cosh(kappa) =
     Omega^2 - 2 - alpha, above the band.
     """
-    chain, n = orbit.chain, np.arange(1, orbit.chain.sites + 1)
+    chain, n = orbit.model, np.arange(1, orbit.model.sites + 1)
     kappa = np.arccosh((orbit.Omega**2 - 2.0 - chain.alpha) / (2.0 * chain.coupling))
     growth = kappa * (n - n[-1]) + np.log1p(-np.exp(-2.0 * kappa * n))
     return np.exp(chain.log_rho + growth)

@@ -42,7 +42,7 @@ def draw(branch) -> Figure:
 if __name__ == "__main__":
     found = main(*sys.argv[1:2])
     for orbit in (found.at(1.0), found.at(10.0)):
-        other = orbit.multipliers().others[0].real
+        other = orbit.floquet().others[0].real
         print(
             f"mu = {orbit['mu']:g}: T = {orbit.period:.11f} +- {orbit.period_error:.0e}, other multiplier {other:.6g}"
         )

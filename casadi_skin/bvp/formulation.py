@@ -7,7 +7,7 @@ from functools import cached_property
 
 import casadi as ca
 
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 
 
 @dataclass(frozen=True, eq=False)

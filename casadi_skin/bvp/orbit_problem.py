@@ -33,17 +33,17 @@ class OrbitProblem(Problem):
         """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
 
     @cached_property
-    def shown(self) -> Array | None:
+    def output_scale(self) -> Array | None:
         """Factors that make of the state values what users see, shape (states,); None where these are the same."""
-        factors = self.model.shown
+        factors = self.model.output_scale
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 
     def profile_change(self, z: Array, step: Array) -> float:
         """Largest change of a state value relative to the largest state value; of what users see of it as well."""
-        move, state, shown = step[: self.states], z[: self.states], self.shown
+        move, state, scale = step[: self.states], z[: self.states], self.output_scale
         change = np.max(np.abs(move)) / np.max(np.abs(state))
-        if shown is not None:
-            change = max(change, np.max(np.abs(shown * move)) / np.max(np.abs(shown * state)))
+        if scale is not None:
+            change = max(change, np.max(np.abs(scale * move)) / np.max(np.abs(scale * state)))
         return float(change)
 
     def frequency(self, z: Array) -> float:

@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.fields import unfolded_field
+from casadi_skin.integrators.cvodes import TIGHT_ITERATION, CvodesOptions, cvodes_reason
 from casadi_skin.models.ode import OdeModel
 
 FAR = 1e20
 SENSITIVITY_DIGITS = 8  # Newton's steps then err by 1e-6 of themselves, and cost a quarter of those with 13 digits
-TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls
 MAX_STEPS = 5_000  # in one segment: ten times what steep orbits need with 14 digits
 
 Evaluation = Callable[[ca.DM, ca.DM], list[ca.DM]]
@@ -73,8 +73,10 @@ class SegmentFlow:
     def __init__(self, model: OdeModel, digits: int) -> None:
         n, parameters = model.full_size, int(model.parameters.numel()) + 2
         self.failure: str | None = None
-        self._flow = _integrator(model, digits, {"nonlin_conv_coeff": TIGHT_ITERATION})
-        loose = _integrator(model, min(digits, SENSITIVITY_DIGITS), {"fsens_err_con": True})
+        local = 10.0**-digits
+        self._flow = _integrator(model, CvodesOptions(local, local, MAX_STEPS, iteration=TIGHT_ITERATION))
+        local = 10.0 ** -min(digits, SENSITIVITY_DIGITS)
+        loose = _integrator(model, CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True))
         # The integrator of the sensitivities itself: a call that is not nested in another fails without printing.
         inside = loose.forward(n + parameters).find_functions()
         self._variational = next(f for f in inside if f.class_name() == loose.class_name())
@@ -90,7 +92,7 @@ class SegmentFlow:
         try:
             return [scale * self._flow(x0=x / scale, p=ca.vertcat(p, scale))["xf"]]
         except RuntimeError as error:
-            self.failure = _reason(error)
+            self.failure = f"cvodes {cvodes_reason(error)}"
             return [x + FAR]
 
     def _sensitivities(self, x: ca.DM, p: ca.DM) -> list[ca.DM]:
@@ -100,35 +102,20 @@ class SegmentFlow:
         try:
             derivatives = self._variational(x0=start, p=parameters)["xf"][:, 1:]
         except RuntimeError as error:
-            self.failure = _reason(error)
+            self.failure = f"cvodes {cvodes_reason(error)}"
             return [ca.DM.eye(x.numel()), ca.DM.zeros(x.numel(), p.numel())]
         return [derivatives[:, : x.numel()], scale * derivatives[:, x.numel() :]]
 
 
-def _integrator(model: OdeModel, digits: int, changes: dict[str, Any]) -> ca.Function:
+def _integrator(model: OdeModel, options: CvodesOptions) -> ca.Function:
     """CVODES over the unit of time, with parameters (model's, damping, duration, scale of the state)."""
     x, parameters = ca.SX.sym("x", model.full_size), ca.SX.sym("p", model.parameters.numel() + 1)
     duration, scale = ca.SX.sym("duration"), ca.SX.sym("scale")
     rate = duration / scale * ca.densify(unfolded_field(model)(scale * x, parameters)[0])
-    options = {
-        "reltol": 10.0**-digits,
-        "abstol": 10.0**-digits,
-        "linear_multistep_method": "adams",
-        "nonlinear_solver_iteration": "functional",
-        "max_num_steps": MAX_STEPS,
-        "disable_internal_warnings": True,
-        "show_eval_warnings": False,
-    }
     dae = {"x": x, "p": ca.vertcat(parameters, duration, scale), "ode": rate}
-    return ca.integrator("segment", "cvodes", dae, 0.0, 1.0, options | changes)
+    return options.integrator("segment", dae, (0.0, 1.0))
 
 
 def _scale(x: ca.DM) -> float:
     largest = float(ca.mmax(ca.fabs(x)))
     return largest if np.isfinite(largest) and largest > 0 else 1.0
-
-
-def _reason(error: RuntimeError) -> str:
-    """What CVODES said, from CasADi's message of several lines."""
-    words = str(error).rpartition(" returned ")[2].partition(".")[0].strip('"')
-    return f"cvodes returned {words}" if words else "cvodes failed"

@@ -19,6 +19,7 @@ from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.segment import SegmentFlow
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
+from casadi_skin.integrators.dop853 import dop853_reason, solve_dop853
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.solvers.bordered import SingularError
@@ -129,35 +130,18 @@ class ShootingProblem(FirstOrderProblem):
         return paths[segment]
 
     def _integrate(self, z: Array, segment: int) -> OdeSolution:
-        from scipy.integrate import solve_ivp
-
         n = self.model.full_size
         start = z[segment * n : (segment + 1) * n]
-        state, rate = np.empty(n), np.empty(n)
         parameters = np.array([z[self.parameter_index], z[self.damping_index] if self.unfolded else 0.0])
         duration = float(self._duration(z[self.Omega_index]))
-        buffer, trigger = self._field.buffer()
-        for i, array in enumerate((state, parameters)):
-            buffer.set_arg(i, array.data)
-        buffer.set_res(0, rate.data)
-
-        def right_hand_side(_: float, x: Array) -> Array:
-            state[:] = x
-            trigger()
-            return duration * rate
-
-        atol = PATH_TOLERANCE * (float(np.max(np.abs(start))) or 1.0)
-        with np.errstate(all="ignore"):  # a state that runs away overflows before the step is found too small
-            result = solve_ivp(
-                right_hand_side, (0.0, 1.0), start, "DOP853", dense_output=True, rtol=PATH_TOLERANCE, atol=atol
-            )
-        path: OdeSolution | None = result.sol
-        if path is None or not result.success:
-            raise ShootingError(f"the orbit cannot be followed: {str(result.message).strip(' .').lower()}")
+        solution = solve_dop853(self._field, parameters, start, 1.0, PATH_TOLERANCE, rate=duration)
+        path: OdeSolution | None = solution.sol
+        if path is None or not solution.success:
+            raise ShootingError(f"the orbit cannot be followed: {dop853_reason(solution)}")
         return path
 
     @cached_property
     def _field(self) -> ca.Function:
-        """Function (x, (p, damping)) -> dense time derivative."""
-        x, parameters = ca.SX.sym("x", self.model.full_size), ca.SX.sym("p", 2)
-        return ca.Function("field", [x, parameters], [ca.densify(unfolded_field(self.model)(x, parameters)[0])])
+        """Function (t, x, (p, damping)) -> dense time derivative."""
+        t, x, parameters = ca.SX.sym("t"), ca.SX.sym("x", self.model.full_size), ca.SX.sym("p", 2)
+        return ca.Function("field", [t, x, parameters], [ca.densify(unfolded_field(self.model)(x, parameters)[0])])

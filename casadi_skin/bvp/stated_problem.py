@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import cut
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar
-from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.models.declared import Expression
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.models.expressions import Expression
 
-SHOWN = 40  # characters of a condition in a message
+LONGEST_CONDITION = 40  # characters of a condition in a message
+PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
 SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
 
@@ -28,7 +30,7 @@ class BoundaryProblem(CollocationEquations):
 
     def __init__(
         self,
-        statement: BoundaryValueProblem,
+        statement: Statement,
         formulation: Formulation,
         intervals: int,
         table: CollocationTable,
@@ -42,10 +44,16 @@ class BoundaryProblem(CollocationEquations):
         self._discretise(formulation, intervals, table)
 
     def index_of(self, scalar: Scalar) -> int:
-        """Place of u among the unknowns; there is no Omega."""
-        if scalar is Scalar.OMEGA:
-            raise ValueError("a boundary-value problem has no Omega")
-        return self.size - 1
+        """Place of u among the unknowns; of the unknown period of an orbit, which stands for Omega."""
+        if scalar is Scalar.PARAMETER:
+            return self.size - 1
+        if PERIOD not in self.statement.free:
+            raise ValueError("a boundary-value problem without a free period has no Omega")
+        return self.states + list(self.statement.free).index(PERIOD)
+
+    def unknown_at(self, scalar: Scalar, value: float) -> float:
+        """The unknown period at an Omega; u itself."""
+        return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -151,4 +159,4 @@ def _entry(expressions: Sequence[Expression], index: int) -> str:
     entries = [entry for expression in expressions for entry in ca.vertsplit(ca.vec(expression))]
     text = str(entries[index])
     words = text[1:-1] if text[:1] == "(" and text[-1:] == ")" else text
-    return words if len(words) <= SHOWN else f"{words[: SHOWN - 3]}..."
+    return cut(words, LONGEST_CONDITION)

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.declared import Expression, is_comparison
+from casadi_skin.models.expressions import Expression, is_comparison
 from casadi_skin.models.ode import OdeModel
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.guesses import Guess
-    from casadi_skin.orbits.solution import BoundarySolution
 
 Bounds = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class BoundaryValueProblem:
+class Statement:
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
 
     `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
@@ -52,7 +47,7 @@ class BoundaryValueProblem:
         self._check_kinds()
         _check_names("free", self.free, self.model.parameter_names)
         if len(set(self.free)) < len(self.free):
-            raise ValueError(f"free: given {shown(list(self.free))}; accepted: each parameter once")
+            raise ValueError(f"free: given {short_repr(list(self.free))}; accepted: each parameter once")
         self._check_values()
         self._check_expressions()
         self._check_count()
@@ -62,22 +57,22 @@ class BoundaryValueProblem:
 
     def _check_kinds(self) -> None:
         if not isinstance(self.model, OdeModel):
-            raise TypeError(f"model: given {shown(self.model)}; accepted: an OdeModel")
+            raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
         for label, given in (("conditions", self.conditions), ("integrals", self.integrals), ("free", self.free)):
             if not isinstance(given, Sequence) or isinstance(given, str | bytes):
-                raise TypeError(f"{label}: given {shown(given)}; accepted: a list")
+                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list")
         for label, mapping in (("parameters", self.parameters), ("bounds", self.bounds)):
             if not isinstance(mapping, Mapping):
-                raise TypeError(f"{label}: given {shown(mapping)}; accepted: a mapping from names")
+                raise TypeError(f"{label}: given {short_repr(mapping)}; accepted: a mapping from names")
         if not isinstance(self.interval, Sequence) or len(self.interval) != 2:
-            raise TypeError(f"interval: given {shown(self.interval)}; accepted: (start, end)")
+            raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:
             if isinstance(end, ca.SX | ca.MX):
                 check_expression("interval", end, [self.model.parameters])
                 if end.numel() != 1:
                     raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
             elif isinstance(end, bool) or not isinstance(end, Real):
-                raise TypeError(f"interval: given {shown(end)}; accepted: numbers or expressions in parameters")
+                raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
 
     def _check_values(self) -> None:
         start, end = self.span(np.array(list(self.values.values())))
@@ -115,7 +110,9 @@ class BoundaryValueProblem:
         for name, bound in self.bounds.items():
             pair = isinstance(bound, Sequence) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
             if not pair or not bound[0] < bound[1]:
-                raise ValueError(f"bounds: given {shown(bound)} for {name}; accepted: (lower, upper), lower < upper")
+                raise ValueError(
+                    f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
+                )
 
     # What it is made of ---------------------------------------------------------------------------------------------
 
@@ -181,24 +178,11 @@ class BoundaryValueProblem:
             return np.array(entries, dtype=float)
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
-    def with_parameters(self, **values: float) -> BoundaryValueProblem:
+    def with_parameters(self, **values: float) -> Statement:
         """The same problem at other values of parameters."""
         return replace(self, parameters={**self.parameters, **values})
 
     # What can be asked of it ----------------------------------------------------------------------------------------
-
-    def solve(self, guess: Guess, **options: Any) -> BoundarySolution:
-        """The solution near a guess; with an objective or bounds the local optimum, an `OptimalSolution`.
-
-        See `casadi_skin.orbits.solve.solve` for the guess, the options, and what is raised.
-        """
-        if self.optimises or self.bounds:
-            from casadi_skin.optimise.boundary_nlp import optimise
-
-            return optimise(self, guess, **options)
-        from casadi_skin.orbits.solve import solve
-
-        return solve(self, guess, **options)
 
 
 def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
@@ -223,14 +207,6 @@ def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
     return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
 
 
-def check_name(label: str, name: object, known: Sequence[str]) -> None:
-    """Raises ValueError, with the nearest known name, for an unknown one."""
-    if name not in known:
-        near = next(iter(difflib.get_close_matches(str(name), known, n=1)), None)
-        hint = f"did you mean {near}? " if near else ""
-        raise ValueError(f"{label}: given {shown(name)}; {hint}accepted: {', '.join(known) or 'none'}")
-
-
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
     for name in given:
         check_name(label, name, known)
@@ -240,9 +216,13 @@ def check_expression(label: str, expression: Any, symbols: list[Expression]) -> 
     """Raises TypeError for what is no expression of the symbols' kind, ValueError where it depends on others."""
     kind = type(symbols[0])
     if not isinstance(expression, kind):
-        raise TypeError(f"{label}: given {shown(expression)}; accepted: a CasADi expression of kind {kind.__name__}")
+        raise TypeError(
+            f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
+        )
     if is_comparison(expression):
-        raise ValueError(f"{label}: given a comparison, {shown(expression)}; accepted: an expression, x - 1 for x == 1")
+        raise ValueError(
+            f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
+        )
     stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
     if stranger:
         known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]

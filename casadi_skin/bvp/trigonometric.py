@@ -168,9 +168,9 @@ class TrigonometricProblem(OrbitProblem):
         lost = np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1)
         sizes = np.max(np.abs(z[: self.states].reshape(self.model.size, -1)), axis=1)
         ratio = np.max(lost) / np.max(sizes)
-        if self.model.shown is not None:
-            shown = np.array(self.model.shown)
-            ratio = max(ratio, np.max(shown * lost) / np.max(shown * sizes))
+        if self.model.output_scale is not None:
+            scale = np.array(self.model.output_scale)
+            ratio = max(ratio, np.max(scale * lost) / np.max(scale * sizes))
         return error + ALIASED * float(ratio)
 
     def sample(self, z: Array, theta: Array) -> Array:

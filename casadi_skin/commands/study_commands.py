@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from casadi_skin.commands.scene_commands import read_scene
+from casadi_skin.commands.scene_commands import bound, read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.runs.directory import prepare_study
 
@@ -113,19 +114,22 @@ def _paper(arguments: argparse.Namespace) -> Study:
 
 def _work_precision(arguments: argparse.Namespace) -> Study:
     scene = None if arguments.scene is None else read_scene(arguments.scene)[0]
-    if scene is not None and scene.family is None:
-        raise InputError(f"{arguments.scene}: asks for no family to measure; accepted: a scene with a table [family]")
+    if scene is not None and (scene.family is None or scene.chain is None or scene.chain.sites == math.inf):
+        accepted = "a scene with a table [family], and a [chain] of finite length"
+        raise InputError(f"{arguments.scene}: asks for no family that can be measured; accepted: {accepted}")
     if arguments.repeats is not None and arguments.repeats < 1:
         raise InputError(f"tradeoff: given --repeats {arguments.repeats}; accepted: a whole number >= 1")
 
-    from casadi_skin.runs.request import scene_requests
-    from casadi_skin.studies.work_precision.settings import Family
+    from casadi_skin.runs.request import chain_of
+    from casadi_skin.studies.work_precision.settings import FamilyCase
     from casadi_skin.studies.work_precision.study import DEFAULT_FAMILY, REPEATS, WorkPrecision
 
     family = DEFAULT_FAMILY
     if scene is not None:
-        request = scene_requests(scene)[0]
-        family = Family(request.chain, request.mode, request.amplitude_max, request.at).with_points()
+        request = bound(scene, arguments.scene).families[0]
+        family = FamilyCase(
+            chain_of(scene), int(request.mode), request.amplitude_max, tuple(request.targets.at)
+        ).with_points()
     repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
     return WorkPrecision(arguments.out, family, arguments.quick, repeats)
 

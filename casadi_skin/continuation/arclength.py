@@ -40,7 +40,7 @@ class _Departure:
 
 
 class ArclengthContinuation:
-    """A walk by predictor and corrector for any problem (see `Walk`); `rejected` counts steps refused."""
+    """A walk by predictor and corrector for any problem (see `Continuation`); `rejected` counts steps refused."""
 
     def __init__(self, point_solver: PointSolver, history: tuple[Point, ...]) -> None:
         self.point_solver, self.settings = point_solver, point_solver.settings

@@ -79,8 +79,8 @@ class PointSolver:
         allowed = self.settings.guard_distance * reach
         if distance <= allowed:
             return correction
-        at = f"Omega = {problem.frequency(guess):.10g}, parameter = {guess[problem.parameter_index]:.10g}"
-        self.failure = f"at {at} the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
+        apart = f"the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
+        self.failure = f"{apart} ({problem.whereabouts(guess)})"
         return None
 
     def refined(

@@ -126,7 +126,7 @@ class Point:
         return replace(self, z=z, requested=True)
 
 
-class Walk(Protocol):
+class Continuation(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
     `end` tells why it stopped, `detail` where; `missed` lists targets passed at which no point was found. `history`

@@ -44,7 +44,7 @@ class _Stop:
 
 
 class SeriesContinuation:
-    """A walk by Taylor series (see `Walk`) for problems whose series `recursion` computes.
+    """A walk by Taylor series (see `Continuation`) for problems whose series `recursion` computes.
 
     `precision` of a problem is the residual, relative to the state, that the series may leave.
     """

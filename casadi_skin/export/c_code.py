@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.export.c_text import Part, comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
 from casadi_skin.export.equations import (
@@ -140,7 +140,7 @@ def _template(stem: str) -> str:
 def _free(directory: str | Path) -> Path:
     """The directory, which does not exist or is empty; raises ValueError, TypeError where it cannot be used."""
     if not isinstance(directory, str | Path) or not str(directory):
-        raise TypeError(f"directory: given {shown(directory)}; accepted: a path")
+        raise TypeError(f"directory: given {short_repr(directory)}; accepted: a path")
     target = Path(directory)
     accepted = "accepted: an empty or new directory"
     if not target.is_dir() and (target.exists() or target.is_symlink()):

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.models.fmu_archive import FMPY_MISSING
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -28,7 +28,7 @@ def find_compiler(name: str | None = None) -> str:
         path = shutil.which(candidate)
         if path is not None:
             return path
-    missing = shown(named) if named else ", ".join(COMPILERS)
+    missing = short_repr(named) if named else ", ".join(COMPILERS)
     raise CompilerError(f"compiler: {missing} not found; accepted: a C99 compiler such as gcc, or CC=path/to/compiler")
 
 
@@ -56,7 +56,7 @@ def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     folder = Path(directory)
     sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
     if "main.c" not in sources:
-        raise ValueError(f"directory: given {shown(str(directory))}; accepted: one that export_c wrote")
+        raise ValueError(f"directory: given {short_repr(str(directory))}; accepted: one that export_c wrote")
     compile_with(find_compiler(compiler), [*sources, "-lm", "-o", "main"], folder)
     return folder / "main"
 

@@ -20,6 +20,7 @@ from casadi_skin.export.c_text import (
     strings,
 )
 from casadi_skin.export.exported_model import ExportedModel
+from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 
@@ -139,7 +140,8 @@ def flow_part(exported: ExportedModel) -> Part:
     sparsity = force.function.sparsity_out(1)
     size = Size("FLOW_WORK", model.size + sparsity.nnz() + force.work, "doubles of work")
     indices, extern = pattern("@p_force", sparsity, BY_ROWS)
-    part = part.plus(
+    coefficients = dict(zip(("drifts", "kicks"), srkn_coefficients(), strict=True))
+    part = part.plus(*arrays("@p_flow", coefficients, "Coefficients of the splitting.")).plus(
         f"{indices}\n\n{force.text()}",
         f"{declared(force.prototype, 'Used by the flow.')}\n{extern}",
         sizes=(Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"), size),

@@ -17,7 +17,8 @@ def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
     if exported.chain is None:
         blocks = [MODEL_ORBIT] if "orbit" in parts else []
         if "flow" in parts:
-            blocks.append(RETURN if "orbit" in parts else FLOW)
+            velocities = "start + @P_ORBIT_STATES" if exported.model.order == 2 else "0"
+            blocks.append(RETURN.replace("@velocities", velocities) if "orbit" in parts else FLOW)
     else:
         blocks = [ORBIT] if "orbit" in parts else []
         if "newton" in parts:
@@ -110,7 +111,7 @@ RETURN = """    {
         double p[@P_PARAMETERS + 1] = {0.0}, trace = 0.0, off = 0.0;
         int i;
 
-@nominal        @p_orbit(0.0, start, 0);
+@nominal        @p_orbit(0.0, start, @velocities);
         for (i = 0; i < @P_STATES; i++) x[i] = start[i];
         @p_flow(0.0, @p_orbit_period, @harmonic_steps * (@P_HARMONICS + 8), x, Phi, p, work);
         for (i = 0; i < @P_STATES; i++) {

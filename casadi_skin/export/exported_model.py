@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
 
-Source: TypeAlias = Chain | OdeModel | Orbit | PeriodicOrbit
+Source: TypeAlias = Chain | OdeModel | Orbit
 PARTS: Mapping[str, str] = MappingProxyType({
     "rhs": "the right-hand side of the first-order system",
     "jacobian": "the right-hand side with its sparse derivatives",
@@ -47,28 +46,24 @@ class ExportedModel:
     @property
     def chain(self) -> Chain | None:
         """The chain, where the source is one or an orbit of one."""
-        if isinstance(self.source, Orbit):
-            return self.source.chain
-        return self.source if isinstance(self.source, Chain) else None
+        return self._given if isinstance(self._given, Chain) else None
 
     @property
-    def orbit(self) -> Orbit | PeriodicOrbit | None:
+    def orbit(self) -> Orbit | None:
         """The orbit, where the source is one."""
-        return self.source if isinstance(self.source, Orbit | PeriodicOrbit) else None
+        return self.source if isinstance(self.source, Orbit) else None
 
     @cached_property
     def model(self) -> OdeModel:
         """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g."""
-        if self.chain is not None:
-            return self.chain.tunable_model()
-        return self.source.model if isinstance(self.source, PeriodicOrbit) else self._plain
+        return self._given.tunable_model() if isinstance(self._given, Chain) else self._given
 
     @property
     def parameters(self) -> tuple[float, ...] | None:
         """Usual values of the parameters, or those of the orbit."""
-        if isinstance(self.source, PeriodicOrbit):
-            return tuple(self.source.model_parameters.tolist())
-        return self.model.nominal
+        if self.orbit is None or self.chain is not None:
+            return self.model.nominal
+        return tuple(self.orbit.parameters[name] for name in self.model.parameter_names)
 
     @cached_property
     def flow_model(self) -> OdeModel:
@@ -78,16 +73,17 @@ class ExportedModel:
     @cached_property
     def problem(self) -> TrigonometricProblem:
         """The collocation equations: those that the orbit was solved with, or a chain's."""
-        if isinstance(self.source, Orbit):
-            problem = self.source.point.problem
-            assert isinstance(problem, TrigonometricProblem)
-            return problem
-        return TrigonometricProblem(self.flow_model, self.harmonics)
+        if self.orbit is None:
+            return TrigonometricProblem(self.flow_model, self.harmonics)
+        problem = self.orbit.point.problem
+        assert isinstance(problem, TrigonometricProblem)
+        return problem
 
     @property
-    def _plain(self) -> OdeModel:
-        assert isinstance(self.source, OdeModel)
-        return self.source
+    def _given(self) -> Chain | OdeModel:
+        """The chain or the model, of an orbit its own."""
+        given: Chain | OdeModel = self.source.model if isinstance(self.source, Orbit) else self.source
+        return given
 
     def refusal(self, part: str) -> str | None:
         """The reason why a part cannot be exported, in words; None where it can."""
@@ -101,8 +97,8 @@ class ExportedModel:
             return "collocation equations are written for chains and their orbits"
         if part in ("flow", *EQUATIONS_OF_ORBITS) and self.chain is not None and abs(self.chain.gamma) == 1:
             return "at |gamma| = 1 the gauge holds the edge site alone"
-        if part in EQUATIONS_OF_ORBITS and isinstance(orbit, Orbit):
-            if isinstance(orbit.tools.layout, CoreWithTail):
+        if part in EQUATIONS_OF_ORBITS and orbit is not None:
+            if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
                 return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
             if not isinstance(orbit.point.problem, TrigonometricProblem):
                 return "its equations are not in odd cosines; with transcription trigonometric it can"
@@ -115,20 +111,19 @@ def exported_model(source: object, name: str | None, harmonics: int) -> Exported
     Raises TypeError for anything but a chain, a model or an orbit, ValueError for arguments out of range.
     """
     if not isinstance(source, Source):
-        raise TypeError(f"source: given {shown(source)}; accepted: a Chain, an OdeModel or an orbit")
-    chain = source if isinstance(source, Chain) else source.chain if isinstance(source, Orbit) else None
-    if chain is not None and chain.infinite:
+        raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an orbit")
+    model = source.model if isinstance(source, Orbit) else source
+    if isinstance(model, Chain) and model.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:
-        raise ValueError(f"harmonics: given {shown(harmonics)}; accepted: a whole number from 2 to 512")
+        raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number from 2 to 512")
     if name is not None and not isinstance(name, str):
-        raise TypeError(f"name: given {shown(name)}; accepted: a string")
-    model = source.model if isinstance(source, PeriodicOrbit) else source
+        raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
     own = model.name if isinstance(model, OdeModel) else "chain"
     accepted = c_name((own if name is None else name)[:LONGEST_NAME])
     if name not in (None, accepted):
         words = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {accepted}"
-        raise ValueError(f"name: given {shown(name)}; accepted: {words}")
+        raise ValueError(f"name: given {short_repr(name)}; accepted: {words}")
     return ExportedModel(source, accepted, harmonics)
 
 
@@ -146,15 +141,12 @@ def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[
     if what is None:
         return [name for name in PARTS if name not in OPTIONAL and exported.refusal(name) is None]
     if isinstance(what, str | bytes) or not isinstance(what, Collection):
-        raise TypeError(f"what: given {shown(what)}; accepted: a list of {', '.join(PARTS)}")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(PARTS)}")
     if not what:
         raise ValueError(f"what: given an empty list; accepted: some of {', '.join(PARTS)}")
     chosen: set[str] = set()
     for name in what:
-        if not isinstance(name, str) or name not in PARTS:
-            near, accepted = get_close_matches(str(name).lower(), list(PARTS), n=1), f"accepted: {', '.join(PARTS)}"
-            hint = f"did you mean {near[0]}? ({accepted})" if near else accepted
-            raise ValueError(f"what: given {shown(name)}; {hint}")
+        check_name("what", name, PARTS)
         reason = exported.refusal(name)
         if reason is not None:
             can = ", ".join(other for other in PARTS if exported.refusal(other) is None)

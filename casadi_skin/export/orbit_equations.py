@@ -22,7 +22,8 @@ from casadi_skin.export.c_text import (
 )
 from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.solvers.nlp import nlp_solver
+from casadi_skin.stability.result import Floquet
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
 MOST_SAMPLES = 8192  # of an orbit of a model, over its period
@@ -118,10 +119,8 @@ def ipopt_part(exported: ExportedModel) -> Part:
     options = {
         "jac_g": ca.Function("jac_g", [z, held], [equations, ca.vertcat(jacobian, row)]),
         "hess_lag": ca.Function("hess_lag", [z, held, weights, multipliers], [ca.MX(size, size)]),
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-12},
-        "print_time": False,
     }
-    solver = ca.nlpsol("solver", "ipopt", {"x": z, "p": held, "f": ca.MX(0), "g": equations}, options)
+    solver = nlp_solver("solver", {"x": z, "p": held, "f": ca.MX(0), "g": equations}, 1e-12, options, exact=False)
     start, value = ca.MX.sym("start", size), ca.MX.sym("value")
     solved = solver(x0=start, p=value, lbg=0, ubg=0)
     function = ca.Function(f"{exported.name}_generated_ipopt", [start, value], [solved["x"], solved["g"]])
@@ -139,12 +138,13 @@ def ipopt_part(exported: ExportedModel) -> Part:
 
 def orbit_part(exported: ExportedModel) -> Part:
     """The converged orbit as data."""
-    if isinstance(exported.source, PeriodicOrbit):
-        part = _orbit_of_model(exported.source)
+    orbit = exported.orbit
+    assert orbit is not None
+    if exported.chain is None:
+        part = _orbit_of_model(orbit)
     else:
-        assert isinstance(exported.source, Orbit)
-        part = _orbit_of_chain(exported.source, with_unknowns=exported.refusal("residual") is None)
-    return _with_multipliers(part, exported)
+        part = _orbit_of_chain(orbit, with_unknowns=exported.refusal("residual") is None)
+    return _with_multipliers(part, orbit)
 
 
 def _orbit_of_chain(orbit: Orbit, with_unknowns: bool) -> Part:
@@ -171,30 +171,33 @@ def _orbit_of_chain(orbit: Orbit, with_unknowns: bool) -> Part:
     return part.plus(declaration=declared("int @p_orbit(double t, double *y, double *velocity)", words))
 
 
-def _orbit_of_model(orbit: PeriodicOrbit) -> Part:
+def _orbit_of_model(orbit: Orbit) -> Part:
     numbers = {
         "period": (orbit.period, "period"),
         "period_error": (orbit.period_error, "estimated absolute error of the period"),
-        "error": (orbit.error, "estimated error of the states, relative to the largest value of each"),
+        "error": (orbit.profile_error, "estimated error of x, relative to its largest values"),
     }
     cosines, sines = fourier_series(orbit)
-    size = Size("HARMONICS", len(cosines) - 1, "harmonics of the orbit")
-    part = Part("A converged orbit", (size,), files=("orbit_fourier",)).plus(*constants("@p_orbit", numbers))
+    sizes = (
+        Size("ORBIT_STATES", cosines.shape[1], "entries of x: positions of a model of second order, else all states"),
+        Size("HARMONICS", len(cosines) - 1, "harmonics of the orbit"),
+    )
+    part = Part("A converged orbit", sizes, files=("orbit_fourier",)).plus(*constants("@p_orbit", numbers))
     words = (
         "x_n(t) = sum of a_kn cos(2 pi k t/T) + b_kn sin(2 pi k t/T), k = 0..HARMONICS: a_kn and b_kn at place "
-        "k STATES + n. Where the model is forced, t is its time."
+        "k ORBIT_STATES + n. Where the model is forced, t is its time."
     )
     part = part.plus(*arrays("@p_orbit", {"cosines": cosines, "sines": sines}, words))
-    words = "The states at time t and their time derivatives; either may be a null pointer. Returns 0."
+    words = "x at time t and its time derivative; either may be a null pointer. Returns 0."
     return part.plus(declaration=declared("int @p_orbit(double t, double *x, double *dxdt)", words))
 
 
-def fourier_series(orbit: PeriodicOrbit) -> tuple[Array, Array]:
-    """Coefficients of the cosines and sines of the states, each of shape (harmonics + 1, states).
+def fourier_series(orbit: Orbit) -> tuple[Array, Array]:
+    """Coefficients of the cosines and sines of an orbit, each of shape (harmonics + 1, components).
 
     There are so many that those left out are below a tenth of the orbit's estimated error, or below round-off.
     """
-    samples, least = 64, max(0.1 * orbit.error, 1e-15)
+    samples, least = 64, max(0.1 * orbit.profile_error, 1e-15)
     while True:
         c = np.fft.rfft(orbit.evaluate(orbit.period * np.arange(samples) / samples), axis=0) / samples
         size = np.max(np.abs(c) / np.maximum(np.max(np.abs(c), axis=0), 1e-300), axis=1)
@@ -206,29 +209,23 @@ def fourier_series(orbit: PeriodicOrbit) -> tuple[Array, Array]:
     return np.asarray(c.real), np.asarray(-c.imag)
 
 
-def _with_multipliers(part: Part, exported: ExportedModel) -> Part:
-    """The part with the orbit's multipliers, or a comment with the reason why they are not there."""
-    known = multipliers_of(exported)
-    if isinstance(known, str):
-        return part.plus(declaration=comment(f"Its multipliers are not here: {plain(known)}"))
-    values, numbers = known
-    words = "Its Floquet multipliers, as many as states."
-    parts = {"multipliers_real": values.real, "multipliers_imaginary": values.imag}
-    return part.plus(*arrays("@p_orbit", parts, words)).plus(*constants("@p_orbit", numbers))
-
-
-def multipliers_of(exported: ExportedModel) -> tuple[Array, dict[str, tuple[float, str]]] | str:
-    """Multipliers of the orbit with numbers on them, or why there are none, as of a chain that is too long."""
-    orbit, largest = exported.orbit, "largest modulus of a multiplier but for the trivial ones"
+def floquet_of(orbit: Orbit) -> Floquet | str:
+    """The orbit's multipliers, or why there are none, as of a chain that is too long."""
     try:
-        if isinstance(orbit, PeriodicOrbit):
-            found = orbit.multipliers()
-            modulus = float(np.max(np.abs(found.others), initial=0.0))
-            return np.asarray(found.values), {"largest_multiplier": (modulus, largest)}
-        assert orbit is not None
-        floquet = orbit.floquet()
-        error = (floquet.error, "estimated error of that")
-        numbers = {"largest_multiplier": (floquet.max_abs_multiplier, largest), "multiplier_error": error}
-        return np.asarray(floquet.multipliers), numbers
-    except (ValueError, ArithmeticError) as reason:
-        return " ".join(str(reason).split())
+        return orbit.floquet()
+    except (ValueError, ArithmeticError) as error:
+        return " ".join(str(error).split())
+
+
+def _with_multipliers(part: Part, orbit: Orbit) -> Part:
+    """The part with the orbit's multipliers, or a comment with the reason why they are not there."""
+    floquet = floquet_of(orbit)
+    if isinstance(floquet, str):
+        return part.plus(declaration=comment(f"Its multipliers are not here: {plain(floquet)}"))
+    values = np.asarray(floquet.multipliers)
+    numbers = {
+        "largest_multiplier": (floquet.max_abs_multiplier, "largest modulus of a multiplier but for the trivial ones"),
+        "multiplier_error": (floquet.error, "estimated error of that"),
+    }
+    parts = {"multipliers_real": values.real, "multipliers_imaginary": values.imag}
+    return part.plus(*arrays("@p_orbit", parts, "Its Floquet multipliers.")).plus(*constants("@p_orbit", numbers))

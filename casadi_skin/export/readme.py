@@ -7,8 +7,7 @@ from collections.abc import Collection, Mapping
 from casadi_skin.export.c_text import Part, plain
 from casadi_skin.export.example_program import CHAIN_S
 from casadi_skin.export.exported_model import PARTS, ExportedModel
-from casadi_skin.export.orbit_equations import multipliers_of
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
+from casadi_skin.export.orbit_equations import floquet_of
 
 FLAGS = "-std=c99 -O2"
 
@@ -89,14 +88,13 @@ def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
         if "newton" in parts:
             return f"\nThe program follows an edge mode to S = {CHAIN_S:g} and prints its period.\n"
         return ""
-    of_model = isinstance(orbit, PeriodicOrbit)
-    error = orbit.period_error if isinstance(orbit, PeriodicOrbit) else orbit.period * orbit.Omega_error / orbit.Omega
-    lines = [f"{'period' if 'newton' in parts else 'orbit_period'} {orbit.period:.17g} (estimated error {error:.1g})"]
-    known = multipliers_of(exported) if "flow" in parts else ""
-    if not isinstance(known, str) and of_model:
-        lines.append(f"trace {float(known[0].sum().real):.17g} (the sum of the multipliers)")
-    elif not isinstance(known, str):
-        largest, error = (known[1][name][0] for name in ("largest_multiplier", "multiplier_error"))
-        lines.append(f"largest_multiplier {largest:.17g} (estimated error {error:.1g})")
+    name, error = "period" if "newton" in parts else "orbit_period", orbit.period * orbit.Omega_error / orbit.Omega
+    lines = [f"{name} {orbit.period:.17g} (estimated error {error:.1g})"]
+    floquet = floquet_of(orbit) if "flow" in parts else ""
+    if not isinstance(floquet, str) and exported.chain is None:
+        lines.append(f"trace {float(floquet.multipliers.sum().real):.17g} (the sum of the multipliers)")
+    elif not isinstance(floquet, str):
+        words = f"(estimated error {floquet.error:.1g})"
+        lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
     told = "\n".join(lines)
     return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{told}\n```\n"

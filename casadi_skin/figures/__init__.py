@@ -1,13 +1,22 @@
 """Pictures of results; dimensionless.
 
 Figures are made without pyplot and leave the caller's matplotlib settings alone. Families and orbits are told apart
-by labels, markers and dashes, never by colour alone.
+by labels, markers and dashes, never by colour alone. `figures.spacetime` is imported where a time evolution is drawn.
 """
 
+from casadi_skin.figures.branch import branch_figure, orbit_figure
 from casadi_skin.figures.frequencies import frequency_figure
 from casadi_skin.figures.multipliers import multiplier_figure
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.spectrum import spectrum_figure
 from casadi_skin.figures.style import save
 
-__all__ = ["frequency_figure", "multiplier_figure", "profile_figure", "save", "spectrum_figure"]
+__all__ = [
+    "branch_figure",
+    "frequency_figure",
+    "multiplier_figure",
+    "orbit_figure",
+    "profile_figure",
+    "save",
+    "spectrum_figure",
+]

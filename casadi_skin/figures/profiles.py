@@ -11,16 +11,16 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.style import (
     blank,
     colours,
-    common_chain,
+    common_model,
+    family,
     finished,
+    is_sum_of_squares,
     number,
     number_sites,
+    position_label,
     style,
     title,
 )
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.theory.linear import standing_wave
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,40 +31,23 @@ if TYPE_CHECKING:
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
 DEEPEST = -290.0  # log10 of sizes that are drawn as they are
-MARKED_SITES = 60  # profiles of longer chains are lines without markers, of the sites that move
-
-
-def _tailed_mode(layout: CoreWithTail) -> Array:
-    """The linear mode with norm 1 at the core's sites, largest displacement positive, shape (core sites,)."""
-    u = layout.core.rho * layout.mode
-    u = u if layout.chain.gamma >= 0 else u[::-1]
-    return np.asarray(u / np.linalg.norm(u) * np.sign(u[np.argmax(np.abs(u))]))
-
-
-def linear_mode(chain: Chain, mode: int) -> Array:
-    """The linear mode with norm 1, largest displacement positive, shape (sites,)."""
-    u = chain.right_eigenvector(mode)
-    return np.asarray(u / np.linalg.norm(u) * np.sign(u[np.argmax(np.abs(u))]))
+MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
 
 
 def _logarithms(orbit: Orbit) -> Array:
-    """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (sites,)."""
-    logs = orbit.log10_displacements(orbit.shown_sites)[0] - 0.5 * np.log10(orbit.S)
+    """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (positions,)."""
+    logs = orbit.log10_displacements(orbit.output_sites)[0] - np.log10(_norm(orbit))
     around = np.pad(logs, 1, constant_values=-np.inf)
     return np.where(logs > np.maximum(around[:-2], around[2:]) - 13.0, logs, np.nan)
 
 
-def _log_mode(chain: Chain, mode: int) -> Array:
-    """log10 of the linear mode with norm 1, nan at nodes, shape (sites,)."""
-    wave = np.abs(standing_wave(chain.sites, mode))
-    with np.errstate(divide="ignore"):
-        logs = (np.log(np.where(wave > 1e-13, wave, 0.0)) + chain.log_rho) / np.log(10.0)
-    logs -= np.log10(np.linalg.norm(chain.right_eigenvector(mode)))
-    return np.where(np.isfinite(logs), logs, np.nan)
+def _norm(orbit: Orbit) -> float:
+    """||y|| at t = 0."""
+    return float(np.sqrt(orbit.S)) if is_sum_of_squares(orbit.model) else float(np.linalg.norm(orbit.profile))
 
 
 def moving(profiles: Array) -> tuple[int, int]:
-    """First and last site where profiles, shape (some, sites), exceed 1e-3 of their largest; all of a short chain."""
+    """First and last position where profiles (some, positions) exceed 1e-3 of their largest; all of a short lattice."""
     largest = np.max(np.abs(profiles), axis=1, keepdims=True)
     seen = np.flatnonzero(np.any(np.abs(profiles) > 1e-3 * largest, axis=0)) + 1
     sites = profiles.shape[1]
@@ -72,9 +55,13 @@ def moving(profiles: Array) -> tuple[int, int]:
 
 
 def requested(branch: Branch, at_most: int) -> dict[tuple[float, int], Orbit]:
-    """Requested orbits by S and the number of times that S was passed before, evenly picked where there are more."""
-    orbits = [orbit for orbit in branch.orbits if orbit.point.requested]
-    keys = [(orbit.S, sum(before.S == orbit.S for before in orbits[:i])) for i, orbit in enumerate(orbits)]
+    """Requested orbits by value and the number of times that it was passed before, evenly picked where there are more.
+
+    The value is that of the quantity that the branch is followed in.
+    """
+    found = [(value, o) for value, o in zip(branch.values.tolist(), branch.orbits, strict=True) if o.point.requested]
+    values, orbits = [value for value, _ in found], [orbit for _, orbit in found]
+    keys = [(value, values[:i].count(value)) for i, value in enumerate(values)]
     picked = [round(i) for i in np.linspace(0, len(orbits) - 1, min(at_most, len(orbits)))]
     return {keys[i]: orbits[i] for i in picked}
 
@@ -99,24 +86,18 @@ def _draw_profiles(
     """
     from matplotlib.ticker import MaxNLocator
 
-    layout = branch.tools.layout
-    mode = (
-        _tailed_mode(layout)
-        if isinstance(layout, CoreWithTail)
-        else linear_mode(branch.tools.request.chain, branch.tools.request.mode)
-    )
-    n, dot = layout.shown, "o" if mode.size == 1 else None
+    coordinates = family(branch).coordinates
+    mode_logs, signs = coordinates.linear_profile
+    n, mode = coordinates.output_sites, signs * 10.0**mode_logs
+    dot = "o" if mode.size == 1 else None
     first, *second = panels
     first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
     for key, orbit in orbits.items():
-        y = orbit.evaluate(0.0, n)[0] / np.sqrt(orbit.S)
+        y = orbit.evaluate(0.0, n)[0] / _norm(orbit)
         first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
+    mode_logs = np.where(np.isfinite(mode_logs), mode_logs, np.nan)
     for axes in second:
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
-        chain = branch.tools.request.chain
-        mode_logs = (
-            np.log10(np.abs(mode)) if isinstance(layout, CoreWithTail) else _log_mode(chain, branch.tools.request.mode)
-        )
         deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
         for key, values in logs.items():
@@ -127,24 +108,33 @@ def _draw_profiles(
         else:
             axes.set_yscale("log")
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
-    panels[0].set_title(f"$j = {branch.tools.request.mode}$", loc="left")
+    panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left")
     panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
     for axes in panels[1:]:
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
 
 
 def profile_figure(branches: Sequence[Branch]) -> Figure | None:
-    """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode; None where nothing was requested.
+    """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode.
 
-    A row a family, at most six orbits each, with the sign that overlaps with the linear mode; of a long chain the sites
-    that move. Where a profile spans more than 3 decades, sizes at all sites stand beside them on a logarithmic scale.
-    Raises ValueError for no branch, and for branches of different chains.
+    A row a family, at most six orbits each, with the sign that overlaps with the linear mode; of a long lattice the
+    positions that move. Where a profile spans more than 3 decades, sizes at all positions stand beside them on a
+    logarithmic scale.
+
+    Arguments:
+        branches: families of one model at the same values of its parameters.
+
+    Returns:
+        The figure; None where nothing was requested.
+
+    Raises:
+        ValueError: there is no branch, one is no family, or they are of different models.
     """
-    chain = common_chain(branches)
+    model, parameters = common_model(branches)
     chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
     if not chosen:
         return None
-    shown = chosen[0][0].tools.layout.shown
+    shown = family(chosen[0][0]).coordinates.output_sites
     profiles = np.array([orbit.evaluate(0.0, shown)[0] for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
@@ -158,7 +148,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
             _draw_profiles(row, branch, orbits, looks)
         low, high = moving(profiles)
         for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
-            number_sites(axes, int(ends[0]), int(ends[1]), "site $n$")
-        figure.suptitle(title(chain))
+            number_sites(axes, int(ends[0]), int(ends[1]), position_label(model))
+        figure.suptitle(title(model, parameters))
         figure.align_ylabels()
         return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3))

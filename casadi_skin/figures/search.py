@@ -1,4 +1,4 @@
-"""A search in two panels: the profiles of its optima, and what every start led to."""
+"""A search in two panels: the orbits of its optima, and where every start led."""
 
 from __future__ import annotations
 
@@ -7,44 +7,65 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.figures import style
-from casadi_skin.optimise.result import SearchResult
-from casadi_skin.optimise.starts import Ending
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.result import CosineOrbit, SearchResult
+from casadi_skin.optimise.search_problem import Ending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = 4  # optima whose profiles are drawn
+SHOWN = 4  # optima that are drawn
+SAMPLES = 401  # of an orbit
 NARROWEST = 1e-3  # of an axis, relative: starts that agree are to look so
 
 
 def search_figure(result: SearchResult, objective: str) -> Figure:
-    """|y_n| of the best optima at the phase where all velocities vanish, and the objective reached by every start."""
+    """The best optima, and the objective reached by every start.
+
+    Of a family |y_n| at the phase where all velocities vanish, of other orbits the first state over a period.
+    """
     with style.style():
         figure = style.blank(7.2, 3.6)
         left, right = figure.subplots(1, 2)
-        _profiles(left, result)
+        of_family = isinstance((*result.optima, *result.others)[0].orbit, CosineOrbit) if result.optima else True
+        (_profiles if of_family else _orbits)(left, result)
         _starts(right, result, objective)
-        figure.suptitle(f"{result.status.value} ($N = {result.chain.sites}$; dimensionless)")
+        chain = result.model
+        words = f"$N = {chain.sites}$; dimensionless" if isinstance(chain, Chain) else chain.name
+        figure.suptitle(f"{result.status.value} ({words})")
         return style.finished(figure, (left, right), 3)
 
 
 def _profiles(axes: Axes, result: SearchResult) -> None:
     found = (*result.optima, *result.others)[:SHOWN]
-    sites = np.arange(1, result.chain.sites + 1)
     for rank, (optimum, colour) in enumerate(zip(found, style.colours(len(found)), strict=True), start=1):
         words = "" if optimum.on_family is not False else ", another family"
-        label = f"optimum {rank}: $S = {style.number(optimum.S)}$, $\\gamma = {style.number(optimum.gamma)}${words}"
-        axes.semilogy(sites, np.abs(optimum.orbit.profile), "osD^"[rank - 1], ms=4, ls="-", lw=0.7, color=colour,
-                      mfc="none" if rank > 1 else colour, label=label)  # fmt: skip
-    style.number_sites(axes, 1, result.chain.sites, "site $n$")
+        label = f"optimum {rank}: $S = {style.number(optimum.S)}$"
+        if isinstance(result.model, Chain):
+            label += f", $\\gamma = {style.number(optimum.gamma)}$"
+        profile = np.abs(optimum.orbit.profile)
+        axes.semilogy(np.arange(1, profile.size + 1), profile, "osD^"[rank - 1], ms=4, ls="-", lw=0.7, color=colour,
+                      mfc="none" if rank > 1 else colour, label=label + words)  # fmt: skip
+    if found:
+        style.number_sites(axes, 1, found[0].orbit.profile.size, "site $n$")
     axes.set_ylabel(r"$|y_n(0)|$")
+
+
+def _orbits(axes: Axes, result: SearchResult) -> None:
+    phases = np.linspace(0.0, 1.0, SAMPLES)
+    colours = style.colours(len(result.optima[:SHOWN]))
+    for rank, (optimum, colour) in enumerate(zip(result.optima[:SHOWN], colours, strict=True), start=1):
+        label = f"optimum {rank}: period {style.number(optimum.period)}"
+        axes.plot(phases, optimum.orbit.evaluate(phases * optimum.period)[:, 0], color=colour, label=label)
+    axes.set_xlabel("time / period")
+    axes.set_ylabel(result.model.state_names[0].replace("_", " "))
 
 
 def _starts(axes: Axes, result: SearchResult, objective: str) -> None:
     marks = {Ending.CONVERGED: ("o", "black", "converged"), Ending.INFEASIBLE: ("x", "0.5", "infeasible"),
              Ending.FAILED: ("+", "0.5", "not converged"), Ending.UNBOUNDED: ("^", "0.5", "ran off"),
-             Ending.INTERRUPTED: ("|", "0.5", "interrupted")}  # fmt: skip
+             Ending.INTERRUPTED: ("|", "0.5", "interrupted"), Ending.NO_OPTIMUM: ("s", "0.5", "saddle")}  # fmt: skip
     shown = [o.objective for o in (*result.optima, *result.others)]
     for ending, (marker, colour, label) in marks.items():
         points = [(o.start.number, o.solution.objective) for o in result.outcomes

@@ -1,6 +1,7 @@
-"""Space-time pictures of a time evolution: sites against time, displacement as colour (paper, Figs. 3c, 3f and 6).
+"""Pictures of a time evolution: positions against time, displacement as colour (paper, Figs. 3c, 3f and 6).
 
-The colour map is centred at 0 and its lightness rises from negative to positive, so that the sign survives in grey.
+The colour map is centred at 0 and its lightness rises from negative to positive, so that the sign survives in grey. The
+few states of a small model of first order are drawn as lines.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution
-from casadi_skin.figures.style import blank, finished, style
-from casadi_skin.figures.style import title as chain_title
+from casadi_skin.figures.style import DASHES, blank, colours, finished, plain, position_label, style
+from casadi_skin.figures.style import title as model_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +25,7 @@ COLOURS = "cividis"  # blue to grey to yellow; perceptually uniform, and the sam
 MOST_COLUMNS = 4000  # more samples than that no page resolves
 MOST_PERIODS = 100  # of the lowest linear frequency; beyond, the extent of the oscillations is shown
 WINDOWS = 200  # over which that extent is taken
+FEW = 6  # states of a model of first order that are drawn as lines
 
 
 def spacetime_figure(
@@ -34,22 +36,39 @@ def spacetime_figure(
     energy: bool = False,
     kicked_site: int | None = None,
 ) -> Figure:
-    """Displacements of all sites in time, and in long runs the largest |y_n| of 200 windows of time; dimensionless.
+    """Displacements of all positions in time, and in long runs the largest |y_n| of 200 windows of time.
 
-    `profile` adds the displacements at the first time, `energy` the relative change of the energy (see
-    `Evolution.energy_drift`), `kicked_site` a mark at that site, from 1. Where the samples are too far apart to show
-    the oscillation, the axis says so. Raises ValueError for `energy` where the evolution has none.
+    Of a model of first order its states, those of one with few as lines. Where the samples are too far apart to show
+    the oscillation, the axis says so.
+
+    Arguments:
+        evolution: of any model.
+        title: stands before the model in the title.
+        profile: whether the displacements at the first time stand beside the picture.
+        energy: whether the relative change of the energy (see `Evolution.energy_drift`) stands below it, where the
+            model declares one.
+        kicked_site: number of the position to mark, from 1.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the energy cannot be evaluated, as at |gamma| = 1 of a chain where sites off the edge move.
     """
+    energy, few = energy and evolution.has_energy, _has_few_states(evolution)
+    profile = profile and not few
     with style():
         figure = blank(6.4 + 1.1 * profile, 3.4 + 1.1 * energy)
         widths, heights = ([1.0, 6.0] if profile else [1.0]), ([3.0, 1.0] if energy else [1.0])
         grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
         main = last = figure.add_subplot(grid[0, -1])
-        image = draw_spacetime(main, evolution)
-        extent = f"largest $|y_n|$ in windows of {_window(evolution):.3g}"
-        label = extent if _is_long(evolution) else "displacement $y_n(t)$"
-        beyond = bool(np.abs(evolution.displacements).max() > _largest(evolution))
-        figure.colorbar(image, ax=main, label=label, aspect=22, pad=0.02, extend="both" if beyond else "neither")
+        if few:
+            _draw_states(main, evolution)
+        else:
+            image = draw_spacetime(main, evolution)
+            beyond = bool(np.abs(_shown(evolution)).max() > _largest(evolution))
+            extend = "both" if beyond else "neither"
+            figure.colorbar(image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend)
         if profile:
             _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
         if energy:
@@ -57,47 +76,78 @@ def spacetime_figure(
             _draw_energy(last, evolution)
             main.tick_params(labelbottom=False)
         last.set_xlabel(_time_label(evolution))
-        if kicked_site is not None:
+        if kicked_site is not None and not few:
             main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
-        figure.suptitle("; ".join(words for words in (title, chain_title(evolution.chain)) if words))
-        return finished(figure, (), 1)
+        model = model_title(evolution.model, evolution.parameters)
+        figure.suptitle("; ".join(words for words in (title, model) if words))
+        return finished(figure, (main,) if few else (), FEW)
+
+
+def _has_few_states(evolution: Evolution) -> bool:
+    return not evolution.equations.positions and evolution.states.shape[1] <= FEW
+
+
+def _shown(evolution: Evolution) -> Array:
+    """What the colours are: displacements, or the states of a model of first order."""
+    return evolution.displacements if evolution.equations.positions else evolution.states
+
+
+def _colour_label(evolution: Evolution) -> str:
+    symbol = "y" if evolution.equations.positions else "x"
+    if _is_long(evolution):
+        return f"largest $|{symbol}_n|$ in windows of {_window(evolution):.3g}"
+    return f"{'displacement' if symbol == 'y' else 'state'} ${symbol}_n(t)$"
+
+
+def _draw_states(axes: Axes, evolution: Evolution) -> None:
+    """The few states as lines, in long runs as the range that each has in each window of time."""
+    names, t = evolution.names, evolution.t
+    for x, name, colour, dashes in zip(evolution.states.T, names, colours(len(names)), DASHES, strict=False):
+        if _is_long(evolution):
+            edges, low, high = _extent(t, x[:, None])
+            axes.stairs(high[:, 0], edges, baseline=low[:, 0], fill=True, color=colour, alpha=0.5, label=plain(name))
+        else:
+            axes.plot(t, x, color=colour, ls=dashes, lw=1.2, label=plain(name))
+    words = f"range of states in windows of {_window(evolution):.3g}" if _is_long(evolution) else "states"
+    axes.set(xlim=(t[0], t[-1] if t.size > 1 else t[0] + 1.0), ylabel=words)
 
 
 def draw_spacetime(axes: Axes, evolution: Evolution) -> QuadMesh:
-    """Displacements as colour, time to the right and sites upwards; the returned image takes a colour bar."""
+    """Displacements as colour, time to the right and positions upwards; the returned image takes a colour bar."""
     from matplotlib.ticker import MaxNLocator
 
-    sites, largest = evolution.chain.sites, _largest(evolution)
+    shown, largest = _shown(evolution), _largest(evolution)
     lowest = -largest
     if _is_long(evolution):
-        edges, low, high = _extent(evolution.t, evolution.displacements)
+        edges, low, high = _extent(evolution.t, shown)
         y, lowest = np.maximum(-low, high), 0.0
     else:
         every = -(-evolution.t.size // MOST_COLUMNS)
-        edges, y = _edges(evolution.t[::every]), evolution.displacements[::every]
-    places = np.arange(sites + 1) + 0.5
+        edges, y = _edges(evolution.t[::every]), shown[::every]
+    places = np.arange(shown.shape[1] + 1) + 0.5
     image = axes.pcolormesh(edges, places, y.T, cmap=COLOURS, vmin=lowest, vmax=largest, rasterized=True)
-    axes.set(xlim=(edges[0], edges[-1]), ylim=(places[0], places[-1]), ylabel="site $n$")
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(places[0], places[-1]), ylabel=_rows_label(evolution))
     axes.tick_params(top=False, right=False, direction="out")
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1, steps=[1, 2, 4, 5, 10]))
     return image
 
 
+def _rows_label(evolution: Evolution) -> str:
+    return position_label(evolution.model) if evolution.equations.positions else "state $n$"
+
+
 def _largest(evolution: Evolution) -> float:
-    """Displacement of the brightest colour; with g < 0 at most the top of a site's well, beyond which it escapes."""
-    chain, largest = evolution.chain, float(np.abs(evolution.displacements).max()) or 1.0
-    if chain.g < 0 and chain.alpha > -2.0:
-        largest = min(largest, float(np.sqrt((2.0 + chain.alpha) / -chain.g)))
-    return largest
+    """What the brightest colour is: at most the edge of a position's well, beyond which it escapes."""
+    return min(float(np.abs(_shown(evolution)).max()) or 1.0, evolution.equations.well)
 
 
 def _draw_profile(axes: Axes, evolution: Evolution) -> None:
-    """Displacements at the first time beside the sites that they belong to."""
-    y = evolution.displacements[0]
+    """Displacements at the first time beside the positions that they belong to."""
+    y = _shown(evolution)[0]
     n = np.arange(1, y.size + 1)
     axes.axvline(0.0, color="0.45", lw=0.5)
     axes.plot(y, n, marker="o" if y.size <= 60 else "", ms=2.5, lw=0.8, color="black")
-    axes.set_xlabel(f"$y_n({evolution.t[0]:g})$")
+    axes.set_xlabel(f"${'y' if evolution.equations.positions else 'x'}_n({evolution.t[0]:g})$")
     axes.xaxis.set_label_position("top")
     axes.tick_params(labelleft=False, labelbottom=False, labeltop=True)
     axes.margins(x=0.15)
@@ -122,9 +172,15 @@ def _draw_energy(axes: Axes, evolution: Evolution) -> None:
 
 def _is_long(evolution: Evolution) -> bool:
     """Whether there are too many oscillations to show, and samples enough to show their extent."""
-    lowest = np.sqrt(max(evolution.chain.band()[0], 0.0))
-    periods = lowest * (evolution.t[-1] - evolution.t[0]) / (2.0 * np.pi)
-    return bool(periods > MOST_PERIODS and evolution.t.size >= 5 * WINDOWS)
+    if evolution.t.size < 5 * WINDOWS:
+        return False
+    frequencies = evolution.equations.linear_frequencies
+    if frequencies is not None:
+        periods = frequencies[0] * (evolution.t[-1] - evolution.t[0]) / (2.0 * np.pi)
+    else:  # as often as the states pass their means upwards, the fewest times
+        above = evolution.states > evolution.states.mean(axis=0)
+        periods = float(np.min(np.count_nonzero(above[1:] & ~above[:-1], axis=0)))
+    return bool(periods > MOST_PERIODS)
 
 
 def _window(evolution: Evolution) -> float:
@@ -154,8 +210,7 @@ def _edges(t: Array) -> Array:
 
 def _time_label(evolution: Evolution) -> str:
     """The label of the time axis, with a warning where the fastest linear mode has less than 4 samples a period."""
-    apart = float(np.max(np.diff(evolution.t), initial=0.0))
-    fastest = np.sqrt(max(evolution.chain.band()[1], 0.0))
-    if fastest * apart > 0.5 * np.pi and not _is_long(evolution):
+    apart, frequencies = float(np.max(np.diff(evolution.t), initial=0.0)), evolution.equations.linear_frequencies
+    if frequencies is not None and frequencies[1] * apart > 0.5 * np.pi and not _is_long(evolution):
         return f"time $t$ (samples {apart:.3g} apart: oscillations are not resolved)"
     return "time $t$"

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -20,8 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.typing import RcStyleType
 
     from casadi_skin.orbits.branch import Branch
+    from casadi_skin.orbits.family import Family
 
+MOST_VALUES = 6  # of parameters in a title
 AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
+
+DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
+                           (0, (1.0, 3.0)))  # fmt: skip
 
 
 def style() -> AbstractContextManager[None]:
@@ -71,9 +76,28 @@ def number(value: float, digits: int = 6) -> str:
     return rf"{mantissa}\times 10^{{{int(exponent)}}}" if exponent else mantissa
 
 
-def title(chain: Chain) -> str:
-    values = (("N", chain.sites), (r"\alpha", chain.alpha), (r"\gamma", chain.gamma), ("g", chain.g))
-    return ", ".join(f"${name} = {number(value)}$" for name, value in values) + " (dimensionless)"
+def plain(name: str) -> str:
+    """A name that a user chose, without mathematics in it."""
+    return name.replace("$", r"\$")
+
+
+def title(model: Any, parameters: Mapping[str, float] | None = None, name: str = "") -> str:
+    """A model in words: symbols and values of one that has symbols, as a chain, else its name and parameters.
+
+    `name` stands in place of the name of an `OdeModel`; parameters that are None are its nominal ones.
+    """
+    if not isinstance(model, OdeModel):
+        return ", ".join(f"${symbol} = {number(value)}$" for symbol, value in model.labels) + " (dimensionless)"
+    if parameters is None:
+        parameters = dict(zip(model.parameter_names, model.nominal or (), strict=False))
+    known = [(key, parameters[key]) for key in model.parameter_names if key in parameters][:MOST_VALUES]
+    values = ", ".join(f"{plain(key)} = ${number(value)}$" for key, value in known)
+    return ": ".join(words for words in (plain(name or model.name), values) if words)
+
+
+def position_label(model: Any) -> str:
+    """What the positions of a model are called along an axis."""
+    return "position $n$" if isinstance(model, OdeModel) else "site $n$"
 
 
 def colours(count: int) -> Array:
@@ -83,11 +107,32 @@ def colours(count: int) -> Array:
     return np.asarray(colormaps["viridis"](np.linspace(0.05 if count > 1 else 0.4, 0.8, count)))
 
 
-def common_chain(branches: Sequence[Branch]) -> Chain:
-    chains = {branch.tools.request.chain for branch in branches}
-    if len(chains) != 1:
-        raise ValueError(f"branches: given branches of {len(chains)} chains; accepted: one or more, all of one chain")
-    return chains.pop()
+def common_model(branches: Sequence[Branch]) -> tuple[Any, Mapping[str, float]]:
+    """The model of families and its parameters; raises ValueError where it is not one."""
+    models = {(b.space.model, tuple(family(b).coordinates.parameters.items())) for b in branches}
+    if len(models) != 1:
+        raise ValueError(f"branches: given branches of {len(models)} models; accepted: one or more, all of one model")
+    model, parameters = models.pop()
+    return model, dict(parameters)
+
+
+def family(branch: Branch) -> Family:
+    """What a family's orbits belong to; raises ValueError for another branch."""
+    from casadi_skin.orbits.family import Family
+
+    if not isinstance(branch.space, Family):
+        raise ValueError(f"branches: given a branch in {branch.parameter}; accepted: families")
+    return branch.space
+
+
+def amplitude_label(model: Any) -> str:
+    """What S is called along an axis."""
+    return AMPLITUDE if is_sum_of_squares(model) else "amplitude $S$"
+
+
+def is_sum_of_squares(model: Any) -> bool:
+    """Whether S is the sum of squares of the positions, as in every model without a normalisation of its own."""
+    return not isinstance(model, OdeModel) or model.normalisation is None
 
 
 def number_sites(axes: Axes, first: int, last: int, label: str) -> None:

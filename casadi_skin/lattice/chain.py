@@ -9,15 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin import methods
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.spectrum import LinearSpectrum, of_norm_one
 from casadi_skin.theory import linear
 from casadi_skin.theory.linear import Array
+
+if TYPE_CHECKING:
+    from casadi_skin.dynamics.equations import EquationsOfMotion
+    from casadi_skin.orbits.coordinates import Coordinates
+    from casadi_skin.orbits.method import Method
 
 FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
 
@@ -42,7 +49,7 @@ class Chain:
 
     def __post_init__(self) -> None:
         if self.sites != np.inf and (not _is_whole(self.sites) or self.sites < 1):
-            raise ValueError(f"sites: given {shown(self.sites)}; accepted: a whole number >= 1, or inf")
+            raise ValueError(f"sites: given {short_repr(self.sites)}; accepted: a whole number >= 1, or inf")
         for name in ("alpha", "gamma", "g"):
             number(name, getattr(self, name))
         if abs(self.gamma) > 1:
@@ -126,6 +133,19 @@ class Chain:
         """Left eigenvector of D in closed form, largest envelope 1, shape (sites,)."""
         return linear.left_eigenvector(self.sites, self.gamma, mode)
 
+    def linear_spectrum(self) -> LinearSpectrum:
+        """Squared frequencies and modes in closed form; of an infinite chain the ends of its band alone."""
+        if self.infinite:
+            return LinearSpectrum(np.empty(0), self.band(), lambda _: np.empty(0), self.band())
+        squares = linear.squared_frequency(self.sites, self.alpha, self.gamma, np.arange(1, self.sites + 1))
+        ends = float(squares[0]), float(squares[-1])
+        return LinearSpectrum(squares, ends, lambda j: of_norm_one(self.right_eigenvector(j)), self.band())
+
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        """Symbols in TeX and values that tell chains apart, for titles."""
+        return ("N", self.sites), (r"\alpha", self.alpha), (r"\gamma", self.gamma), ("g", self.g)
+
     def diagonalise(self) -> tuple[Array, Array]:
         """Squared frequencies (ascending) and right eigenvectors (columns) by diagonalisation in the gauge.
 
@@ -137,6 +157,16 @@ class Chain:
             np.full(self.sites, 2.0 + self.alpha), np.full(self.sites - 1, -self.coupling)
         )
         return np.asarray(values, dtype=float), np.asarray(self.rho[:, None] * vectors)
+
+    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
+        """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
+        coordinates: Coordinates = methods.TASKS["chain_coordinates"].load()(self, mode, amplitude_max, method)
+        return coordinates
+
+    def equations_of_motion(self) -> EquationsOfMotion:
+        """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
+        equations: EquationsOfMotion = methods.TASKS["chain_equations"].load()(self)
+        return equations
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 
@@ -172,7 +202,8 @@ class Chain:
         energy = ca.dot(v, v) / 2 - ca.dot(q, linear_part) / 2 + kappa * ca.dot(w, q**4) / 4
         return OdeModel(
             "gauge chain", q, linear_part - kappa * w * q**3, kappa, 2, v,
-            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, shown=tuple(self.rho), **self._signs(self.sites),
+            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, output_scale=tuple(self.rho),
+            **self._signs(self.sites),
         )  # fmt: skip
 
     @staticmethod

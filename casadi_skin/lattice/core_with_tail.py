@@ -1,34 +1,39 @@
-"""A long chain as the nonlinear core at its edge, with the linear tail known in closed form."""
+"""Coordinates of a long chain's edge mode: the nonlinear core at its edge, and the linear tail in closed form."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.full_chain import projected, unit_mode
+from casadi_skin.lattice.full_chain import ChainCoordinates
+from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
+from casadi_skin.orbits.coordinates import normalised
+from casadi_skin.theory import multiple_scales
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
+LONGEST_WHOLE = 5000  # sites of a chain whose stability is computed: all of them take part
 
 
-@dataclass(frozen=True)
-class CoreWithTail:
+class CoreWithTail(ChainCoordinates):
     """A core of nonlinear sites at the edge that the modes lean to; the rest is linear and eliminated.
 
     Unknowns are those of the chain seen from its other end where gamma < 0. Sites are numbered from 1; those of an
-    infinite chain with gamma >= 0 end with site 0.
+    infinite chain with gamma >= 0 end with site 0. `edge` is that of the band: +1 for the lowest mode, -1 for the
+    highest.
     """
 
-    chain: Chain
-    core: Chain
-    edge: int  # of the band: +1 for the lowest mode, -1 for the highest
+    def __init__(self, chain: Chain, core_sites: int, mode: int) -> None:
+        super().__init__(chain, replace(chain, sites=core_sites, gamma=abs(chain.gamma)), mode)
+        self.edge = -1 if chain.g > 0 else 1
 
     @property
     def tail(self) -> Tail:
@@ -39,29 +44,81 @@ class CoreWithTail:
         """The unknown in place of Omega."""
         return TailParameter(self.tail, self.edge, harmonics)
 
+    def transcription(self, resolution: int) -> Problem:
+        return CoreWithTailProblem(self.scaled, resolution, self.parameter(resolution))
+
+    @property
+    def is_whole(self) -> bool:
+        return False
+
+    def check_whole(self) -> None:
+        """Raises ValueError where the sites are too many for the stability of all."""
+        if self.chain.sites > LONGEST_WHOLE:
+            raise ValueError(
+                f"sites: given {self.chain.sites}; stability is that of all sites, accepted: up to {LONGEST_WHOLE}"
+            )
+
+    def on_all_sites(self, problem: Problem, z: Array) -> Array:
+        """The unknowns of the same orbit with odd cosines at every site of a finite chain."""
+        theta = (np.arange(problem.resolution) + 0.5) * np.pi / (2 * problem.resolution)
+        positions = self.positions(problem, z, theta)
+        return np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
+
+    @property
+    def description(self) -> str:
+        sites = f"{self.core.sites} sites at the edge, where the cubic term is felt"
+        return f"the gauge; unknown are {sites}, and the linear tail is eliminated exactly"
+
+    def regime(self, point: Point) -> Regime:
+        """Whether Omega, or three times it, is pinned to the band."""
+        assert isinstance(point.problem, CoreWithTailProblem)
+        return point.problem.regime(point.z)
+
+    @cached_property
+    def threshold(self) -> float:
+        """S at which the end breather of the infinite chain is born."""
+        return float(methods.TASKS["threshold"].load()(self.chain))
+
     @cached_property
     def _signs(self) -> Array:
         """Of the band edge's mode: e^m at distance m from the edge, first site of the core first."""
         return np.where(np.arange(self.core.sites)[::-1] % 2 == 0, 1.0, float(self.edge))
 
-    @property
+    @cached_property
     def mode(self) -> Array:
         m = np.arange(self.core.sites, 0, -1)
         finite = np.isfinite(self.chain.sites)
         q = np.sin(m * np.pi / (self.chain.sites + 1)) if finite else m.astype(float)
-        return unit_mode(self.core, self._signs * q)
+        return normalised(self._signs * q, self.core.rho)
 
     @property
-    def start(self) -> float:
-        """u of the linear mode."""
+    def linear_profile(self) -> tuple[Array, Array]:
+        u = self.core.rho * self.mode
+        u = u if self.chain.gamma >= 0 else u[::-1]
+        u = u * np.sign(u[np.argmax(np.abs(u))])
+        return np.log10(np.abs(u) / np.linalg.norm(u)), np.sign(u)
+
+    @property
+    def frequency(self) -> float:
+        return self.chain.linear_frequency(self.mode_number)
+
+    @property
+    def start_unknown(self) -> float:
         m = float(self.core.sites)
         if not np.isfinite(self.chain.sites):
             return self.parameter(2).at(float(np.arctan2(m + 1.0, m)))
         theta = np.pi / (self.chain.sites + 1)
         return self.parameter(2).at(float(np.arctan2(np.sin((m + 1.0) * theta), np.sin(m * theta))))
 
+    def first_order_frequency(self, S: Array) -> Array | None:
+        chain = self.chain
+        if chain.infinite:
+            return None
+        parameters = (chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number)
+        return np.asarray(multiple_scales.frequency(*parameters, S))
+
     @property
-    def shown(self) -> Indices:
+    def output_sites(self) -> Indices:
         core, N = np.arange(1, self.core.sites + 1), self.chain.sites
         if self.chain.gamma < 0:
             return core
@@ -73,7 +130,7 @@ class CoreWithTail:
         """Distances of sites from the edge that the modes lean to; raises ValueError for sites that are not there."""
         N, towards_last = self.chain.sites, self.chain.gamma >= 0
         if sites is None:
-            sites = np.arange(1, N + 1) if np.isfinite(N) else self.shown
+            sites = np.arange(1, N + 1) if np.isfinite(N) else self.output_sites
         last = N if np.isfinite(N) else 0
         distances = np.asarray(last - sites if towards_last else sites - 1, dtype=np.int64)
         if distances.size and (distances.min() < 0 or distances.max() >= N):
@@ -103,7 +160,7 @@ class CoreWithTail:
         q[:, ~inside] = harmonics @ self.tail_coefficients(problem, z, m[~inside] - self.core.sites + 1)
         return q
 
-    def log_positions(self, problem: Problem, z: Array, m: Indices) -> tuple[Array, Array]:
+    def _log_tail(self, problem: Problem, z: Array, m: Indices) -> tuple[Array, Array]:
         """Natural logarithms of |q_n| at phase zero at distances m from the edge, and signs; -inf and 0 in the core."""
         steps = m[m >= self.core.sites] - self.core.sites + 1
         logs, signs = np.full(m.size, -np.inf), np.zeros(m.size)
@@ -115,6 +172,18 @@ class CoreWithTail:
                 logs[m >= self.core.sites] = largest + np.log(np.abs(total))
             signs[m >= self.core.sites] = np.sign(total)
         return logs, signs
+
+    def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
+        return continued_logarithms(self.core, point, z, smallest)
+
+    def log_displacements(
+        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
+    ) -> tuple[Array, Array]:
+        m = self.distances(sites)
+        inside, place = m < self.core.sites, self.core.sites - 1 - m
+        logs, signs = self._log_tail(point.problem, point.z, m)
+        logs[inside], signs[inside] = solved[0][place[inside]], solved[1][place[inside]]
+        return logs - np.arctanh(abs(self.chain.gamma)) * m, signs
 
     def tail_coefficients(self, problem: Problem, z: Array, steps: Indices) -> Array:
         """Coefficients of cos((2 h + 1) theta), `steps` sites beyond the core's first, shape (harmonics, steps)."""
@@ -144,14 +213,14 @@ class CoreWithTail:
 
     # Sums over all sites --------------------------------------------------------------------------------------------
 
-    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
+    def energy(self, problem: Problem, z: Array) -> float:
         """Infinite where an infinite tail moves along, as below the threshold.
 
         In the tail L a_k = (k Omega)^2 a_k: products of two harmonics add up to a term at its end (Green's identity).
         """
         assert isinstance(problem, CoreWithTailProblem)
         q, values = problem.sample(z, np.zeros(1))[0], problem.values(z)
-        core = float(hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
+        core = float(self._hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
         s, first = self.chain.coupling, problem.coefficients(z)[0]
         beside = first * values.across / values.down
         squares = ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
@@ -177,7 +246,7 @@ class CoreWithTail:
             return 0.0
         m = np.arange(self.core.sites, 0, -1)
         phi = self._signs * np.sin(m * theta)
-        cubic, overlap, _ = projected(problem, z, self.core, phi)
+        cubic, overlap, _ = self.projected(problem, z, phi)
         first = problem.coefficients(z)[0, 0] * self._signs[0] / np.sin(self.tail.sites * wave.theta)
         overlap += float(first) * _product_sum(int(self.tail.sites) - 1, wave.theta, theta)
         return float(float(z[problem.parameter_index]) * cubic / overlap / (values.Omega + omega))

@@ -1,117 +1,148 @@
-"""Where the sites of a chain are in the unknowns of its orbits: all of them, the edge alone, or a core with a tail."""
+"""Coordinates of the families of a chain in its gauge: all of its sites, or at |gamma| = 1 the edge site alone."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.log_profile import continued_logarithms
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.coordinates import Coordinates, normalised, numbered, quarter_phases, shift_by_projection
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.theory import multiple_scales
 from casadi_skin.theory.linear import standing_wave
 
 
-class Layout(Protocol):
-    """How the scaled gauge positions of a family's `core` belong to the sites of its chain."""
+class ChainCoordinates(Coordinates):
+    """What all coordinates of a chain share: the gauge of a `core`, whose equations are solved, and kappa = g S."""
+
+    def __init__(self, chain: Chain, core: Chain, mode: int) -> None:
+        self.chain, self.core, self.mode_number = chain, core, mode
+
+    @cached_property
+    def scaled(self) -> OdeModel:
+        return self.core.gauge_model()
 
     @property
-    def core(self) -> Chain:
-        """The chain whose equations are solved."""
-        ...
+    def log_scale(self) -> Array:
+        return self.core.log_rho
+
+    def parameter_of(self, S: float) -> float:
+        return self.chain.g * S
+
+    def S_of(self, parameter: float) -> float:
+        return parameter / self.chain.g
+
+    @cached_property
+    def model(self) -> OdeModel:
+        return self.chain.tunable_model()
 
     @property
-    def mode(self) -> Array:
-        """The linear mode at the core's sites with sum_n w_n q_n^2 = 1, shape (core sites,)."""
-        ...
+    def parameters(self) -> Mapping[str, float]:
+        return {"alpha": self.chain.alpha, "gamma": self.chain.gamma, "g": self.chain.g}
 
     @property
-    def shown(self) -> Indices:
-        """Numbers of the sites that files and pictures show."""
-        ...
+    def description(self) -> str:
+        return "the gauge, in which the chain is symmetric; every site is an unknown"
 
-    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
-        """rho_n q_n at phases theta of the sites numbered, all by default, shape (len(theta), sites)."""
-        ...
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        return {"sites": self.chain.sites, **self.parameters}
 
-    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
-        """Energy of the scaled gauge positions at phase zero, where all velocities vanish."""
-        ...
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        return self.chain.labels
 
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        """Omega - omega_j, formed without subtraction where the shift is small."""
-        ...
+    def band(self) -> tuple[float, float]:
+        return self.chain.band()
 
+    def projected(self, problem: Problem, z: Array, phi: Array) -> tuple[float, float, float]:
+        """Fundamental of the cubic term and of the positions projected on a mode at the core, and the latter's size.
 
-def unit_mode(core: Chain, q: Array) -> Array:
-    """q scaled to sum_n w_n q_n^2 = 1, largest displacement positive."""
-    q = q / np.sqrt(np.sum(core.weights * q**2))
-    return np.asarray(q * np.sign(q[np.argmax(np.abs(core.rho * q))]))
-
-
-def _numbered(sites: Indices | None, count: int) -> Indices:
-    """Indices of sites numbered from 1; raises ValueError for sites that are not there."""
-    if sites is None:
-        return np.arange(count)
-    if sites.size and (sites.min() < 1 or sites.max() > count):
-        raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: 1 to {count}")
-    return np.asarray(sites - 1, dtype=np.int64)
+        In the equations of the fundamental their ratio is (Omega^2 - omega_j^2)/kappa, with no cancellation.
+        """
+        nodes = max(32, 2 * problem.resolution)
+        theta = quarter_phases(nodes)
+        q, cosine = problem.sample(z, theta), np.cos(theta)
+        fundamental = (2.0 / nodes) * (cosine @ q)
+        cubic = (2.0 / nodes) * float(cosine @ (self.core.weights * q**3) @ phi)
+        return cubic, float(fundamental @ phi), float(np.linalg.norm(fundamental) * np.linalg.norm(phi))
 
 
-def projected(problem: Problem, z: Array, core: Chain, phi: Array) -> tuple[float, float, float]:
-    """Fundamental of the cubic term and of the positions projected on a mode at the core, and the latter's size.
-
-    In the equations of the fundamental their ratio is (Omega^2 - omega_j^2)/kappa, with no cancellation.
-    """
-    nodes = max(32, 2 * problem.resolution)
-    theta = (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
-    q, cosine = problem.sample(z, theta), np.cos(theta)
-    fundamental = (2.0 / nodes) * (cosine @ q)
-    cubic = (2.0 / nodes) * float(cosine @ (core.weights * q**3) @ phi)
-    return cubic, float(fundamental @ phi), float(np.linalg.norm(fundamental) * np.linalg.norm(phi))
-
-
-@dataclass(frozen=True)
-class FullChain:
+class FullChain(ChainCoordinates):
     """Every site is an unknown."""
 
-    core: Chain
-    mode_number: int
+    def __init__(self, chain: Chain, mode: int) -> None:
+        super().__init__(chain, chain, mode)
+
+    @cached_property
+    def mode(self) -> Array:
+        return normalised(standing_wave(self.core.sites, self.mode_number), self.core.rho)
+
+    @property
+    def linear_profile(self) -> tuple[Array, Array]:
+        wave = standing_wave(self.chain.sites, self.mode_number)
+        sizes = np.where(np.abs(wave) > 1e-13, np.abs(wave), 0.0)
+        with np.errstate(divide="ignore"):
+            logs = (np.log(sizes) + self.chain.log_rho) / np.log(10.0)
+        signs = np.sign(wave) * np.sign(self.mode[np.argmax(np.abs(wave))] * wave[np.argmax(np.abs(wave))])
+        return logs - np.log10(np.linalg.norm(self.chain.right_eigenvector(self.mode_number))), signs
+
+    @cached_property
+    def frequency(self) -> float:
+        return self.core.linear_frequency(self.mode_number)
+
+    def first_order_frequency(self, S: Array) -> Array:
+        chain = self.chain
+        parameters = (chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number)
+        return np.asarray(multiple_scales.frequency(*parameters, S))
+
+    def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
+        return continued_logarithms(self.core, point, z, smallest)
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        phi = standing_wave(self.core.sites, self.mode_number)
+        cubic, overlap, size = self.projected(problem, z, phi)
+        nonlinear = float(z[problem.parameter_index]) * cubic
+        return shift_by_projection(problem.frequency(z), self.frequency, nonlinear, overlap, size)
+
+
+class EdgeSite(ChainCoordinates):
+    """At |gamma| = 1 the edge site moves by itself, and the others rest."""
+
+    def __init__(self, chain: Chain, mode: int) -> None:
+        super().__init__(chain, Chain(1, chain.alpha, 0.0, chain.g), mode)
+        self._alone = FullChain(self.core, 1)
 
     @property
     def mode(self) -> Array:
-        return unit_mode(self.core, standing_wave(self.core.sites, self.mode_number))
+        return self._alone.mode
 
     @property
-    def shown(self) -> Indices:
-        return np.arange(1, self.core.sites + 1)
-
-    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
-        chosen = _numbered(sites, self.core.sites)
-        return np.asarray((self.core.rho * problem.sample(z, theta))[:, chosen])
-
-    def energy(self, problem: Problem, z: Array, hamiltonian: ca.Function) -> float:
-        q = problem.sample(z, np.zeros(1))[0]
-        return float(hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
-
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        Omega, omega = problem.frequency(z), self.core.linear_frequency(self.mode_number)
-        cubic, overlap, size = projected(problem, z, self.core, standing_wave(self.core.sites, self.mode_number))
-        by_projection = float(z[problem.parameter_index]) * cubic / overlap / (Omega + omega)
-        subtraction_is_better = 100.0 * size / abs(overlap) * abs(by_projection) > omega
-        return Omega - omega if subtraction_is_better else by_projection
-
-
-@dataclass(frozen=True)
-class EdgeSite(FullChain):
-    """At |gamma| = 1 the edge site moves by itself, and the others rest."""
-
-    chain: Chain
+    def linear_profile(self) -> tuple[Array, Array]:
+        logs, signs = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
+        logs[self.edge], signs[self.edge] = 0.0, 1.0
+        return logs, signs
 
     @property
-    def shown(self) -> Indices:
+    def frequency(self) -> float:
+        return self._alone.frequency
+
+    def first_order_frequency(self, S: Array) -> Array:
+        return self._alone.first_order_frequency(S)
+
+    @property
+    def output_sites(self) -> Indices:
         return np.arange(1, self.chain.sites + 1)
+
+    @property
+    def description(self) -> str:
+        return "the edge site alone: at |gamma| = 1 no other site moves in the gauge"
 
     @property
     def edge(self) -> int:
@@ -119,7 +150,31 @@ class EdgeSite(FullChain):
         return self.chain.sites - 1 if self.chain.gamma > 0 else 0
 
     def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
-        chosen = _numbered(sites, self.chain.sites)
+        chosen = numbered(sites, self.chain.sites)
         everywhere = np.zeros((theta.size, chosen.size))
         everywhere[:, chosen == self.edge] = self.core.rho * problem.sample(z, theta)
         return everywhere
+
+    def log_displacements(
+        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
+    ) -> tuple[Array, Array]:
+        moves = numbered(sites, self.chain.sites) == self.edge
+        return np.where(moves, solved[0][0], -np.inf), np.where(moves, solved[1][0], 0.0)
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        return self._alone.Omega_shift(problem, z)
+
+    def with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
+        """The other sites are linear oscillators that nothing drives in the gauge: no growth of the Jordan block."""
+        resting = self.chain.sites - 1
+        if resting == 0:
+            return floquet
+        phase = 0.5 * np.pi * self.chain.linear_frequency(1) / point.Omega
+        off = phase * point.error.Omega / point.Omega
+        error = abs(np.sin(2.0 * phase)) * off + off**2 + np.finfo(float).eps
+        mu = np.full(resting, -(np.sin(phase) ** 2), complex)
+        return ReversibleFloquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
+
+    @property
+    def without_vectors(self) -> str:
+        return "at |gamma| = 1 the vectors form Jordan chains that the gauge does not have"

@@ -1,40 +1,32 @@
-"""Profiles in logarithms: displacements far below the smallest double, in the gauge and out of it.
+"""Displacements far below the smallest double, as logarithms.
 
-Faint sites of the gauge are solved anew, so that they are accurate relative to themselves. Where the gauge itself runs
-out of numbers its sites are linear, each odd harmonic k is by itself, s (a_(d-1) + a_(d+1)) = (2 + alpha -
-k^2 Omega^2) a_d with a_0 = 0, and it goes on in closed form: a_d ~ sin(d theta) in the band, sinh(d kappa) beside it.
+Where the gauge runs out of numbers its sites are linear, each odd harmonic k is by itself, s (a_(d-1) + a_(d+1)) =
+(2 + alpha - k^2 Omega^2) a_d with a_0 = 0, and it goes on in closed form: a_d ~ sin(d theta) in the band and
+sinh(d kappa) beside it.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.solvers.bordered import SingularError
+from casadi_skin.continuation.points import Point
+from casadi_skin.lattice.chain import Chain
 
-if TYPE_CHECKING:
-    from casadi_skin.continuation.points import Point
-    from casadi_skin.orbits.tools import FamilyTools
-
-FAINT = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
 SMALLEST = 1e-250  # of the largest state: below it doubles run out
 LINEAR = 1e-16  # of the coupling: a stiffness of the cubic term that is round-off
 KEPT = 1e-9  # of the largest harmonic at a site: below it a harmonic is what the others leave of it
 GAUSS_HARMONICS = 32
 
 
-def log_positions(tools: FamilyTools, point: Point) -> tuple[Array, Array]:
+def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
     """Natural logarithms of |q_n| at t = 0 in the gauge, and the signs, each (core sites,); -inf and 0 where q_n = 0.
 
-    With odd cosines right to a few digits at every site, however faint; other transcriptions are taken as they are
-    down to 1e-7 of the largest state and go on in closed form from there.
+    Sites below `smallest` times the largest are computed in closed form from those above.
     """
-    problem, core = point.problem, tools.core
-    z, smallest = _solved_anew(tools, point)
+    problem = point.problem
     harmonics = problem.resolution if isinstance(problem, TrigonometricProblem) else GAUSS_HARMONICS
     theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
     start, values = np.split(problem.sample(z, np.concatenate([[0.0], theta])), [1])
@@ -55,32 +47,6 @@ def log_positions(tools: FamilyTools, point: Point) -> tuple[Array, Array]:
         coefficients = (2.0 / harmonics) * cosine_matrix(harmonics) @ values[:, order][:, tail]
     logs[order][:tail], signs[order][:tail] = _continued(coefficients, point.Omega, core.alpha, core.coupling, tail)
     return logs, signs
-
-
-def _solved_anew(tools: FamilyTools, point: Point) -> tuple[Array, float]:
-    """Unknowns with the faint ones accurate relative to themselves; and how faint, of the largest, they may be used.
-
-    They are left out of the guess of a Newton step, which then does not correct them but solves for them.
-    """
-    problem, point_solver = point.problem, tools.point_solver
-    if not isinstance(problem, TrigonometricProblem):
-        return point.z, FAINT
-    states = np.abs(point.z[: problem.states])
-    faint = np.flatnonzero(states < FAINT * np.max(states))
-    if faint.size == 0:
-        return point.z, SMALLEST
-    guess = point.z.copy()
-    guess[faint] = 0.0
-    row = point_solver.metric(problem, point.z) * point.tangent
-    residual, nonzeros = problem.evaluate(guess)
-    try:
-        solve = tools.levels.solver(problem).factor(guess, nonzeros, row)
-    except SingularError:
-        return point.z, FAINT
-    step = solve(np.append(residual, row @ (guess - point.z)))
-    z = point.z.copy()
-    z[faint] = -step[faint]
-    return z, SMALLEST
 
 
 def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, tail: int) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.tail import EDGE_ANGLE
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 from casadi_skin.threads import one_thread
 
 TOLERANCE = 1e-12
@@ -22,7 +22,7 @@ LARGEST_S = 1e4  # up to which a threshold is looked for
 def threshold(chain: Chain) -> float:
     """S_c at which the end breather of the infinite chain is born: Omega leaves the band edge that it was pinned to.
 
-    Depends on alpha, gamma and g alone. Raises ValueError where there is no such family (see `FamilyRequest.tail`), and
+    Depends on alpha, gamma and g alone. Raises ValueError where there is no such family (see `chain_coordinates`), and
     ArithmeticError where it is not found.
     """
     amplitude_max = 1.0
@@ -38,21 +38,21 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     """S_c, or None where it is not below `amplitude_max`."""
     infinite = replace(chain, sites=math.inf)  # type: ignore[arg-type]
     mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
-    tools = FamilyTools(FamilyRequest(infinite, mode, amplitude_max, (), TOLERANCE, corrector="newton"))
-    layout, last = tools.layout, tools.start
-    assert isinstance(layout, CoreWithTail)
-    born = layout.parameter(2).at(EDGE_ANGLE)
+    family = Family(family_request(infinite, mode, amplitude_max, tolerance=TOLERANCE, corrector="newton"))
+    coordinates, last = family.coordinates, family.start
+    assert isinstance(coordinates, CoreWithTail)
+    born = coordinates.parameter(2).at(EDGE_ANGLE)
     with one_thread():
-        for point in tools.walk((tools.start,)):
+        for point in family.continuation((family.start,)):
             if point.walked and point.z[point.problem.Omega_index] < born:
-                return _held(tools, last, point, born) / chain.g
+                return _held(family, last, point, born) / chain.g
             last = point if point.walked else last
     return None
 
 
-def _held(tools: FamilyTools, before: Point, after: Point, u: float) -> float:
+def _held(family: Family, before: Point, after: Point, u: float) -> float:
     """kappa where the tail's parameter is u, between two points; raises ArithmeticError where it is not found."""
-    problem, point_solver = after.problem, tools.point_solver
+    problem, point_solver = after.problem, family.point_solver
     curve, length = point_solver.curve(before, after)
     (place,) = curve.crossings(problem.Omega_index, u, length)
     row = np.zeros(problem.size)

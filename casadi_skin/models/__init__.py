@@ -1,1 +1,3 @@
-"""Models: the general door `OdeModel`, and the nonreciprocal chain that goes through it."""
+"""Models: `OdeModel`, models in files, and models in FMUs."""
+
+from casadi_skin.models import saved as _saved  # noqa: F401 - it registers how models are pickled

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -17,7 +16,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
+from casadi_skin.arguments import nearest, number, short_repr
 from casadi_skin.models.fmu_archive import unpack
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
@@ -65,10 +64,6 @@ class FmuModel(OdeModel):
         """The FMU's last messages, as where it could not compute a value, which then is NaN."""
         return tuple(self.instance.complaints)
 
-    def save(self, path: str | Path) -> Path:
-        """Raises ValueError: the equations are in the FMU, which is the file to keep."""
-        raise ValueError(f"{self.name}: cannot be saved: its equations are those of a program, the FMU")
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Raises ValueError: another process reads the FMU itself."""
         raise ValueError(f"{self.name}: cannot be pickled: its equations are those of a program, the FMU")
@@ -78,19 +73,36 @@ class FmuModel(OdeModel):
         self.instance.close()
 
 
-def from_fmu(
+def import_fmu(
     path: str | Path,
     states: Sequence[str] | None = None,
     parameters: Sequence[str] = (),
     *,
     forcing_period: float | None = None,
 ) -> FmuModel:
-    """See `OdeModel.from_fmu`."""
+    """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
+
+    Jacobians are the FMU's where it offers them and they agree with differences, else by differences, whose estimated
+    error is the model's `noise`.
+
+    Arguments:
+        path: The FMU.
+        states: All of its continuous states by name, in the wanted order; by default in its own.
+        parameters: Its real parameters and inputs that become parameters of the model; the others keep their values.
+        forcing_period: The period of a model that depends on time.
+
+    Returns:
+        The model, of first order.
+
+    Raises:
+        ValueError: A name is unknown; the FMU is damaged, hostile, of another platform, or without Model Exchange; or
+            fmpy (the extra "fmu") is not installed. In one line.
+    """
     if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
         raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
     for label, names in (("states", states), ("parameters", parameters)):
         if isinstance(names, str) or not all(isinstance(name, str) for name in names or ()):
-            raise ValueError(f"{label}: given {shown(names)}; accepted: a list of names")
+            raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
     unpacked = unpack(path)
     try:
         chosen = [_parameter(name, unpacked.description) for name in parameters]
@@ -215,7 +227,7 @@ def _check_numbers(path: str | Path, variable: Any) -> None:
         try:
             float(text or 0.0)
         except ValueError:
-            given = f"{label} value {shown(text)} of {variable.name}"
+            given = f"{label} value {short_repr(text)} of {variable.name}"
             raise ValueError(f"{path}: {given}; accepted: a number") from None
 
 
@@ -235,8 +247,8 @@ def _nearest(name: str, names: list[str]) -> str:
     """The names that there are, the nearest first, few of many."""
     if not names:
         return "none, the FMU has no such variables"
-    near = get_close_matches(name, names, n=1, cutoff=0.5)
-    listed = near + [other for other in names if other not in near]
+    near = nearest(name, names)
+    listed = sorted(names, key=lambda other: other != near)
     return ", ".join(listed[:8]) + (f" and {len(listed) - 8} more" if len(listed) > 8 else "")
 
 

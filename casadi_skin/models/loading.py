@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import sys
 import traceback
@@ -12,7 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-LONGEST = 200  # characters of an exception that a message shows
+from casadi_skin.arguments import accepted_names, cut
+
+LONGEST_MESSAGE = 200  # characters of an exception that a message shows
 MODULE = "casadi_skin_user_model"
 
 
@@ -53,9 +54,8 @@ def named(path: Path, names: Mapping[str, Any], name: str, kinds: tuple[type, ..
     accepted = " or ".join(f"{_article(kind.__name__)} {kind.__name__}" for kind in kinds)
     if name not in names:
         known = [key for key, value in names.items() if _may_give(value, kinds)]
-        near = next(iter(difflib.get_close_matches(name, known, n=1)), None)
-        hint = f"did you mean {near}? " if near else ""
-        raise ModelFileError(f"{path}: defines no {name}; {hint}accepted: {', '.join(known) or f'{accepted} by name'}")
+        hint = accepted_names(name, known) if known else f"accepted: {accepted} by name"
+        raise ModelFileError(f"{path}: defines no {name}; {hint}")
     found = names[name]
     if not isinstance(found, kinds) and callable(found) and not isinstance(found, type):
         found = call(path, name, found)
@@ -112,5 +112,4 @@ def _told_in_one_line(path: Path) -> Iterator[None]:
 
 
 def _one_line(text: str) -> str:
-    words = " ".join(text.split())
-    return words if len(words) <= LONGEST else f"{words[: LONGEST - 3]}..."
+    return cut(" ".join(text.split()), LONGEST_MESSAGE)

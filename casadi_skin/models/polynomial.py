@@ -1,9 +1,11 @@
-"""A CasADi expression as a polynomial: the terms that power series of a branch are computed from."""
+"""A CasADi expression as a polynomial: its terms, for power series of a branch, and its homogeneous parts."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -12,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 _Terms = dict[tuple[int, ...], float]  # coefficient of each product of variables, named by ascending indices
+_Parts = dict[int, ca.SX]  # homogeneous part by degree
+_Element = TypeVar("_Element")
 
 MAX_TERMS = 64  # of a product that is multiplied out: with more, the polynomial is cheaper left as it is
 
@@ -58,56 +62,56 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
     return tuple(result)
 
 
+def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
+    """Split a column of polynomials of `state` into homogeneous parts, without multiplying products out.
+
+    Arguments:
+        expression: column of expressions in `state` alone.
+        state: symbols, one a variable.
+
+    Returns:
+        For each degree that occurs a column of the shape of `expression`; their sum is `expression`.
+
+    Raises:
+        NotPolynomialError: an operation is not one of a polynomial; the message names it.
+    """
+
+    def add(a: _Parts, b: _Parts, factor: float) -> _Parts:
+        return {d: a.get(d, ca.SX(0)) + factor * b.get(d, ca.SX(0)) for d in {**a, **b}}
+
+    def multiply(a: _Parts, b: _Parts) -> _Parts:
+        total: _Parts = {}
+        for i, left in a.items():
+            for j, right in b.items():
+                total[i + j] = total.get(i + j, ca.SX(0)) + left * right
+        return total
+
+    def constant(a: _Parts) -> float | None:
+        if set(a) <= {0}:
+            value = a.get(0, ca.SX(0))
+            return float(value) if value.is_constant() else None
+        return None
+
+    def of_constant(value: float) -> _Parts:
+        return {0: ca.SX(value)} if value else {}
+
+    ring = _Ring(add, multiply, of_constant, constant)
+    entries = _evaluate(expression, [state], ring, lambda k: {1: state[k]})
+    degrees = sorted({degree for entry in entries for degree in entry})
+    parts = {d: ca.vertcat(*(entry.get(d, ca.SX(0)) for entry in entries)) for d in degrees}
+    return {d: part for d, part in parts.items() if not part.is_zero()}
+
+
+# Polynomials by their terms -------------------------------------------------------------------------------------------
+
+
 def _expand(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> list[_Terms]:
-    """Terms of each component, by running the instructions of the expression on polynomials."""
-    function = ca.Function("polynomial", [state, parameter], [ca.densify(expression)])
-    offsets = (0, state.numel())
-    work: list[_Terms] = [{} for _ in range(function.sz_w())]
-    result: list[_Terms] = [{} for _ in range(expression.numel())]
-    for k in range(function.n_instructions()):
-        operation, out, into = (
-            function.instruction_id(k),
-            function.instruction_output(k),
-            function.instruction_input(k),
-        )
-        if operation == ca.OP_INPUT:
-            work[out[0]] = {(offsets[into[0]] + into[1],): 1.0}
-        elif operation == ca.OP_CONST:
-            work[out[0]] = {(): float(function.instruction_constant(k))}
-        elif operation == ca.OP_OUTPUT:
-            result[out[1]] = {v: c for v, c in work[into[0]].items() if c != 0.0}
-        elif operation == ca.OP_ADD and out[0] == into[0]:  # a running sum grows in place, or N terms cost N^2
-            _add(work[out[0]], work[into[1]], 1.0)
-        else:
-            work[out[0]] = _apply(operation, [work[i] for i in into])
-    return result
-
-
-def _apply(operation: int, arguments: list[_Terms]) -> _Terms:
-    """The result of one instruction on polynomials."""
-    a = arguments[0]
-    b = arguments[-1]
-    if operation in (ca.OP_ADD, ca.OP_SUB):
-        return _sum(a, b, -1.0 if operation == ca.OP_SUB else 1.0)
-    if operation == ca.OP_MUL:
-        return _product(a, b)
-    if operation == ca.OP_SQ:
-        return _product(a, a)
-    if operation in (ca.OP_NEG, ca.OP_TWICE):
-        return _sum({}, a, -1.0 if operation == ca.OP_NEG else 2.0)
-    if operation == ca.OP_ASSIGN:
-        return dict(a)
-    if operation == ca.OP_DIV and set(b) == {()}:
-        return _sum({}, a, 1.0 / b[()])
-    if operation in (ca.OP_POW, ca.OP_CONSTPOW) and set(b) <= {()}:
-        exponent = b.get((), 0.0)
-        if exponent == int(exponent) and 0 <= exponent <= 16:
-            power: _Terms = {(): 1.0}
-            for _ in range(int(exponent)):
-                power = _product(power, a)
-            return power
-    names = {ca.OP_DIV: "a division by a variable", ca.OP_POW: "a power", ca.OP_CONSTPOW: "a power"}
-    raise NotPolynomialError(f"{names.get(operation, f'operation {operation} of CasADi')} is in the expression")
+    """Terms of each component of a column."""
+    ring: _Ring[_Terms] = _Ring(
+        _sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add
+    )
+    expanded = _evaluate(expression, [state, parameter], ring, lambda k: {(k,): 1.0})
+    return [{v: c for v, c in terms.items() if c != 0.0} for terms in expanded]
 
 
 def _sum(a: _Terms, b: _Terms, factor: float) -> _Terms:
@@ -130,3 +134,70 @@ def _product(a: _Terms, b: _Terms) -> _Terms:
     if len(total) > MAX_TERMS:
         raise NotPolynomialError(f"a product has more than {MAX_TERMS} terms when multiplied out")
     return total
+
+
+# The instructions of an expression in any ring ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Ring(Generic[_Element]):
+    """Arithmetic of polynomials in some form: a + factor b, a b, a constant, and the value of one that is constant."""
+
+    add: Callable[[_Element, _Element, float], _Element]
+    multiply: Callable[[_Element, _Element], _Element]
+    of_constant: Callable[[float], _Element]
+    constant: Callable[[_Element], float | None]
+    add_in_place: Callable[[_Element, _Element, float], None] | None = None
+
+
+def _evaluate(
+    expression: ca.SX, inputs: list[ca.SX], ring: _Ring[_Element], variable: Callable[[int], _Element]
+) -> list[_Element]:
+    """The components of a column as elements of the ring; variables are numbered through all inputs."""
+    function = ca.Function("polynomial", inputs, [ca.densify(expression)])
+    offsets = np.concatenate([[0], np.cumsum([symbol.numel() for symbol in inputs])]).tolist()
+    work = [ring.of_constant(0.0) for _ in range(function.sz_w())]
+    result = [ring.of_constant(0.0) for _ in range(expression.numel())]
+    for k in range(function.n_instructions()):
+        operation, out, into = (
+            function.instruction_id(k),
+            function.instruction_output(k),
+            function.instruction_input(k),
+        )
+        if operation == ca.OP_INPUT:
+            work[out[0]] = variable(offsets[into[0]] + into[1])
+        elif operation == ca.OP_CONST:
+            work[out[0]] = ring.of_constant(float(function.instruction_constant(k)))
+        elif operation == ca.OP_OUTPUT:
+            result[out[1]] = ring.add(ring.of_constant(0.0), work[into[0]], 1.0)  # a copy: sums grow in place
+        elif operation == ca.OP_ADD and out[0] == into[0] and ring.add_in_place is not None:
+            # A running sum grows in place, or N terms cost N^2.
+            ring.add_in_place(work[out[0]], work[into[1]], 1.0)
+        else:
+            work[out[0]] = _apply(ring, operation, [work[i] for i in into])
+    return result
+
+
+def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> _Element:
+    """The result of one instruction."""
+    a, b, zero = arguments[0], arguments[-1], ring.of_constant(0.0)
+    if operation in (ca.OP_ADD, ca.OP_SUB):
+        return ring.add(a, b, -1.0 if operation == ca.OP_SUB else 1.0)
+    if operation == ca.OP_MUL:
+        return ring.multiply(a, b)
+    if operation == ca.OP_SQ:
+        return ring.multiply(a, a)
+    if operation in (ca.OP_NEG, ca.OP_TWICE):
+        return ring.add(zero, a, -1.0 if operation == ca.OP_NEG else 2.0)
+    if operation == ca.OP_ASSIGN:
+        return ring.add(zero, a, 1.0)
+    value = ring.constant(b)
+    if operation == ca.OP_DIV and value:
+        return ring.add(zero, a, 1.0 / value)
+    if operation in (ca.OP_POW, ca.OP_CONSTPOW) and value is not None and value == int(value) and 0 <= value <= 16:
+        power = ring.of_constant(1.0)
+        for _ in range(int(value)):
+            power = ring.multiply(power, a)
+        return power
+    names = {ca.OP_DIV: "a division by a variable", ca.OP_POW: "a power", ca.OP_CONSTPOW: "a power"}
+    raise NotPolynomialError(f"{names.get(operation, f'operation {operation} of CasADi')} is in the expression")

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import copyreg
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 
 from casadi_skin.files import replacing
-from casadi_skin.models.declared import Expression
-
-if TYPE_CHECKING:
-    from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
 
 Symbols = tuple[Expression, Expression, Expression | None, Expression]
 FORMAT = "casadi_skin model 1"
 PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
-PLAIN = ("name", "order", "reversal", "half_period", "shown", "nominal")
+PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 OPTIONAL = ("normalisation", "hamiltonian")
 
 
-def save(model: OdeModel, path: str | Path) -> Path:
-    """Write a model as JSON; raises ValueError where its equations are those of a program, as of an FMU."""
+def save_model(model: OdeModel, path: str | Path) -> Path:
+    """Write a model to a file, from which `read_model` makes it again without the script that made it.
+
+    Arguments:
+        model: A model in CasADi expressions.
+        path: The file, JSON text in UTF-8; one that is there is replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: The model's equations are those of a program, as of an FMU, and no expressions.
+        OSError: The file cannot be written.
+    """
     text = dumps(model)
     with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -52,8 +63,18 @@ def programs_in(function: ca.Function) -> list[str]:
     return [inner.name() for inner in function.find_functions() if inner.class_name() in PROGRAMS]
 
 
-def read(path: str | Path) -> OdeModel:
-    """The model in a file written by `save`; raises ValueError, in one line, for what is not one."""
+def read_model(path: str | Path) -> OdeModel:
+    """The model in a file that `save_model` wrote.
+
+    Arguments:
+        path: The file.
+
+    Returns:
+        The model, with fresh symbols of the same names.
+
+    Raises:
+        ValueError: The file cannot be read, holds no such model, or is damaged; in one line.
+    """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -62,9 +83,7 @@ def read(path: str | Path) -> OdeModel:
 
 
 def loads(text: str, path: str = "text") -> OdeModel:
-    """The model in text made by `dumps`; `path` is where it comes from, for messages. Raises ValueError as `read`."""
-    from casadi_skin.models.ode import OdeModel
-
+    """The model in text made by `dumps`, which is from `path`; raises ValueError as `read_model`."""
     refused = f"{path}: not a model saved by casadi_skin"
     try:
         given = json.loads(text)
@@ -107,3 +126,11 @@ def _results(function: ca.Function, symbols: Symbols) -> tuple[Expression, ...]:
     time, state, velocity, parameters = symbols
     full = state if velocity is None else ca.vertcat(state, velocity)
     return tuple(function.call([time, full, parameters], True, False))
+
+
+def _reduced(model: OdeModel) -> tuple[Any, ...]:
+    """What pickle keeps of a model; raises ValueError where it cannot be saved."""
+    return loads, (dumps(model),)
+
+
+copyreg.pickle(OdeModel, _reduced)

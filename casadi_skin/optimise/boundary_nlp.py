@@ -1,4 +1,4 @@
-"""Boundary-value problems with an objective or bounds: nonlinear programmes for Ipopt with exact second derivatives.
+"""Boundary-value problems with an objective or bounds as nonlinear programmes, on meshes that follow the solution.
 
 The equations are those of every other solve; Ipopt (Waechter and Biegler 2006) gets the objective and the bounds
 beside them. The mesh is refined and placed anew until the solution no longer changes. Bounds on states hold at the
@@ -7,222 +7,239 @@ points of the mesh: where they are active the error falls slowly, and the estima
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
-from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.saved import programs_in
-from casadi_skin.optimise.curvature import negative_curvature
-from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.optimum import Optimality, OptimalSolution, Optimum
-from casadi_skin.orbits.solve import ITERATIONS, BoundaryError, Method, Sizes, build_levels, packed
-from casadi_skin.solvers.levels import SAFETY, ErrorEstimate, Levels
+from casadi_skin.optimise.nlp import Limits, Nlp, Solution
+from casadi_skin.optimise.optimality import FLAT, Optimality, optimality
+from casadi_skin.optimise.search_arguments import Condition
+from casadi_skin.orbits import optimum as of_solution
+from casadi_skin.orbits import solution as solutions
+from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
+from casadi_skin.orbits.guesses import Guess
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solve import packed, space_of
+from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
+from casadi_skin.solvers.nlp import SOLVED, nlp_reason
 
-WORDS = {
-    "Infeasible_Problem_Detected": "no point near the guess satisfies conditions and bounds",
-    "Restoration_Failed": "no point near the guess satisfies conditions and bounds",
-    "Diverging_Iterates": "the objective is unbounded below, or the iteration diverges",
-    "Maximum_Iterations_Exceeded": "the iteration did not converge in the steps allowed",
-    "Search_Direction_Becomes_Too_Small": "no way on: conditions and bounds leave hardly a point, or degenerate there",
-    "Invalid_Number_Detected": "an expression has no finite value or derivative on the way",
-}
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
-FACTOR = 3  # iterations allowed, times those of a problem without objective
-BARRIER = 1e-3  # at first: from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
-FUNNEL = 1.0  # violation that no iterate exceeds, or that of the guess where it is larger: Ipopt's own is 10^4
+OPTIONS: Mapping[str, Any] = {
+    "ipopt.max_iter": 3 * ITERATIONS,
+    "ipopt.mu_init": 1e-3,  # from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
+    "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the guess, or 1; Ipopt's own factor is 10^4
+}
 PATIENCE = 4  # meshes that may fail, all together, to halve the error
 MESHES = 2  # on which a first optimum is sought
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A solution of the programme on one mesh."""
+class BoundaryNlp(Nlp):
+    """The nonlinear programme of a statement on one mesh; `held` are conditions on expressions in ends and parameters.
 
-    problem: BoundaryProblem
-    z: Array
-    objective: float
-    optimality: Optimality
-    iterations: int
-
-
-def optimise(statement: BoundaryValueProblem, guess: Guess, **options: Any) -> OptimalSolution:
-    """The local optimum near a guess, on a mesh refined to the tolerance; options as in `solve`.
-
-    Raises ValueError for options out of range and BoundaryError where no optimum is found.
+    `free` names the scalars by which optima are told apart, relative to these numbers; curvature is measured in them,
+    but for the period. Where there are none it is measured in all unknowns.
     """
-    method = Method.of(options)
-    times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
-    levels = build_levels(statement, method, Sizes.of(statement, sampled(statement, guess, times)))
-    found, errors = _first(levels, statement, guess, method), list[float]()
+
+    def __init__(
+        self,
+        problem: BoundaryProblem,
+        accuracy: float,
+        held: Sequence[Condition] = (),
+        free: Mapping[str, float] | None = None,
+        maximise: bool = False,
+    ) -> None:
+        self.problem, self.statement = problem, problem.statement
+        z, residual, jacobian = problem.symbols
+        rows = _held_rows(problem, z, held)
+        made = [ca.vertcat(residual, rows), ca.vertcat(jacobian, ca.jacobian(rows, z)), _objective(problem, z)]
+        lengths = [problem.constants_symbol], [ca.MX(ca.DM(problem.constants))]
+        residual, jacobian, value = ca.graph_substitute(made, *lengths)
+        tolerance = float(np.clip(1e-2 * accuracy, 1e-11, 1e-6))
+        super().__init__(
+            z,
+            value,
+            residual,
+            self._limits(held),
+            jacobian=jacobian,
+            maximise=maximise,
+            exact=not programs_in(self.statement.model.vector_field),  # their second derivatives would be differences
+            options={**OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
+        )
+        self.scalars = {name: problem.states + k for k, name in enumerate(self.statement.free)}
+        self._free = tuple(free or ())
+        if free:
+            self.place = z[[self.scalars[name] for name in free]] / ca.DM(list(free.values()))
+
+    def _limits(self, held: Sequence[Condition]) -> Limits:
+        """Bounds of states and free parameters; u is held at 0."""
+        problem, statement = self.problem, self.statement
+        lower, upper = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
+        lower[-1] = upper[-1] = 0.0
+        unknowns, names, n = dict[str, Indices](), statement.model.state_names, statement.model.full_size
+        for name, pair in statement.bounds.items():
+            if name in statement.free:
+                unknowns[name] = np.array([problem.states + list(statement.free).index(name)])
+            else:
+                unknowns[name] = np.arange(names.index(name), problem.states, n)
+            lower[unknowns[name]], upper[unknowns[name]] = pair
+        low, high = (np.append(np.zeros(problem.equations), ends) for ends in
+                     ([h.lower for h in held], [h.upper for h in held]))  # fmt: skip
+        conditions = {h.name: np.array([problem.equations + k]) for k, h in enumerate(held)}
+        return Limits(lower, upper, low, high, unknowns, conditions)
+
+    @property
+    def measured(self) -> Indices:
+        return np.array([self.scalars[name] for name in self._free if name != "period"], dtype=int)
+
+    def fault(self, x: Array) -> str:
+        return self.problem.backwards(x)
+
+    def times(self, x: Array) -> Array:
+        return np.array([self.problem.time(x, column) for column in range(self.problem.columns)])
+
+    def sizes(self, x: Array) -> Array:
+        return self.problem.sizes(x)
+
+    def equation_name(self, row: int, x: Array) -> str:
+        return self.problem.place(row)
+
+    def solved(self, start: Array, warm: bool = False) -> Solution:
+        """The local optimum near a start; raises BoundaryError with Ipopt's reason, condition and place."""
+        name, solution = self.statement.model.name, self.solve(start, warm=warm)
+        if solution.words != SOLVED:
+            raise BoundaryError(f"{name}: {nlp_reason(solution.words)}; {self._worst(solution.x)}")
+        if self.fault(solution.x):
+            raise BoundaryError(f"{name}: {self.fault(solution.x)}; bound it from below")
+        negative = optimality(self, solution).negative
+        if negative < 0.0:
+            words = f"is stationary, but no minimum: curvature {negative:.1e} of the largest"
+            where = self.problem.whereabouts(solution.x)
+            raise BoundaryError(f"{name}: the point found {words}, {where}; try another guess")
+        return solution
+
+    def _worst(self, z: Array) -> str:
+        """The equation that is violated most, by how much and where."""
+        residual = self.violations(z)
+        if not np.all(np.isfinite(residual)):
+            return f"not finite at {self.row_name(int(np.argmin(np.isfinite(residual))), z)}"
+        worst = int(np.argmax(residual))
+        place = f"{self.row_name(worst, z)}, {self.problem.whereabouts(z)}"
+        return f"largest violation {residual[worst]:.1e} of {place}"
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """An optimum on a mesh that meets the tolerance, with its estimated errors, that of the objective among them."""
+
+    nlp: BoundaryNlp
+    solution: Solution
+    optimality: Optimality
+    error: ErrorEstimate
+    objective_error: float
+
+    @property
+    def optimum(self) -> of_solution.Optimum:
+        """What a solution carries of it."""
+        first = self.optimality.kkt
+        largest, active = max(first.stationarity, first.complementarity), self.optimality.active
+        conditions = of_solution.Optimality(largest, first.violation, active, self.nlp.exact)
+        return of_solution.Optimum(self.solution.objective, self.objective_error, conditions)
+
+    @property
+    def point(self) -> Point:
+        """The solution's point, with u held."""
+        problem = self.nlp.problem
+        unit = np.append(np.zeros(problem.size - 1), 1.0)
+        return Point(problem, self.solution.x, unit, self.error, 0.0, self.solution.iterations)
+
+
+def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.Solution:
+    """The local optimum of a boundary-value problem near a guess, on a mesh refined to the tolerance.
+
+    Arguments:
+        statement: a problem with an objective or bounds.
+        guess, options: as in `casadi_skin.orbits.solve.solve`.
+
+    Raises:
+        ValueError: options out of range.
+        BoundaryError: no optimum is found; the message names condition, variable and place.
+    """
+    space = space_of(statement, guess, options)
+    found = refined(space, *_first(space, guess))
+    return solutions.Solution(space, found.point, optimum=found.optimum)
+
+
+def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bool = False, **more: Any) -> Refined:
+    """An optimum on meshes that are refined until it no longer changes; `more` are arguments of their programmes.
+
+    Where a `flat` objective is allowed, which does not tell neighbours apart, one refinement is enough. Raises
+    BoundaryError where no mesh on offer is fine enough, or finer ones do not converge.
+    """
+    name, errors = nlp.statement.model.name, list[float]()
     while True:
-        above = levels.finer(found.problem, found.z)
-        if above is None or levels.finer(above) is None:
-            raise BoundaryError(f"{statement.model.name}: more than {found.problem.resolution} intervals are needed")
+        above = space.levels.finer(nlp.problem, solution.x)
+        if above is None or space.levels.finer(above) is None:
+            raise BoundaryError(f"{name}: more than {nlp.problem.resolution} intervals are needed")
         assert isinstance(above, BoundaryProblem)
-        start = found.problem.prolong(found.z, above)
-        finer = _Programme(above, method).solve(start)
-        profile, scalars = (f(finer.z, finer.z - start) for f in (above.profile_change, above.frequency_step))
+        start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(above, space.tolerance, **more)
+        better = finer.solved(start, warm=True)
+        moved = better.x - start
+        scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
         error = ErrorEstimate(SAFETY * scalars, SAFETY * profile)
-        held = above.resolution >= ENOUGH and finer.optimality.holds_states(statement.model.state_names)
-        if held or error.relative(1.0) <= method.tolerance:
-            unit = np.append(np.zeros(above.size - 1), 1.0)
-            point = Point(above, finer.z, unit, error, 0.0, finer.iterations)
-            moved = SAFETY * abs(finer.objective - found.objective)
-            return OptimalSolution(statement, method, point, Optimum(finer.objective, moved, finer.optimality))
+        conditions, moved_by = optimality(finer, better), SAFETY * abs(better.objective - solution.objective)
+        found = Refined(finer, better, conditions, error, moved_by)
+        holds = found.optimum.optimality.holds_states(nlp.statement.model.state_names)
+        enough = (holds and above.resolution >= ENOUGH) or (flat and conditions.curvature < FLAT)
+        if enough or error.relative(1.0) <= space.tolerance:
+            return found
         errors.append(error.relative(1.0))
         if len(errors) > PATIENCE and errors[-1] > 0.5 * errors[-1 - PATIENCE]:
             words = f"finer meshes, up to {above.resolution} intervals, leave a change of {errors[-1]:.1e}"
-            raise BoundaryError(f"{statement.model.name}: {words}; try another guess or a larger tolerance")
-        found = finer
+            raise BoundaryError(f"{name}: {words}; try another guess or a larger tolerance")
+        nlp, solution = finer, better
 
 
-def _first(levels: Levels, statement: BoundaryValueProblem, guess: Guess, method: Method) -> _Found:
+def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     """The solution on the first mesh on which there is one."""
     failure: BoundaryError | None = None
-    for resolution in [r for r in levels.resolutions if r >= method.intervals][:MESHES]:
-        problem = levels.problem(resolution)
+    first = int(space.method.intervals or 1)
+    for resolution in [r for r in space.levels.resolutions if r >= first][:MESHES]:
+        problem = space.levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
-        start = packed(problem, guess)
+        start, nlp = packed(problem, guess), BoundaryNlp(problem, space.tolerance)
         try:
-            found = _Programme(problem, method).solve(start)
+            solution = nlp.solved(start)
         except BoundaryError as error:
             failure = error
             continue
         if not np.any(start[: problem.states]):
-            problem.measure_by(found.z)
-        return found
+            problem.measure_by(solution.x)
+        return nlp, solution
     assert failure is not None
     raise failure
 
 
-class _Programme:
-    """The nonlinear programme of a statement on one mesh."""
-
-    def __init__(self, problem: BoundaryProblem, method: Method) -> None:
-        self.problem, self.statement = problem, problem.statement
-        z, residual, jacobian = problem.symbols
-        lengths = problem.constants_symbol
-        value = _objective(problem, z)
-        substituted = ca.graph_substitute([residual, jacobian, value], [lengths], [ca.MX(ca.DM(problem.constants))])
-        self._residual, jacobian, value = substituted
-        self._tolerance = float(np.clip(1e-2 * method.tolerance, 1e-11, 1e-6))
-        options: dict[str, Any] = {
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": self._tolerance,
-            "ipopt.constr_viol_tol": self._tolerance,
-            "ipopt.acceptable_iter": 0,
-            "ipopt.max_iter": FACTOR * ITERATIONS,
-            "ipopt.bound_relax_factor": 0.0,
-            "ipopt.mu_init": BARRIER,
-            "ipopt.theta_max_fact": FUNNEL,
-        }
-        self._exact = not programs_in(self.statement.model.vector_field)
-        if not self._exact:  # their second derivatives would be differences, and slow
-            options["ipopt.hessian_approximation"] = "limited-memory"
-            constraints = [self._residual, jacobian]
-            options["jac_g"] = ca.Function("jac_g", [z, ca.MX(0, 1)], constraints, ["x", "p"], ["g", "jac_g_x"])
-        self._solver = ca.nlpsol("programme", "ipopt", {"x": z, "f": value, "g": self._residual}, options)
-        self._derivatives = ca.Function("derivatives", [z], [self._residual, jacobian, ca.gradient(value, z)])
-        self.lower, self.upper = self._bounds()
-
-    def _bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of all unknowns; u is held."""
-        problem, model = self.problem, self.statement.model
-        bounds = np.tile([[-np.inf], [np.inf]], problem.size)
-        bounds[:, -1] = 0.0
-        for name, pair in self.statement.bounds.items():
-            if name in self.statement.free:
-                bounds[:, problem.states + list(self.statement.free).index(name)] = pair
-            else:
-                place = model.state_names.index(name)
-                bounds[:, place : problem.states : model.full_size] = np.array(pair)[:, None]
-        return bounds[0], bounds[1]
-
-    def solve(self, start: Array) -> _Found:
-        """The local optimum near a start; raises BoundaryError with Ipopt's reason, condition and place."""
-        zero = np.zeros(self.problem.equations)
-        start = np.clip(start, self.lower, self.upper)
-        with interrupts_deferred():
-            result = self._solver(x0=start, lbx=self.lower, ubx=self.upper, lbg=zero, ubg=zero)
-        stats = self._solver.stats()
-        status, z = str(stats["return_status"]), np.array(result["x"]).ravel()
-        if status != "Solve_Succeeded":
-            raise BoundaryError(f"{self.statement.model.name}: {WORDS.get(status, status)}; {self._worst(z)}")
-        backwards = self.problem.backwards(z)
-        if backwards:
-            raise BoundaryError(f"{self.statement.model.name}: {backwards}; bound it from below")
-        multipliers = [np.array(result[key]).ravel() for key in ("lam_g", "lam_x")]
-        optimality = self._optimality(z, *multipliers)
-        curvature = self._negative_curvature(z, *multipliers)
-        if curvature < 0.0:
-            words = f"is stationary, but no minimum: curvature {curvature:.1e} of the largest"
-            where = self.problem.whereabouts(z)
-            raise BoundaryError(f"{self.statement.model.name}: the point found {words}, {where}; try another guess")
-        return _Found(self.problem, z, float(result["f"]), optimality, int(stats["iter_count"]))
-
-    def _optimality(self, z: Array, of_equations: Array, of_bounds: Array) -> Optimality:
-        """The Karush-Kuhn-Tucker conditions, evaluated apart from Ipopt."""
-        residual, jacobian, gradient = self._derivatives(z)
-        gradient, residual = np.array(gradient).ravel(), np.array(residual).ravel()
-        stationarity = gradient + np.array(jacobian.T @ ca.DM(of_equations)).ravel() + of_bounds
-        size = max(1.0, float(np.max(np.abs(of_equations), initial=0.0)), float(np.max(np.abs(gradient))))
-        below, above = z - self.lower, self.upper - z
-        with np.errstate(invalid="ignore"):
-            slack = np.where(of_bounds < 0, below, above)
-        bounded = self.lower < self.upper
-        complementarity = np.where(of_bounds == 0, 0.0, np.abs(of_bounds) * np.where(np.isfinite(slack), slack, 1.0))
-        violation = max(float(np.max(np.abs(residual))), float(np.max(-np.minimum(below, above)[bounded], initial=0.0)))
-        parts = float(np.max(np.abs(stationarity[bounded]))) / size, float(np.max(complementarity[bounded])) / size
-        return Optimality(max(parts), violation, self._active(z, of_bounds, size), self._exact)
-
-    def _negative_curvature(self, z: Array, of_equations: Array, of_bounds: Array) -> float:
-        """The most negative curvature at a stationary point, of what bounds do not hold; 0 at a minimum, or unknown."""
-        if not self._exact:
-            return 0.0
-        upper = self._solver.get_function("nlp_hess_l")(z, [], 1.0, of_equations)
-        held = np.sqrt(self._tolerance) * max(1.0, float(np.max(np.abs(of_equations), initial=0.0)))
-        left = (self.lower < self.upper) & (np.abs(of_bounds) <= held)
-        jacobian = self._derivatives(z)[1].sparse().tocsc()
-        return negative_curvature(ca.triu2symm(upper).sparse().tocsc(), jacobian, self.problem.sizes(z), left)
-
-    def _active(self, z: Array, of_bounds: Array, size: float) -> tuple[str, ...]:
-        """Bounds that hold the solution, in words."""
-        found, held = [], np.abs(of_bounds) > np.sqrt(self._tolerance) * size
-        problem, statement = self.problem, self.statement
-        for name in statement.bounds:
-            if name in statement.free:
-                at = slice(problem.states + list(statement.free).index(name), None, problem.size)
-            else:
-                at = slice(statement.model.state_names.index(name), problem.states, statement.model.full_size)
-            for sign, side, limit in ((-1, ">=", self.lower), (1, "<=", self.upper)):
-                count = int(np.count_nonzero(held[at] & (sign * of_bounds[at] > 0)))
-                if count:
-                    where = "" if name in statement.free else f" at {count} of {held[at].size} points"
-                    found.append(f"{name} {side} {limit[at][0]:g}{where}")
-        return tuple(found)
-
-    def _worst(self, z: Array) -> str:
-        """The equation that is violated most, by how much and where."""
-        residual = np.abs(np.array(self._derivatives(z)[0]).ravel())
-        if not np.all(np.isfinite(residual)):
-            return f"not finite at {self.problem.place(int(np.argmin(np.isfinite(residual))))}"
-        worst = int(np.argmax(residual))
-        return f"largest violation {residual[worst]:.1e} of {self.problem.place(worst)}, {self.problem.whereabouts(z)}"
+def _held_rows(problem: BoundaryProblem, z: ca.MX, held: Sequence[Condition]) -> ca.MX:
+    """The expressions of conditions in the unknowns, a column."""
+    if not held:
+        return ca.MX(0, 1)
+    statement, n = problem.statement, problem.formulation.states
+    expressions = ca.vertcat(*(h.quantity for h in held))
+    at_ends = ca.Function("held", [*statement.model.ends, statement.model.parameters], [expressions])
+    values = ca.reshape(z[: problem.states], n, problem.columns)
+    return at_ends(values[:, 0], values[:, -1], statement.parameters_at(z[problem.states :]))
 
 
 def _objective(problem: BoundaryProblem, z: ca.MX) -> ca.MX:
-    """What is minimised, in ends and parameters, plus an integral."""
+    """What is optimised, in ends and parameters, plus an integral."""
     statement, n = problem.statement, problem.formulation.states
     model, total = statement.model, ca.MX(0)
     values, scalars = ca.reshape(z[: problem.states], n, problem.columns), z[problem.states :]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+
+from casadi_skin.arguments import accepted_names
 
 NAMED: Mapping[str, str] = MappingProxyType(
     {
@@ -43,7 +44,4 @@ FREE: Mapping[str, str] = MappingProxyType(
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
     """Words that name the nearest known name, if any is near, and all that are known."""
-    names = list(known)
-    near = difflib.get_close_matches(name, names, n=1)
-    accepted = ", ".join(names)
-    return f"did you mean {near[0]}? (accepted: {accepted})" if near else f"accepted: {accepted}"
+    return accepted_names(name, known)

@@ -1,109 +1,184 @@
-"""What an objective or a constraint of a search may be made of: named quantities of an orbit, as CasADi expressions.
+"""The orbits of a search in odd cosines as CasADi expressions: their equations, and quantities by name.
 
-Orbits are written in the gauge with the amplitude scaled out, as in models.chain, by values q_ni of site n at the nodes
-of the odd cosines (bvp.trigonometric), with lambda = Omega^2, and with gamma, alpha and g as symbols. The weights
-w_n = ((1 - |gamma|)/(1 + |gamma|))^m, m sites from the edge, are at most 1 for every chain.
+An orbit of a mode's family is y_n(t) = scale_n q_n(theta), theta = Omega t, with sum_n w_n q_n(0)^2 = 1: the amplitude
+is scaled out, so that the sum of y_n(0)^2 is S. q is given by its values at the nodes of the odd cosines on a quarter
+of the period (bvp.trigonometric), and Omega^2 is an unknown.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import cosine_matrix, second_derivative_matrix
-from casadi_skin.optimise.names import NAMED, nearest_name
+from casadi_skin.continuation.points import Point
+from casadi_skin.optimise.names import nearest_name
+
+# Attributes of `Observables` that are no quantities.
+RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
+            "unknowns", "residual", "harmonics", "alpha_n")  # fmt: skip
+QUANTITIES: Mapping[str, Callable[[Observables], ca.SX]] = MappingProxyType(
+    {
+        "S": lambda o: o._equations.S,
+        "Omega": lambda o: ca.sqrt(o.Omega_squared),
+        "period": lambda o: 2 * np.pi / o.Omega,
+        "participation": lambda o: 1 / ca.sumsqr(o._equations.weights * o._rest**2),
+        "Omega_slope": lambda o: o.slope(o.Omega),
+        "energy": lambda o: o.at_rest(o._equations.energy),
+        "energy_slope": lambda o: o.slope(o.energy),
+    }
+)
 
 
 @dataclass(frozen=True)
-class ChainSymbols:
-    """Parameters of the chain in a search: symbols where they are free, numbers elsewhere.
+class FreeNumber:
+    """A parameter that may be free: its own value, its range where no bound is given, names of its numbers."""
 
-    `alpha_n` has shape (sites, 1); `mirrored` tells that modes lean to the first site (gamma <= 0).
+    value: float
+    lower: float
+    upper: float
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """An orbit of a family: frequency, number of odd cosines, and a function of phases that gives q, (phases, n)."""
+
+    Omega: float
+    harmonics: int
+    sample: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, point: Point) -> Member:
+        """From a point of the family in odd cosines."""
+        return cls(point.Omega, point.problem.resolution, lambda theta: point.problem.sample(point.z, theta))
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyEquations:
+    """The equations of a family at an amplitude S: numbers, or symbols where parameters are free.
+
+    Attributes:
+        state: q, a symbol of shape (components, 1).
+        S: total amplitude, a symbol.
+        acceleration: q'' in these and the parameters, shape of `state`.
+        weights: w_n, shape of `state`.
+        energy: energy at rest in these, or None where nothing is conserved.
+        shared: quantities of the model alone, by name.
+        own: functions of the orbit's observables, by name.
     """
 
-    sites: int
-    gamma: ca.SX
-    alpha_n: ca.SX
-    g: ca.SX
-    mirrored: bool
+    state: ca.SX
+    S: ca.SX
+    acceleration: ca.SX
+    weights: ca.SX
+    energy: ca.SX | None
+    shared: Mapping[str, ca.SX]
+    own: Mapping[str, Callable[[Observables], ca.SX]] = field(default_factory=dict)
 
     @property
-    def coupling(self) -> ca.SX:
-        """s = sqrt(1 - gamma^2)."""
-        return ca.sqrt((1 - self.gamma) * (1 + self.gamma))
+    def names(self) -> tuple[str, ...]:
+        """Names of all quantities."""
+        return tuple(dict.fromkeys((*orbit_quantities(self.energy is not None), *self.shared, *self.own)))
 
-    @property
-    def log_amplification(self) -> ca.SX:
-        """(N - 1)/2 log r, with r = (1 + |gamma|)/(1 - |gamma|)."""
-        return (self.sites - 1) * ca.atanh(-self.gamma if self.mirrored else self.gamma)
 
-    @property
-    def weights(self) -> ca.SX:
-        """w_n, shape (sites, 1)."""
-        size = -self.gamma if self.mirrored else self.gamma
-        ratio = (1 - size) / (1 + size)
-        powers = [ratio**m for m in range(self.sites)]
-        return ca.vertcat(*(powers if self.mirrored else reversed(powers)))
+def orbit_quantities(conservative: bool) -> tuple[str, ...]:
+    """Names of the quantities that every orbit has; energy and its slope where one is conserved."""
+    return (
+        "S",
+        "Omega",
+        "period",
+        "participation",
+        "Omega_slope",
+        *(("energy", "energy_slope") if conservative else ()),
+    )
 
 
 class Observables:
-    """One orbit of a search. Its attributes are CasADi expressions, for objectives and constraints.
+    """One orbit of a search; its quantities are attributes, CasADi expressions for objectives and constraints.
 
-    The names of `names.NAMED` are attributes, `value(name)` gives the same. `alpha_n` (sites, 1), `y0` (displacements
-    at the phase where all velocities vanish, (sites, 1)) and `slope(expression)` (its derivative by S along the family
-    at fixed parameters) may be used as well. Slopes bring the tangent of the family into the problem as unknowns, so
-    that they have exact second derivatives; where none is asked for there is no tangent.
+    Attributes:
+        S: total amplitude, the sum of y_n^2 at the phase where all velocities vanish.
+        Omega, period: frequency, and 2 pi/Omega.
+        energy: Hamiltonian; of a chain that of the gauge.
+        participation: (sum of y_n^2)^2 / sum of y_n^4 at that phase, from 1 to N.
+        Omega_slope, energy_slope: derivatives by S along the family at fixed parameters.
+        y0: displacements at that phase, shape (components, 1).
+
+    Parameters of the model and its own quantities are attributes as well (of a chain those of `names.NAMED` and
+    `alpha_n`, shape (sites, 1)), and `value(name)` gives the same. `slope(expression)` is its derivative by S along the
+    family. Slopes bring the tangent of the family into the problem as unknowns, so that they have exact second
+    derivatives; where none is used there is no tangent.
     """
 
-    def __init__(self, chain: ChainSymbols, harmonics: int) -> None:
-        self.chain, self.harmonics = chain, harmonics
-        self.S = ca.SX.sym("S")
-        self.q = ca.SX.sym("q", chain.sites, harmonics)
-        self.square = ca.SX.sym("Omega2")
+    _equations: FamilyEquations
+    _rest: ca.SX
+    Omega_squared: ca.SX
+
+    def __init__(self, equations: FamilyEquations, harmonics: int) -> None:
+        self._equations, self.harmonics = equations, harmonics
+        self.nodes = ca.SX.sym("q", equations.state.numel(), harmonics)
+        self.Omega_squared = ca.SX.sym("Omega2")
         self.tangent: ca.SX | None = None
-        self._rest = ca.DM((2.0 / harmonics) * cosine_matrix(harmonics).sum(axis=0))  # from nodes to theta = 0
+        self._rest = ca.mtimes(self.nodes, ca.DM((2.0 / harmonics) * cosine_matrix(harmonics).sum(axis=0)))
 
     def __getattr__(self, name: str) -> ca.SX:
-        raise AttributeError(f"observable: given {name}; {nearest_name(name, NAMED)}")
+        return self.value(name)
+
+    def value(self, name: str) -> ca.SX:
+        """The quantity of a name; raises AttributeError, with the nearest known name, for another."""
+        equations = self.__dict__["_equations"]
+        if name in equations.shared:
+            return ca.SX(equations.shared[name])
+        if name in equations.own:
+            return equations.own[name](self)
+        if name not in equations.names:
+            raise AttributeError(f"observable: given {name}; {nearest_name(name, equations.names)}")
+        return QUANTITIES[name](self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the quantities."""
+        return self._equations.names
+
+    def is_shared(self, name: str) -> bool:
+        """Whether a quantity is one of the model alone, the same for all orbits of a search."""
+        return name in self._equations.shared
 
     # Equations ------------------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> ca.SX:
-        """Unknowns (q ordered by site, then node; lambda), shape (sites harmonics + 1, 1)."""
-        return ca.vertcat(ca.vec(self.q.T), self.square)
+        """Unknowns (q ordered by component, then node; Omega^2), shape (components harmonics + 1, 1)."""
+        return ca.vertcat(ca.vec(self.nodes.T), self.Omega_squared)
 
-    @property
     def _residual(self) -> ca.SX:
-        """Omega^2 q'' + L q + g S w q^3 at the nodes, and the normalisation of q; shape of `state`."""
-        chain, H, q = self.chain, self.harmonics, self.q
-        zero, each = ca.SX.zeros(1, H), ca.DM.ones(1, H)
-        beside = ca.vertcat(zero, q[:-1, :]) + ca.vertcat(q[1:, :], zero) if chain.sites > 1 else ca.SX.zeros(1, H)
-        inertia = self.square * ca.mtimes(q, ca.DM(second_derivative_matrix(H)).T)
-        linear = ca.mtimes(2 + chain.alpha_n, each) * q - chain.coupling * beside
-        force = inertia + linear + chain.g * self.S * ca.mtimes(chain.weights, each) * q**3
-        return ca.vertcat(ca.vec(force.T), ca.dot(chain.weights, self._at_rest**2) - 1)
+        """Omega^2 q''(theta) less the acceleration at the nodes, and the normalisation of q; shape of `state`."""
+        inertia = self.Omega_squared * ca.mtimes(self.nodes, ca.DM(second_derivative_matrix(self.harmonics)).T)
+        force = ca.horzcat(*(self._at(self._equations.acceleration, self.nodes[:, k]) for k in range(self.harmonics)))
+        return ca.vertcat(ca.vec((inertia - force).T), ca.dot(self._equations.weights, self._rest**2) - 1)
+
+    def _at(self, expression: ca.SX, state: ca.SX) -> ca.SX:
+        return ca.substitute(expression, self._equations.state, state)
+
+    def at_rest(self, expression: ca.SX) -> ca.SX:
+        """An expression in the equations' state, at the phase where all velocities vanish."""
+        return self._at(expression, self._rest)
 
     @property
     def unknowns(self) -> ca.SX:
-        """State and, where a slope has been asked for, tangent (dq/dS, dlambda/dS)."""
+        """State and, where a slope is used, tangent (dq/dS, dOmega^2/dS)."""
         return self.state if self.tangent is None else ca.vertcat(self.state, self.tangent)
 
-    @property
-    def equations(self) -> ca.SX:
+    def residual(self) -> ca.SX:
         """The orbit's equations and those of its tangent, as many as unknowns."""
-        residual = self._residual
+        residual = self._residual()
         return residual if self.tangent is None else ca.vertcat(residual, self.slope(residual))
-
-    # Quantities -----------------------------------------------------------------------------------------------------
-
-    def value(self, name: str) -> ca.SX:
-        """The quantity of a name in `NAMED`; raises AttributeError for another."""
-        if name not in NAMED:
-            raise AttributeError(f"observable: given {name}; {nearest_name(name, NAMED)}")
-        return getattr(self, name)
 
     def slope(self, expression: ca.SX) -> ca.SX:
         """d(expression)/dS along the family at fixed parameters; shape of the expression."""
@@ -112,82 +187,6 @@ class Observables:
         return ca.jtimes(ca.SX(expression), ca.vertcat(self.state, self.S), ca.vertcat(self.tangent, 1))
 
     @property
-    def _at_rest(self) -> ca.SX:
-        """q_n at theta = 0, shape (sites, 1)."""
-        return ca.mtimes(self.q, self._rest)
-
-    @property
     def y0(self) -> ca.SX:
-        """Displacements at the phase where all velocities vanish, shape (sites, 1)."""
-        return ca.sqrt(self.S) * ca.sqrt(self.chain.weights) * self._at_rest
-
-    @property
-    def gamma(self) -> ca.SX:
-        return self.chain.gamma
-
-    @property
-    def g(self) -> ca.SX:
-        return self.chain.g
-
-    @property
-    def alpha_n(self) -> ca.SX:
-        return self.chain.alpha_n
-
-    @property
-    def alpha(self) -> ca.SX:
-        return ca.sum1(self.chain.alpha_n) / self.chain.sites
-
-    @property
-    def roughness(self) -> ca.SX:
-        return ca.sumsqr(self.alpha_n[1:] - self.alpha_n[:-1])
-
-    @property
-    def Omega(self) -> ca.SX:
-        return ca.sqrt(self.square)
-
-    @property
-    def period(self) -> ca.SX:
-        return 2 * np.pi / self.Omega
-
-    @property
-    def energy(self) -> ca.SX:
-        chain, q = self.chain, self._at_rest
-        elastic = ca.dot(q, (2 + chain.alpha_n) * q) / 2 - chain.coupling * ca.dot(q[1:], q[:-1])
-        return self.S * (elastic + chain.g * self.S * ca.dot(chain.weights, q**4) / 4)
-
-    @property
-    def participation(self) -> ca.SX:
-        return 1 / ca.sumsqr(self.chain.weights * self._at_rest**2)
-
-    @property
-    def Omega_slope(self) -> ca.SX:
-        return self.slope(self.Omega)
-
-    @property
-    def energy_slope(self) -> ca.SX:
-        return self.slope(self.energy)
-
-    @property
-    def upper_cutoff(self) -> ca.SX:
-        return ca.sqrt(2 + self.alpha + 2 * self.chain.coupling)
-
-    @property
-    def lower_cutoff(self) -> ca.SX:
-        s = self.chain.coupling
-        return ca.sqrt(self.alpha + 2 * self.chain.gamma**2 / (1 + s))
-
-    @property
-    def above_band(self) -> ca.SX:
-        return self.Omega - self.upper_cutoff
-
-    @property
-    def below_band(self) -> ca.SX:
-        return self.lower_cutoff - self.Omega
-
-    @property
-    def log_amplification(self) -> ca.SX:
-        return self.chain.log_amplification
-
-    @property
-    def amplification(self) -> ca.SX:
-        return ca.exp(self.chain.log_amplification)
+        """Displacements at the phase where all velocities vanish, shape (components, 1)."""
+        return ca.sqrt(self.S) * ca.sqrt(self._equations.weights) * self._rest

@@ -6,26 +6,32 @@ spread between its two ends; dominated points, which local optima may leave, are
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import shown
+from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.names import NAMED, nearest_name
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
-from casadi_skin.optimise.search import search_chain
-from casadi_skin.theory.linear import Array
+from casadi_skin.optimise.search import search
+from casadi_skin.optimise.search_arguments import whole
+from casadi_skin.optimise.search_orbit import STARTS, stated_search
 
 ROOM = 1e-6  # of the range of the second quantity, left to the first at the end of the front
 
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Points of the front by ascending second quantity; `values` has shape (points, 2).
+    """Points of the front by ascending second quantity.
 
-    `searches` are all that were made, `dominated` the number of optima removed.
+    Attributes:
+        points: the optima.
+        values: of both quantities, shape (points, 2).
+        dominated: number of optima removed.
+        searches: all that were made.
     """
 
     points: tuple[Optimum, ...]
@@ -39,47 +45,58 @@ class ParetoFront:
         return all(search.found for search in self.searches)
 
 
-def pareto_front(chain: Chain, first: str, second: str, *, points: int = 10, **options: Any) -> ParetoFront:
-    """The front of the least `first` against the least `second`, names of quantities, in `points` points.
+def pareto_front(
+    chain_or_model: Chain | OdeModel,
+    first: str,
+    second: str,
+    *,
+    points: int = 10,
+    starts: int = STARTS,
+    seed: int = 0,
+    deflate: bool = False,
+    workers: int = 1,
+    constraints: Sequence[Any] = (),
+    **stated: Any,
+) -> ParetoFront:
+    """The front of the least `first` against the least `second` quantity.
 
-    `options` are those of `search_chain` but for the objective and `maximise`; constraints and bounds hold everywhere.
-    Raises ValueError where a name is not known or an end of the front is not found. Ctrl-C ends it.
+    Arguments:
+        chain_or_model: as in `search_orbit`.
+        first, second: names of quantities.
+        points: number of points.
+        starts, seed, deflate, workers, constraints, stated: as in `search_orbit`, but for the objective and `maximise`;
+            constraints and bounds hold everywhere.
+
+    Raises:
+        ValueError, TypeError: arguments that cannot be meant, or an end of the front that is not found.
+        KeyboardInterrupt: after an interruption.
     """
-    for name in (first, second):
-        if name not in NAMED:
-            raise ValueError(f"quantity: given {shown(name)}; {nearest_name(str(name), NAMED)}")
-    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
-        raise ValueError(f"points: given {shown(points)}; accepted: a whole number >= 2")
-    constraints = tuple(options.pop("constraints", ()))
+    whole("points", points, 2)
 
-    def search(objective: str, *more: tuple[str, None, float], near: Optimum | None = None) -> SearchResult:
-        start, own = (chain, {}) if near is None else _beside(chain, near)
+    def least(objective: str, *more: tuple[str, None, float], near: Optimum | None = None) -> SearchResult:
         held = (*constraints, *more)
-        result = search_chain(start, objective=objective, constraints=held, **{**options, **own})
+        problem = stated_search(chain_or_model, objective=objective, constraints=held, **stated)
+        beside = None if near is None else tuple(near.parameters.values())
+        first = problem.starts(whole("starts", starts, 1), whole("seed", seed, 0), beside)
+        result = search(problem, first, deflate=deflate, workers=workers)
         if result.status is SearchStatus.INTERRUPTED:
             raise KeyboardInterrupt
         return result
 
-    ends = [search(second), search(first)]
-    least, most = (end.best.orbit.values[second] for end in ends)
+    ends = [least(second), least(first)]
+    low, high = (getattr(end.best, second) for end in ends)
     # Of the points with the least `second` the front has that with the least `first`; Ipopt needs some room there.
-    limits = np.linspace(least + ROOM * (most - least), most, points)[:-1]
+    limits = np.linspace(low + ROOM * (high - low), high, points)[:-1]
     searches, near = list[SearchResult](), ends[0].best
     for limit in limits:
-        searches.append(search(first, (second, None, float(limit)), near=near))
+        searches.append(least(first, (second, None, float(limit)), near=near))
         near = searches[-1].best if searches[-1].found else near
     return _front([*searches, ends[1]], first, second)
 
 
-def _beside(chain: Chain, near: Optimum) -> tuple[Chain, dict[str, float]]:
-    """The chain, and S, of which a search starts that goes on from a neighbour on the front."""
-    own = replace(chain, gamma=near.gamma, g=near.g, alpha=float(np.mean(near.alpha_n)))
-    return own, {"S": near.S}
-
-
 def _front(searches: list[SearchResult], first: str, second: str) -> ParetoFront:
     found = [optimum for search in searches for optimum in search.optima]
-    values = np.array([[o.orbit.values[first], o.orbit.values[second]] for o in found])
+    values = np.array([[getattr(optimum, name) for name in (first, second)] for optimum in found])
     kept = [k for k in range(len(found)) if not _dominated(values, k)]
     kept.sort(key=lambda k: float(values[k, 1]))
     return ParetoFront(tuple(found[k] for k in kept), values[kept], len(found) - len(kept), tuple(searches))

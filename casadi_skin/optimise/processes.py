@@ -1,122 +1,230 @@
-"""Work shared between processes: what they tell meanwhile, and Ctrl-C that leaves what has been done."""
+"""Starts of a search one after the other or in other processes, with progress, and Ctrl-C that keeps the results."""
 
 from __future__ import annotations
 
+import pickle
 import queue
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from multiprocessing.managers import SyncManager
 from types import FrameType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
-T = TypeVar("T")
+from casadi_skin.arguments import short_repr
+from casadi_skin.optimise.iteration_callback import Monitor
+from casadi_skin.threads import one_thread
 
-POLL = 0.1  # seconds between two looks at what processes tell
+POLL = 0.1  # seconds between two reports of a process
 ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
 
 
-class Interruption:
-    """Hears SIGINT and SIGTERM while it lasts; the second one interrupts at once."""
+@dataclass(frozen=True)
+class SearchProgress:
+    """Where a search is: a start, its iteration of Ipopt, objective and largest violation; `done` starts have ended.
 
-    def __init__(self) -> None:
-        self.heard = False
+    The end of every start is reported as well, with an infinite objective where it found nothing.
+    """
 
-    def _hear(self, number: int, frame: FrameType | None) -> None:
-        if self.heard:
+    start: int
+    starts: int
+    done: int
+    iteration: int
+    objective: float
+    violation: float
+    name: str = ""
+
+    def __str__(self) -> str:
+        name = f" ({self.name})" if self.name else ""
+        where = f"{self.done} of {self.starts} starts done; start {self.start}{name}, iteration {self.iteration}"
+        return f"{where}: objective {self.objective:.8g}, violation {self.violation:.1e}"
+
+
+Report = Callable[[SearchProgress], None]
+
+
+class Job(Protocol):
+    """A start of a search."""
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+
+
+class Ended(Protocol):
+    """What a start led to: `last` has its iterations, objective and largest violation."""
+
+    @property
+    def start(self) -> Job: ...
+    @property
+    def last(self) -> tuple[int, float, float]: ...
+
+
+J = TypeVar("J", bound=Job)
+T = TypeVar("T", bound=Ended)
+
+
+class Runner:
+    """Runs starts with `workers` processes or an `executor` of processes, and reports where it is.
+
+    `interrupted` tells whether SIGINT or SIGTERM came while it listened; the second one interrupts at once. Raises
+    TypeError or ValueError for processes that cannot be used.
+    """
+
+    def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
+        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+            raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
+        if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
+            accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
+            raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
+        self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.interrupted:
             raise KeyboardInterrupt
-        self.heard = True
+        self.interrupted = True
 
     @contextmanager
-    def listening(self) -> Iterator[Interruption]:
-        """Listen inside the block; signals reach the main thread alone."""
-        if threading.current_thread() is not threading.main_thread():
-            yield self
-            return
+    def listening(self) -> Iterator[None]:
+        """Listen for signals inside the block, in the main thread, and keep linear algebra on one thread."""
         heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-        before = {n: signal.signal(n, self._hear) for n in heeded}
+        main = threading.current_thread() is threading.main_thread()
+        before = {n: signal.signal(n, self._receive) for n in heeded if main}
         try:
-            yield self
+            with one_thread():
+                yield
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
+    def run(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
+        """Results of `solve(job, monitor)` as they end; after an interruption those of jobs that had begun.
+
+        For other processes `solve` is a method of an object that can be pickled, or a partial of a function with one.
+        An executor of the caller is not waited for after an interruption. Raises RuntimeError if a process ends early.
+        """
+        for done, ended in enumerate(self._ended(solve, jobs), start=1):
+            yield ended
+            if self.report is not None and not self.interrupted:
+                self.report(SearchProgress(ended.start.number, len(jobs), done, *ended.last, ended.start.name))
+
+    def _ended(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
+        if self.executor is not None:
+            yield from self._elsewhere(solve, jobs, self.executor, None)
+        elif self.workers > 1 and len(jobs) > 1:
+            made = ProcessPoolExecutor(min(self.workers, len(jobs)), mp_context=get_context("spawn"))
+            with _sharing() as shared, made:
+                yield from self._elsewhere(solve, jobs, made, shared)
+        else:
+            for done, job in enumerate(jobs):
+                if self.interrupted:
+                    return
+                where = partial(SearchProgress, job.number, len(jobs), done, name=job.name)
+                yield solve(job, _monitor(where, self.report, lambda: self.interrupted))
+
+    def _elsewhere(
+        self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J], executor: Executor, shared: _Shared | None
+    ) -> Generator[T]:
+        data, done = pickle.dumps(solve), 0
+        waiting: set[Future[T | None]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
+        try:
+            while waiting:
+                ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+                for progress in _reports(shared):
+                    if self.report is not None:
+                        self.report(replace(progress, done=done))
+                for result in (future.result() for future in ended):
+                    if result is not None:
+                        done += 1
+                        yield result
+                if self.interrupted:
+                    waiting = {future for future in waiting if not future.cancel()}
+                    if shared is None:
+                        return
+                    shared.stop.set()
+        except BrokenProcessPool as error:
+            raise RuntimeError(ENDED_EARLY) from error
+        finally:
+            for future in waiting:
+                future.cancel()
+            if shared is not None and waiting:
+                shared.stop.set()
+
+
+def _monitor(
+    where: Callable[..., SearchProgress], report: Report | None, stop: Callable[[], bool], every: float = 0.0
+) -> Monitor:
+    """Reports an iteration, and returns whether to stop, once in `every` seconds."""
+    last = time.monotonic()
+
+    def monitor(iteration: int, objective: float, violation: float) -> bool:
+        nonlocal last
+        if time.monotonic() - last < every:
+            return False
+        last = time.monotonic()
+        if report is not None:
+            report(where(iteration, objective, violation))
+        return stop()
+
+    return monitor
+
+
+# Other processes ------------------------------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True)
-class Shared:
-    """What processes share with the one that waits for them: what they tell, and whether they are to stop."""
+class _Shared:
+    """Proxies of what processes share: a queue of their reports, and an event that stops them."""
 
-    told: Any  # proxies of a manager, which have no types
+    reports: Any
     stop: Any
 
 
-def ignore_interrupts() -> None:
-    """Leave Ctrl-C, which every process of a terminal hears, to the one that waits."""
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C, which every process of a terminal receives, to the one that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
-def sharing() -> Iterator[Shared]:
-    """What processes share, for as long as the block lasts; raises RuntimeError where no process can be started."""
+def _sharing() -> Iterator[_Shared]:
+    """The shared queue and event of a block; raises RuntimeError where no process can be started."""
     manager = SyncManager(ctx=get_context("spawn"))
     try:
-        manager.start(ignore_interrupts)
+        manager.start(_ignore_interrupts)
     except EOFError as error:
         raise RuntimeError(ENDED_EARLY) from error
-    try:
-        yield Shared(manager.Queue(), manager.Event())
-    finally:
-        manager.shutdown()
+    with manager:
+        yield _Shared(manager.Queue(), manager.Event())
 
 
-def pool(workers: int, jobs: int) -> ProcessPoolExecutor:
-    """Fresh processes, no more than there are jobs."""
-    return ProcessPoolExecutor(min(workers, jobs), mp_context=get_context("spawn"))
+@lru_cache(maxsize=1)
+def unpickled(solve: bytes) -> Any:
+    """The pickled function; kept, so that what its object builds for the first start serves the later ones."""
+    return pickle.loads(solve)
 
 
-def gathered(
-    waiting: set[Future[T]],
-    interruption: Interruption,
-    shared: Shared | None = None,
-    hear: Callable[[Any], None] | None = None,
-    abandoned: bool = False,
-) -> Generator[T]:
-    """Results of futures as they end; `hear` is called with what processes tell through `shared`.
-
-    After an interruption only what had begun is waited for; where it is `abandoned`, as in an executor of the user's,
-    not even that. Raises RuntimeError where a process ends early.
-    """
-    try:
-        while waiting:
-            ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            for told in _told(shared):
-                if hear is not None:
-                    hear(told)
-            for future in ended:
-                yield future.result()
-            if interruption.heard:
-                waiting = {future for future in waiting if not future.cancel()}
-                if abandoned:
-                    return
-                if shared is not None:
-                    shared.stop.set()
-    except BrokenProcessPool as error:
-        raise RuntimeError(ENDED_EARLY) from error
-    finally:
-        for future in waiting:
-            future.cancel()
-        if shared is not None and waiting:
-            shared.stop.set()
+def _work(solve: bytes, job: Job, starts: int, shared: _Shared | None) -> Any:
+    """Solve one start in another process; None where the search was stopped before."""
+    _ignore_interrupts()
+    if shared is not None and shared.stop.is_set():
+        return None
+    where = partial(SearchProgress, job.number, starts, 0, name=job.name)
+    monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
+    with one_thread():
+        return unpickled(solve)(job, monitor)
 
 
-def _told(shared: Shared | None) -> Iterator[Any]:
+def _reports(shared: _Shared | None) -> Iterator[SearchProgress]:
     while shared is not None:
         try:
-            yield shared.told.get_nowait()
+            yield shared.reports.get_nowait()
         except queue.Empty:
             return

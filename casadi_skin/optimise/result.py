@@ -1,21 +1,27 @@
-"""What a search found: its distinct optima, sorted, each with its checks, and what every start led to."""
+"""What a search finds: its distinct optima, best first, each with its checks, and where every start led."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import cosine_matrix
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.optimality import Kkt
-from casadi_skin.optimise.starts import Outcome
-from casadi_skin.optimise.verify import PlainCheck
-from casadi_skin.theory.linear import Array
+from casadi_skin.optimise.names import nearest_name
+from casadi_skin.optimise.nlp import Nlp, Solution
+from casadi_skin.optimise.optimality import Kkt, Optimality
+
+if TYPE_CHECKING:
+    from casadi_skin.optimise.search_problem import Outcome, SearchProblem
+    from casadi_skin.orbits.orbit import Orbit
+
+ON_FAMILY = 1e-6  # relative difference of Omega to the member of the family
 
 
 class SearchStatus(Enum):
@@ -30,90 +36,164 @@ class SearchStatus(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class FoundOrbit:
-    """An orbit of an optimum: y_n(t) = sum_k c_kn cos((2k+1) Omega t), in physical coordinates; dimensionless.
+class CosineOrbit:
+    """An orbit y_n(t) = sum_k c_kn cos((2k+1) Omega t), all velocities zero at t = 0.
 
-    `coefficients` has shape (harmonics, sites); `values` are the named quantities (of the slopes those that the search
-    asked for).
+    Attributes:
+        S: total amplitude, the sum of y_n(0)^2.
+        Omega: frequency.
+        coefficients: c_kn, shape (harmonics, components).
     """
 
     S: float
     Omega: float
     coefficients: Array
-    values: Mapping[str, float]
-    check: PlainCheck
+
+    @classmethod
+    def of(cls, S: float, Omega: float, values: Array) -> CosineOrbit:
+        """From displacements at the nodes, (components, harmonics); the largest at t = 0 becomes positive."""
+        harmonics = values.shape[1]
+        found = (2.0 / harmonics) * cosine_matrix(harmonics) @ values.T
+        start = found.sum(axis=0)
+        return cls(S, Omega, np.asarray(found * np.sign(start[np.argmax(np.abs(start))])))
+
+    @property
+    def period(self) -> float:
+        """2 pi/Omega."""
+        return 2.0 * np.pi / self.Omega
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """Displacements y_n(t), shape (time, site); the largest at t = 0 is positive."""
+        """Displacements y_n(t), shape (time, component)."""
         odd = 2 * np.arange(self.coefficients.shape[0]) + 1
         times = np.atleast_1d(np.asarray(t, dtype=float))
         return np.asarray(np.cos(np.outer(self.Omega * times, odd)) @ self.coefficients)
 
     @cached_property
     def profile(self) -> Array:
-        """Displacements at t = 0, where all velocities vanish, shape (sites,)."""
+        """Displacements at t = 0, shape (components,)."""
         return np.asarray(self.coefficients.sum(axis=0))
+
+
+@dataclass(frozen=True)
+class PlainCheck:
+    """An orbit of a search beside the plain orbit problem at its parameters, solved without objective.
+
+    Attributes:
+        converged: whether the plain problem was solved.
+        Omega_difference: its Omega less that of the optimum, absolute.
+        difference: the larger of those of the period and of the states, both relative.
+        residual: of the plain problem's equations, relative to their largest term.
+        resolution: harmonics or intervals of the plain problem.
+        family_difference: Omega less that of the orbit of the mode's family at this S, followed from the linear mode;
+            None where there is none to compare with, the reason in `family_words`.
+    """
+
+    converged: bool
+    Omega_difference: float
+    difference: float
+    residual: float
+    resolution: int
+    family_difference: float | None = None
+    family_words: str = ""
+
+    def on_family(self, Omega: float) -> bool | None:
+        """Whether the orbit belongs to the family that grows from the linear mode; None where that is not known."""
+        if self.family_difference is None:
+            return False if self.family_words else None
+        return abs(self.family_difference) <= ON_FAMILY * Omega
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: parameters, orbits and what was checked of it.
+    """A local optimum: free numbers, orbits, and its checks. Every quantity of the first orbit is an attribute too.
 
-    `parameters` are the free numbers by name, `alpha_n` (sites,) the on-site stiffness of every site. `errors` are
-    estimated absolute errors of objective, Omega and free numbers by discretisation (the step to more harmonics).
-    `active` names the bounds that hold, such as "gamma >= 0". `curvature` is the smallest eigenvalue of the Hessian of
-    the Lagrangian (of the negative objective where that is maximised) in the free numbers that the constraints leave:
-    positive at a strict optimum, infinite where nothing is left. `starts` are the numbers of those that led here.
+    Attributes:
+        objective: what is optimised.
+        parameters: the free numbers by name.
+        orbits: the orbits; one unless S was given as a list.
+        quantities: quantities of each orbit by name: parameters, period, Omega, and what its problem knows beyond
+            these (of the slopes those that the search used).
+        checks: each orbit beside a plain solution.
+        conditions: values of the conditions by name.
+        active: bounds that are active, such as "gamma >= 0".
+        kkt: residuals of the conditions of first order, from multipliers and derivatives.
+        curvature: the smallest eigenvalue of the Hessian of the Lagrangian (of the negative objective where that is
+            maximised) in the free numbers that the constraints leave: positive at a strict optimum, infinite where
+            nothing is left, nan where it is not known.
+        errors: estimated absolute errors of the objective, Omega or the period, and free numbers by discretisation.
+        resolution: harmonics, or intervals of the mesh.
+        starts: numbers of the starts that led here.
     """
 
     objective: float
     parameters: Mapping[str, float]
-    alpha_n: Array
-    gamma: float
-    g: float
-    orbits: tuple[FoundOrbit, ...]
+    orbits: tuple[CosineOrbit, ...] | tuple[Orbit, ...]
+    quantities: tuple[Mapping[str, Any], ...]
+    checks: tuple[PlainCheck, ...]
     conditions: Mapping[str, Array]
     active: tuple[str, ...]
     kkt: Kkt
     curvature: float
     errors: Mapping[str, float]
-    harmonics: int
+    resolution: int
     starts: tuple[int, ...]
-    x: Array
+
+    @classmethod
+    def of(cls, nlp: Nlp, solution: Solution, found: Optimality, free_names: Sequence[str], **known: Any) -> Optimum:
+        """From where Ipopt ended, with the conditions of optimality there and all else by name."""
+        residual, free = nlp.residual(solution.x), solution.x[nlp.measured].tolist()
+        return cls(
+            objective=solution.objective, parameters=dict(zip(free_names, free, strict=True)), kkt=found.kkt,
+            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()}, active=found.active,
+            curvature=found.curvature, **known,
+        )  # fmt: skip
+
+    def __getattr__(self, name: str) -> Any:
+        quantities = self.__dict__.get("quantities", ({},))[0]
+        if name not in quantities:
+            raise AttributeError(f"optimum: given {name}; {nearest_name(name, quantities)}")
+        return quantities[name]
+
+    def is_near(self, other: Optimum, tolerance: float) -> bool:
+        """Whether objective, free numbers and frequencies are those of another optimum, relative to them or to 1."""
+        one, two = (
+            np.array([o.objective, *o.parameters.values(), *(q["Omega"] for q in o.quantities)]) for o in (self, other)
+        )
+        return bool(np.all(np.abs(one - two) <= tolerance * np.maximum(1.0, np.abs(one))))
 
     @property
-    def on_family(self) -> bool | None:
-        """Whether every orbit belongs to the family asked for; None where that is not known."""
-        known = [orbit.check.on_family(orbit.Omega) for orbit in self.orbits]
-        return None if None in known else all(known)
-
-    @property
-    def orbit(self) -> FoundOrbit:
-        """The first orbit; the only one where S is one number."""
+    def orbit(self) -> Any:
+        """The first orbit."""
         return self.orbits[0]
 
     @property
-    def S(self) -> float:
-        """S of the first orbit."""
-        return self.orbits[0].S
+    def check(self) -> PlainCheck:
+        """The first orbit beside a plain solution."""
+        return self.checks[0]
 
     @property
-    def Omega(self) -> float:
-        """Omega of the first orbit."""
-        return self.orbits[0].Omega
+    def on_family(self) -> bool | None:
+        """Whether every orbit belongs to the mode's family; None where that is not known, or any orbit will do."""
+        known = [check.on_family(q["Omega"]) for check, q in zip(self.checks, self.quantities, strict=True)]
+        return None if None in known else all(known)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Distinct optima, best first, of the family asked for; `others` are optima on orbits that are not of it.
+    """Distinct optima, best first.
 
-    `status` and the sentence `reason` tell how the search ended. Where there is no optimum, `nearest` is the point that
-    comes nearest: of an infeasible search the orbit that misses the constraints least, else the outcome with the
-    least violation. `outcomes` has one item a start done, and another for each that was used again by deflation.
+    Attributes:
+        problem: what was searched for.
+        status, reason: how the search ended; `reason` is a sentence.
+        optima: of the family asked for.
+        others: optima on orbits that are not of this family.
+        outcomes: one a start done, and another for each start that was used again by deflation.
+        nearest: where there is no optimum, the outcome that comes nearest; of an infeasible search the orbit that
+            misses the constraints least.
+        seconds: wall-clock time.
     """
 
-    chain: Chain
-    mode: int
+    problem: SearchProblem
     status: SearchStatus
     reason: str
     optima: tuple[Optimum, ...]
@@ -121,6 +201,11 @@ class SearchResult:
     outcomes: tuple[Outcome, ...]
     nearest: Outcome | None
     seconds: float
+
+    @property
+    def model(self) -> Any:
+        """The chain or the model."""
+        return self.problem.model
 
     @property
     def best(self) -> Optimum:
@@ -131,16 +216,14 @@ class SearchResult:
 
     @property
     def found(self) -> bool:
-        """Whether there is an optimum on the family."""
+        """Whether there is an optimum."""
         return bool(self.optima)
 
-
-def physical_coefficients(values: Array, scale: Array) -> Array:
-    """Coefficients (harmonics, sites) of displacements from scaled gauge positions at the nodes (sites, harmonics).
-
-    `scale` has sqrt(S) rho_n. The sign makes the largest displacement at t = 0 positive.
-    """
-    harmonics = values.shape[1]
-    found = (2.0 / harmonics) * cosine_matrix(harmonics) @ (values * scale[:, None]).T
-    start = found.sum(axis=0)
-    return np.asarray(found * np.sign(start[np.argmax(np.abs(start))]))
+    def __repr__(self) -> str:
+        lines = [f"SearchResult: {self.reason}"]
+        for optimum in self.optima:
+            free = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
+            lines.append(
+                f"  objective {optimum.objective:.10g} at {free}{', ...' if len(optimum.parameters) > 4 else ''}"
+            )
+        return "\n".join(lines)

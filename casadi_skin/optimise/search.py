@@ -1,216 +1,185 @@
-"""Orbits found by optimisation: an objective, bounds and free parameters added to the orbit problem."""
+"""The engine of every search: starts one after the other or in processes, distinct optima, and how the search ended."""
 
 from __future__ import annotations
 
+import pickle
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from casadi_skin.arguments import shown
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.polish import finished
-from casadi_skin.optimise.processes import Interruption
-from casadi_skin.optimise.request import Quantity, SearchRequest, search_request
+from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
-from casadi_skin.optimise.running import Job, Report, SearchProgress, check_executor, run_jobs
-from casadi_skin.optimise.search_nlp import VIOLATION, programme
-from casadi_skin.optimise.starts import (
-    Ending,
-    Outcome,
-    Start,
-    family_orbits,
-    first_harmonics,
-    outcome,
-    packed,
-    same_place,
-    sample_starts,
-)
-from casadi_skin.threads import one_thread
+from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
 
+SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
 NEAREST = 4  # starts from which the orbit nearest to the constraints is looked for
-STARTS = 8
 
 
-def search_chain(
-    chain: Chain,
+def search(
+    problem: SearchProblem,
+    starts: Sequence[Start],
     *,
-    objective: Quantity,
-    free: Sequence[str],
-    bounds: Mapping[str, Any] | None = None,
-    constraints: Sequence[Any] = (),
-    maximise: bool = False,
-    mode: int | str | None = None,
-    S: float | Sequence[float] = 1.0,
-    starts: int = STARTS,
-    seed: int = 0,
-    tolerance: float = 1e-8,
     deflate: bool = False,
+    known: Sequence[Outcome] = (),
+    keep: Callable[[Outcome], None] | None = None,
+    progress: Report | None = None,
     workers: int = 1,
     executor: Executor | None = None,
-    progress: Report | None = None,
 ) -> SearchResult:
-    """Find the orbits of one mode's family that optimise an objective over free parameters within bounds.
+    """Run a search from its starts.
 
-    `objective` is the name of a quantity (see `names.NAMED`) or a function of `Observables` that returns a scalar
-    CasADi expression; `free` are among S, gamma, alpha, g, alpha_n (one stiffness a site). `bounds` maps names that are
-    free, or of quantities, to (lower, upper). Each constraint is a function that is to vanish, or (name or function,
-    lower, upper). `mode` is by default the end breather: last for g > 0, first for g < 0. Where `S` is a list there is
-    one orbit at each, all share the parameters, and functions get the tuple of their observables.
+    Arguments:
+        problem: what is searched for, as `stated_search` makes it.
+        starts: where it starts, as `problem.starts` makes them.
+        deflate: whether starts that led to a known optimum are used once more, away from it.
+        known: outcomes of an earlier run; their starts are not run again.
+        keep: called with each new outcome as it ends, such as to write it to a journal.
+        progress: called at iterations of Ipopt and at the end of every start.
+        workers: number of processes that share the starts.
+        executor: processes of the caller in place of `workers`.
 
-    From `starts` points, the chain's own first, orbits of the family are computed and Ipopt goes on with exact second
-    derivatives; with `deflate` starts that led to a known optimum are used once more, away from it. `workers` processes
-    or an `executor` of processes share the starts; `progress` is called with where the search is. Ctrl-C ends it with
-    the best so far. `tolerance` bounds the estimated relative error of objective and Omega by discretisation.
+    Returns:
+        The result. Ctrl-C ends the search with the best so far.
 
-    Raises ValueError and TypeError, before anything is solved, for arguments that cannot be meant; a search that finds
-    nothing returns its reason. Method: full discretisation in odd cosines, interior point (Waechter and Biegler 2006).
+    Raises:
+        ValueError, TypeError: processes that cannot be used, or a problem that cannot be sent to them.
     """
-    request = search_request(
-        chain, mode, S, objective, maximise, free, bounds if bounds is not None else {}, constraints, tolerance
-    )
-    for name, value, least in (("starts", starts, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"{name}: given {shown(value)}; accepted: a whole number >= {least}")
-    check_executor(executor, workers, request)
-    search = Search(request, sample_starts(request, int(starts), int(seed)), deflate)
-    return search.run(progress, workers, executor)
+    runner = Runner(progress, workers, executor)
+    if executor is not None or workers > 1:
+        _check_pickled(problem)
+    running, began = _Search(problem, tuple(starts), runner, list(known)), time.perf_counter()
+    with runner.listening():
+        running.run_starts(keep)
+        if deflate and not runner.interrupted:
+            running.run_again()
+        return running.result(began)
 
 
-class Search:
-    """A search in the doing: outcomes of its starts, and of those that deflation used again."""
+def _check_pickled(problem: SearchProblem) -> None:
+    try:
+        pickle.dumps(problem)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        accepted = "names, or functions at the top of a module, where starts run in other processes"
+        words = f"cannot be sent to a process ({' '.join(str(error).split())[:120]})"
+        raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
 
-    def __init__(
-        self, request: SearchRequest, starts: tuple[Start, ...], deflate: bool = False, known: Sequence[Outcome] = ()
-    ) -> None:
-        self.request, self.starts, self.deflate = request, starts, deflate
-        self.outcomes, self.again = list(known), list[Outcome]()
-        self.interruption = Interruption()
-        self.harmonics = self.unconfirmed = 0
 
-    def run(
-        self,
-        progress: Report | None = None,
-        workers: int = 1,
-        executor: Executor | None = None,
-        keep: Callable[[Outcome], None] | None = None,
-    ) -> SearchResult:
-        """Run every start that has no outcome yet; `keep` is called with each outcome."""
-        started = time.perf_counter()
-        with self.interruption.listening(), one_thread():
-            self.harmonics = first_harmonics(self.request, self.starts[0])
-            done = {o.start.number for o in self.outcomes}
-            jobs = [Job(self.request, start, self.harmonics) for start in self.starts if start.number not in done]
-            for found in run_jobs(jobs, self.interruption, progress, workers, executor):
-                self.outcomes.append(found)
-                if keep is not None:
-                    keep(found)
-            self.outcomes.sort(key=lambda found: found.start.number)
-            if self.deflate and not self.interruption.heard:
-                self._deflate(progress, workers, executor)
-            nlp = programme(self.request, self.harmonics)
-            made = [(found, finished(nlp, found, numbers)) for found, numbers in self._distinct()]
-            self.unconfirmed = sum(optimum is None for _, optimum in made)
-            optima = [optimum for _, optimum in made if optimum is not None]
-            return self._result(optima, time.perf_counter() - started)
+@dataclass
+class _Search:
+    """A search that is running: outcomes of its starts, and of those that deflation used again."""
 
-    def _deflate(self, progress: Report | None, workers: int, executor: Executor | None) -> None:
-        """Use starts that led to an optimum that another found first once more, away from the optima known."""
+    problem: SearchProblem
+    starts: tuple[Start, ...]
+    runner: Runner
+    outcomes: list[Outcome]
+    again: list[Outcome] = field(default_factory=list)
+
+    def run_starts(self, keep: Callable[[Outcome], None] | None) -> None:
+        """Run every start that has no outcome yet."""
+        self.problem = self.problem.prepared(self.starts[0])
+        done = {outcome.start.number for outcome in self.outcomes}
+        left = [start for start in self.starts if start.number not in done]
+        for outcome in self.runner.run(partial(solve_start, self.problem), left):
+            self.outcomes.append(outcome)
+            if keep is not None:
+                keep(outcome)
+        self.outcomes.sort(key=lambda outcome: outcome.start.number)
+
+    def run_again(self) -> None:
+        """Run the starts that led to an optimum that another found first once more, away from the optima known."""
         distinct = self._distinct()
         repeated = {number for _, numbers in distinct for number in numbers[1:]}
-        if not repeated:
-            return
-        nlp = programme(self.request, self.harmonics)
-        known = tuple(nlp.place(found.solution.x) for found, _ in distinct if found.solution is not None)
-        jobs = [Job(self.request, s, self.harmonics, known) for s in self.starts if s.number in repeated]
-        self.again += run_jobs(jobs, self.interruption, progress, workers, executor)
+        known = tuple(outcome.place for outcome, _ in distinct)
+        starts = [start for start in self.starts if start.number in repeated]
+        self.again += self.runner.run(partial(solve_start, self.problem, known=known), starts)
+
+    # Optima ---------------------------------------------------------------------------------------------------------
 
     def _distinct(self) -> list[tuple[Outcome, tuple[int, ...]]]:
         """One outcome for each optimum, best first, with the numbers of the starts that led to it."""
-        nlp, groups = programme(self.request, self.harmonics), list[list[Outcome]]()
-        for found in (*self.outcomes, *self.again):
-            if found.ending is not Ending.CONVERGED or found.solution is None:
-                continue
-            for group in groups:
-                if group[0].solution is not None and same_place(nlp, group[0].solution.x, found.solution.x):
-                    group.append(found)
-                    break
-            else:
-                groups.append([found])
+        groups = list[list[Outcome]]()
+        for outcome in (*self.outcomes, *self.again):
+            if outcome.ending is Ending.CONVERGED:
+                same = next((group for group in groups if same_optimum(group[0], outcome)), None)
+                if same is None:
+                    groups.append(same := [])
+                same.append(outcome)
         groups.sort(key=lambda group: self._rank(group[0]))
         return [(group[0], tuple(dict.fromkeys(o.start.number for o in group))) for group in groups]
 
-    def _rank(self, found: Outcome) -> float:
-        value = found.solution.objective if found.solution is not None else np.inf
-        return -value if self.request.maximise else value
+    def _rank(self, outcome: Outcome) -> float:
+        return -outcome.objective if self.problem.maximise else outcome.objective
 
-    # Result ---------------------------------------------------------------------------------------------------------
-
-    def _result(self, found: list[Optimum], seconds: float) -> SearchResult:
-        optima = tuple(o for o in found if o.on_family is not False)
-        others = tuple(o for o in found if o.on_family is False)
-        nearest = None if optima else self._nearest()
-        status, reason = self._status(optima, others, nearest)
-        outcomes = (*self.outcomes, *self.again)
-        return SearchResult(
-            self.request.chain, self.request.mode, status, reason, optima, others, outcomes, nearest, seconds
-        )
+    def result(self, began: float) -> SearchResult:
+        """The optima made final, and the verdict."""
+        made, found = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()], list[Optimum]()
+        for optimum in (optimum for optimum in made if optimum is not None):
+            same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME)), None)
+            if same is None:
+                found.append(optimum)
+            else:  # what differed on coarse discretisations
+                found[same] = replace(found[same], starts=(*found[same].starts, *optimum.starts))
+        optima = tuple(optimum for optimum in found if optimum.on_family is not False)
+        others = tuple(optimum for optimum in found if optimum.on_family is False)
+        near = None if optima else self._nearest()
+        status, reason = self._verdict(optima, others, near, made.count(None))
+        outcomes, seconds = (*self.outcomes, *self.again), time.perf_counter() - began
+        return SearchResult(self.problem, status, reason, optima, others, outcomes, near, seconds)
 
     def _nearest(self) -> Outcome | None:
         """The orbit that misses the conditions least, from a few starts; else what came nearest."""
-        nlp = programme(self.request, self.harmonics)
         tried = [o for o in self.outcomes if o.solution is not None]
         missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
-        found = []
-        if any(o.ending is Ending.INFEASIBLE for o in missed) and self.request.conditions:
-            for start in [o.start for o in missed[:NEAREST]]:
-                solution = nlp.nearest(packed(nlp, start, family_orbits(self.request, start.free)))
-                if solution is not None:
-                    found.append(replace(outcome(nlp, start, solution), ending=Ending.INFEASIBLE))
-        return min(found or tried, key=lambda o: (max(o.gap, VIOLATION), self._rank(o)), default=None)
+        found = list[Outcome | None]()
+        if any(o.ending is Ending.INFEASIBLE for o in missed):
+            found = [nearest(self.problem, outcome.start) for outcome in missed[:NEAREST]]
+        chosen = [outcome for outcome in found if outcome is not None] or tried
+        return min(chosen, key=lambda o: (max(o.gap, FEASIBLE), self._rank(o)), default=None)
 
-    def _status(
-        self, optima: tuple[Optimum, ...], others: tuple[Optimum, ...], nearest: Outcome | None
+    # How it ended ---------------------------------------------------------------------------------------------------
+
+    def _verdict(
+        self, optima: Sequence[Optimum], others: Sequence[Optimum], near: Outcome | None, unconfirmed: int
     ) -> tuple[SearchStatus, str]:
-        endings = [found.ending for found in self.outcomes]
-        count = f"{len(endings)} of {len(self.starts)} starts"
-        away = endings.count(Ending.UNBOUNDED)
-        if self.interruption.heard:
+        """The status, with the reason in a sentence."""
+        endings = [outcome.ending for outcome in self.outcomes]
+        away, count = endings.count(Ending.UNBOUNDED), len(endings)
+        if self.runner.interrupted:
             words = f"best so far {optima[0].objective:.10g}" if optima else "no optimum so far"
-            return SearchStatus.INTERRUPTED, f"interrupted after {count}; {words}"
+            return SearchStatus.INTERRUPTED, f"interrupted after {count} of {len(self.starts)} starts; {words}"
         if optima:
-            best, many = optima[0], f"{len(optima[0].starts)} of {len(endings)} starts led to it"
-            words = f"; {away} ran off without bound, so it is a local one" if away else ""
-            if best.active:
-                return (
-                    SearchStatus.ON_BOUND,
-                    f"the best optimum sits on a bound: {', '.join(best.active)}; {many}{words}",
-                )
-            return SearchStatus.FOUND, f"found an optimum inside its bounds; {many}{words}"
+            words = f"{len(optima[0].starts)} of {count} starts led to it"
+            words += f"; {away} ran off without bound, so it is a local one" if away else ""
+            if optima[0].active:
+                sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
+                return SearchStatus.ON_BOUND, f"{sits}; {words}"
+            return SearchStatus.FOUND, f"found an optimum inside its bounds; {words}"
         if away:
-            return SearchStatus.UNBOUNDED, f"{away} of {len(endings)} starts ran off without bound: {self._runaway()}"
+            return SearchStatus.UNBOUNDED, f"{away} of {count} starts ran off without bound: {self._runaway()}"
         if others:
             number = f"{len(others)} optim{'um' if len(others) == 1 else 'a'}"
-            return SearchStatus.FAILED, f"{number} found, but none on the family of mode {self.request.mode}"
-        if nearest is not None and nearest.ending is Ending.INFEASIBLE:
-            words = f"{nearest.worst} is off by {nearest.gap:.3g} at the nearest orbit found"
+            return SearchStatus.FAILED, f"{number} found, but none {self.problem.wanted}"
+        if near is not None and near.ending is Ending.INFEASIBLE:
+            words = f"{near.worst} is off by {near.gap:.3g} at the nearest orbit found"
             return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
-        if self.unconfirmed:
-            return SearchStatus.FAILED, f"{self.unconfirmed} found on the first harmonics, and not confirmed by more"
+        if unconfirmed:
+            words = f"{unconfirmed} found on the first {self.problem.resolution_name}, and not confirmed by more"
+            return SearchStatus.FAILED, words
         failed = self.outcomes[0].words if self.outcomes else "there was no start"
         return SearchStatus.FAILED, f"no start converged; the first: {failed}"
 
     def _runaway(self) -> str:
         """The free number that ran off the farthest."""
-        nlp = programme(self.request, self.harmonics)
         gone = next(o for o in self.outcomes if o.ending is Ending.UNBOUNDED)
-        assert gone.solution is not None
-        free = nlp.free_of(gone.solution.x)
-        k = int(np.argmax(np.abs(free)))
-        return f"{self.request.free_names[k]} = {free[k]:.3g}, objective {gone.solution.objective:.3g}"
+        k = int(np.argmax(np.abs(gone.free)))
+        return f"{self.problem.free_names[k]} = {gone.free[k]:.3g}, objective {gone.objective:.3g}"
 
 
-__all__ = ["Search", "SearchProgress", "search_chain"]
+def same_optimum(one: Outcome, other: Outcome) -> bool:
+    """Whether two outcomes are one optimum: at one place, with one value of the objective."""
+    near = np.max(np.abs(one.place - other.place)) <= SAME
+    return bool(near and abs(one.objective - other.objective) <= SAME * max(1.0, abs(one.objective)))

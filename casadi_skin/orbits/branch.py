@@ -1,149 +1,239 @@
-"""A family as computed: orbits in arclength order, changes of stability, and why the walk ended."""
+"""A branch as computed: solutions in the order of arclength, special points, changes of stability, why it ended."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Scalar
-from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin import methods
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import End, Point
+from casadi_skin.orbits.family import SLOW, Family
+from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import TWO_PI
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint, fold_between, turns_between
 from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.orbits.tools import FamilyTools
 
 if TYPE_CHECKING:
     import xarray
 
-
-SLOW = 3.0  # times the period of the linear mode
 NEAR_LIMIT = 1e-6  # relative
 STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Orbits of one family in arclength order; `start` is the linear mode at S = 0, which is not among them.
+    """Solutions of one branch in the order of arclength.
 
-    `end` is None where the walk was interrupted; `missed`, `missed_Omega` and `missed_period` list requested values at
-    which there is no orbit, though the family was followed to its end or passed them.
+    Attributes:
+        space: what the solutions belong to.
+        solutions: orbits, or solutions of a boundary-value problem; folds that were located on the way among them.
+        changes: changes of stability that were located.
+        with_stability: whether stability was computed with the solutions.
+        end: why the branch ended; None where it was interrupted.
+        detail: more about the end, in words.
+        misses: values that were asked for, by the name of the quantity, at which no solution was found.
+        stopped: whether the condition `until` ended the branch.
     """
 
-    tools: FamilyTools
-    start: Point
-    orbits: tuple[Orbit, ...]
-    changes: tuple[StabilityChange, ...]
-    with_stability: bool
-    end: End | None
+    space: SolutionSpace
+    solutions: tuple[Solution, ...]
+    changes: tuple[StabilityChange, ...] = ()
+    with_stability: bool = False
+    end: End | None = None
     detail: str = ""
-    missed: tuple[float, ...] = ()
-    missed_Omega: tuple[float, ...] = ()
-    missed_period: tuple[float, ...] = ()
+    misses: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    stopped: bool = False
 
     def __len__(self) -> int:
-        return len(self.orbits)
+        return len(self.solutions)
+
+    def __repr__(self) -> str:
+        values = self.values
+        words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
+        changes = f", {len(self.changes)} changes of stability" if self.with_stability else ""
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}; {self.reason}>"
+
+    @property
+    def parameter(self) -> str:
+        """Name of the quantity that the branch is followed in: S of a family."""
+        return self.space.parameter
+
+    @property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The solutions of a branch of orbits."""
+        return cast(tuple[Orbit, ...], self.solutions)
+
+    @property
+    def start(self) -> Point:
+        """Where the branch starts: of a family its linear mode at S = 0, which is not among the orbits."""
+        return self.space.start
+
+    # Arrays -----------------------------------------------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> Array:
+        """Values of a parameter or of what is followed along the branch, shape (solutions,)."""
+        if name == self.parameter:
+            return self.values
+        return np.array([solution.parameters[name] for solution in self.solutions])
+
+    @property
+    def values(self) -> Array:
+        """Values of the quantity followed, shape (solutions,)."""
+        return np.array([self._value(self.parameter, solution) for solution in self.solutions])
+
+    def _value(self, name: str, solution: Solution) -> float:
+        return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)
 
     @property
     def S(self) -> Array:
-        """Total amplitudes, shape (points,)."""
-        return np.array([o.S for o in self.orbits])
+        """Total amplitudes, shape (orbits,)."""
+        return np.array([orbit.S for orbit in self.orbits])
 
     @property
     def Omega(self) -> Array:
-        """Frequencies, shape (points,)."""
-        return np.array([o.Omega for o in self.orbits])
+        """Frequencies, shape (orbits,)."""
+        return np.array([orbit.Omega for orbit in self.orbits])
+
+    @property
+    def period(self) -> Array:
+        """Periods, shape (orbits,)."""
+        return np.array([orbit.period for orbit in self.orbits])
 
     @property
     def energy(self) -> Array:
-        """Energies, shape (points,)."""
-        return np.array([o.energy for o in self.orbits])
+        """Energies, shape (orbits,)."""
+        return np.array([orbit.energy for orbit in self.orbits])
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each orbit is stable, shape (points,); computed now where it was not before."""
-        return np.array([o.floquet().stable for o in self.orbits], dtype=bool)
+        """Whether each orbit is stable, shape (orbits,); computed now where it was not before."""
+        return np.array([orbit.floquet().stable for orbit in self.orbits], dtype=bool)
 
     @property
     def max_abs_multiplier(self) -> Array:
-        """Largest modulus of a multiplier of each orbit, shape (points,); computed now where it was not before."""
-        return np.array([o.floquet().max_abs_multiplier for o in self.orbits])
+        """Largest modulus of a multiplier of each orbit, shape (orbits,); computed now where it was not before."""
+        return np.array([orbit.floquet().max_abs_multiplier for orbit in self.orbits])
 
     @property
     def multiplier_error(self) -> Array:
-        """Estimated absolute error of the multipliers of each orbit, shape (points,); see `Orbit.multiplier_error`."""
-        return np.array([o.multiplier_error for o in self.orbits])
+        """Estimated absolute error of the multipliers of each orbit, shape (orbits,); see `Orbit.multiplier_error`."""
+        return np.array([orbit.multiplier_error for orbit in self.orbits])
+
+    # Special points ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def special_points(self) -> tuple[SpecialPoint, ...]:
+        """Points that stand out, in order along the branch; those of a family are located when first asked for."""
+        if self.space.locates_folds:
+            triples = zip(self.solutions, self.solutions[1:], self.solutions[2:], strict=False)
+            return tuple(self._fold(here) for before, here, after in triples if _is_fold(before, here, after))
+        found = []
+        for before, after in itertools.pairwise(self.solutions):
+            if turns_between(before.point, after.point):
+                with suppress(NotLocatedError):  # what is seen at its ends alone has no place
+                    fold = fold_between(self.space.point_solver, before.point, after.point)
+                    found.append(self._fold(solution_at(self.space, fold)))
+        return tuple(found)
+
+    def _fold(self, solution: Solution) -> SpecialPoint:
+        value = self._value(self.parameter, solution)
+        relative = solution.point.error.parameter or solution.point.error.relative(solution.point.Omega)
+        return SpecialPoint(FOLD, {**solution.parameters, self.parameter: value}, relative * abs(value), solution)
+
+    @property
+    def folds(self) -> tuple[Solution, ...]:
+        """Solutions at which the quantity that is followed turns back."""
+        return tuple(point.solution for point in self.special_points if point.kind == FOLD)
 
     @cached_property
     def threshold(self) -> float | None:
-        """S at which the end breather of the infinite chain is born; None where the tail is not eliminated."""
-        from casadi_skin.lattice.threshold import threshold
+        """S at which the end breather of the infinite chain is born; None where no tail is eliminated."""
+        coordinates = getattr(self.space, "coordinates", None)
+        value: float | None = getattr(coordinates, "threshold", None)
+        return value
 
-        return threshold(self.tools.request.chain) if self.tools.request.tailed else None
+    # The end ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def missed(self) -> tuple[float, ...]:
+        """Values of the quantity followed that were asked for, and at which no solution was found."""
+        return self.misses.get(self.parameter, ())
 
     @property
     def complete(self) -> bool:
-        """Whether the family reached what was asked and no requested point is missing."""
-        return self.end is End.REACHED and not (self.missed or self.missed_Omega or self.missed_period)
+        """Whether the branch reached what was asked and no requested point is missing."""
+        return (self.stopped or self.end is End.REACHED) and not any(self.misses.values())
 
     @property
     def reason(self) -> str:
-        """How the family ended, in a sentence."""
-        if self.missed or self.missed_Omega or self.missed_period:
+        """How the branch ended, in a sentence."""
+        if any(self.misses.values()):
             return "; ".join([*self._missing(), *([self.detail] if self.detail else [])])
+        if self.stopped:
+            return "stopped where the condition holds"
         if self.end is None:
-            return "interrupted"
+            return self.detail or "interrupted"
         if self.end is End.REACHED:
             return str(self.end.value)
-        if not self.orbits:
-            return f"{self.end.value}. {self.detail}".rstrip(". ")
+        if not self.solutions or not isinstance(self.space, Family):
+            return f"{self._end_words()}: {self.detail}".rstrip(". :")
         last = self.orbits[-1]
-        words = f"{self.end.value} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        words = f"{self._end_words()} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
         if self.end is End.POINTS:
-            words += f": {self._wandering()}"
+            words += f": {self._wandering(self.space)}"
         elif self.detail:
             words += f": {self.detail}"
-        return words + self._softened(self.tools.request.amplitude_max)
+        return words + self._softened(self.space, self.space.request.amplitude_max)
 
-    def _softened(self, S: float) -> str:
+    def _end_words(self) -> str:
+        if self.end is End.RETURNED and not isinstance(self.space, Family):
+            return "the branch came back to the value of the parameter that it started from"
+        return str(self.end.value) if self.end is not None else ""
+
+    def _softened(self, family: Family, S: float) -> str:
         """Where the last orbit is a slow one: how slow, and whether S has come to a limit short of the S given."""
-        last, request = self.orbits[-1], self.tools.request
-        point = last.point
-        slower = self.tools.linear_frequency / point.Omega
-        if request.chain.g > 0 or slower < SLOW:
+        last = self.orbits[-1]
+        slower = family.coordinates.frequency / last.point.Omega
+        if slower < SLOW:
             return ""
         words = f"; the period is {slower:.3g} times the linear one"
-        if point.parameter_rate > STILL:
+        if last.point.parameter_rate > STILL:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
             return f"{words} and grows without bound: S = {S:.15g} is too near its limit to tell orbits apart"
         return f"{words} and grows without bound: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:
-        """The requested values without an orbit, in words."""
-        for name, missed, values in (
-            ("S", self.missed, self.S),
-            ("Omega", self.missed_Omega, self.Omega),
-            ("period", self.missed_period, TWO_PI / self.Omega),
-        ):
+        """The requested values without a solution, in words."""
+        for name, missed in self.misses.items():
+            values = np.array([self._value(name, solution) for solution in self.solutions])
             passed = [v for v in missed if values.size and values.min() <= v <= values.max()]
             beyond = [v for v in missed if v not in passed]
+            what = "orbit" if isinstance(self.space, Family) else "solution"
+            whole = "family" if isinstance(self.space, Family) else "branch"
             if passed:
-                yield f"no orbit was found at {name} = {_listed(passed)}, which the family passes"
+                yield f"no {what} was found at {name} = {_listed(passed)}, which the {whole} passes"
             if beyond:
                 covered = f"from {values.min():.6g} to {values.max():.15g}" if values.size else "nowhere"
-                yield f"no orbit was found at {name} = {_listed(beyond)}: the family was followed {covered} in {name}"
-        softened = self._softened(self.missed[-1]) if self.missed and self.orbits else ""
-        if softened:
-            yield f"{softened.removeprefix('; ')}; ask for at_period or at_Omega, and end at a period_max"
+                yield f"no {what} was found at {name} = {_listed(beyond)}: the {whole} was followed {covered} in {name}"
+        if self.missed and self.solutions and isinstance(self.space, Family):
+            softened = self._softened(self.space, self.missed[-1])
+            if softened:
+                yield f"{softened.removeprefix('; ')}; ask for at_period or at_Omega, and end at a period_max"
 
-    def _wandering(self) -> str:
+    def _wandering(self, family: Family) -> str:
         """What a family did that used up its points, and what to ask for instead."""
-        request, S = self.tools.request, self.S
+        request, S = family.request, self.S
         turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0) + 1
         words = f"{len(self)} points, largest S = {S.max():.6g}, smallest Omega = {self.Omega.min():.6g}"
         less = ""
@@ -151,84 +241,89 @@ class Branch:
             first = S[turns[0]]
             words += f", S turns back {turns.size} times, first at S = {first:.6g}"
             less = f"amplitude_max up to {0.999 * first:.4g}, before S first turns back, " if first > 0 else ""
-        lowest, highest = np.sqrt(np.maximum(self.tools.core.band(), 0.0)).tolist()
-        last = self.orbits[-1].Omega
-        odd = [k for k in range(3, int(highest / last) + 1, 2) if k * last >= lowest]
-        if odd and self.tools.core.sites > 1:
-            each = ", ".join(f"{k} Omega" for k in odd[:3]) + (", ..." if len(odd) > 3 else "")
-            words += f"; {each} lie among the linear frequencies, and each that is met is a resonance to go round"
-        more = f"max_points above {request.max_points}"
+        band = family.coordinates.band()
+        if band is not None and family.coordinates.mode.size > 1:
+            lowest, highest = np.sqrt(np.maximum(band, 0.0)).tolist()
+            last = self.orbits[-1].Omega
+            odd = [k for k in range(3, int(highest / last) + 1, 2) if k * last >= lowest]
+            if odd:
+                each = ", ".join(f"{k} Omega" for k in odd[:3]) + (", ..." if len(odd) > 3 else "")
+                words += f"; {each} lie among the linear frequencies, and each that is met is a resonance to go round"
+        more = f"max_points above {request.targets.max_points}"
         return f"{words}; try {less}a period_max, a smaller amplitude_max, or {more}"
 
-    def at(
-        self, S: float | None = None, which: int = 0, *, Omega: float | None = None, period: float | None = None
-    ) -> Orbit:
-        """The orbit corrected exactly at S, at Omega or at a period; `which` counts its passages along the branch.
+    # At any value -----------------------------------------------------------------------------------------------------
 
-        Raises ValueError where not one of the three is given or the branch does not pass it that often, ArithmeticError
-        where no orbit is found there.
+    def at(self, value: float | None = None, which: int = 0, **named: float) -> Any:
+        """The solution corrected exactly at a value of what is followed, or of another quantity.
+
+        Arguments:
+            value: of the quantity that the branch is followed in.
+            which: counts the passages of the value along the branch, from 0.
+            named: one value by name in place of `value`: S, Omega or period of a family; the parameter followed, and
+                Omega or period where the period is unknown, of other branches.
+
+        Returns:
+            The orbit or solution there.
+
+        Raises:
+            ValueError: not one value is given, or the branch does not pass it that often.
+            ArithmeticError: no solution is found there.
         """
-        given = {name: v for name, v in (("S", S), ("Omega", Omega), ("period", period)) if v is not None}
-        if len(given) != 1:
-            raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: one of S, Omega, period")
-        ((name, value),) = given.items()
-        if which < 0:
-            raise ValueError(f"which: given {which}; accepted: a whole number from 0 on")
-        if name != "S" and not 0 < value < np.inf:
-            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
-        target = {
-            "S": lambda: Target(Scalar.PARAMETER, self.tools.request.chain.g * value),
-            "Omega": lambda: Target(Scalar.OMEGA, value),
-            "period": lambda: Target(Scalar.OMEGA, TWO_PI / value),
-        }[name]()
-        point_solver = self.tools.point_solver
-        passage, before = 0, self.start
-        for orbit in self.orbits:
-            if getattr(orbit, name) == value:
-                found: list[Point | None] = [orbit.point]
-            elif target.meets(orbit.point):
-                found = [point_solver.beside(orbit.point, target)]
-            elif target.meets(before):
-                found = []
-            else:
-                found = [point for _, point in point_solver.between(before, orbit.point, (target,))]
-            before = orbit.point
-            for point in found:
-                if passage < which:
-                    passage += 1
-                    continue
-                if point is None:
-                    raise ArithmeticError(f"at: no orbit was found at {name} = {value:g}, which the branch passes")
-                return orbit if point is orbit.point else Orbit(self.tools, point, asked_S=S, asked_period=period)
-        values = np.array([getattr(orbit, name) for orbit in self.orbits])
-        covered = f"{values.min():g} to {values.max():g}" if self.orbits else "no point"
+        name, value = self._asked_at(value, named)
+        if isinstance(which, bool) or not isinstance(which, int | np.integer) or which < 0:
+            raise ValueError(f"which: given {which!r}; accepted: a whole number from 0 on")
+        passage = 0
+        for solution, point in self._passages(name, value):
+            if passage < which:
+                passage += 1
+                continue
+            if point is None:
+                raise ArithmeticError(f"at: no {self._what} was found at {name} = {value:g}, which the branch passes")
+            return solution or solution_at(self.space, point, exact={name: value})
+        values = np.array([self._value(name, solution) for solution in self.solutions])
+        covered = f"{values.min():g} to {values.max():g}" if self.solutions else "no point"
         words = f"the branch covers {covered} and passes {name} {passage} times"
         raise ValueError(f"at: given {name} = {value!r}, which = {which}; {words}")
 
+    @property
+    def _what(self) -> str:
+        return "orbit" if not self.solutions or isinstance(self.solutions[0], Orbit) else "solution"
+
+    def _asked_at(self, value: float | None, named: Mapping[str, float]) -> tuple[str, float]:
+        given = {name: v for name, v in {self.parameter: value, **named}.items() if v is not None}
+        if len(given) != 1 or (value is not None and named):
+            accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
+            raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
+        ((name, number),) = given.items()
+        return name, number
+
+    def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
+        """Where the branch passes a value: a solution of it, or a point corrected there, None where none is found."""
+        target, point_solver = self.space.target(name, value), self.space.point_solver
+        before = self.space.start if self.space.start_is_limit else None
+        for solution in self.solutions:
+            if self._value(name, solution) == value:
+                yield solution, solution.point
+            elif target.meets(solution.point):
+                yield None, point_solver.beside(solution.point, target)
+            elif before is not None and not target.meets(before):
+                for _, point in point_solver.between(before, solution.point, (target,)):
+                    yield None, point
+            before = solution.point
+
     def to_xarray(self) -> xarray.Dataset:
-        """The branch as an xarray Dataset along `point`, with profiles; needs the extra `xarray`.
+        """The branch as an xarray Dataset along `point`, with all that its netCDF file has; needs the extra `xarray`.
 
         Raises ImportError where xarray is not installed.
         """
-        import xarray as xr
+        dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
+        return dataset
 
-        data = {
-            "S": ("point", self.S),
-            "Omega": ("point", self.Omega),
-            "Omega_shift": ("point", np.array([o.Omega_shift for o in self.orbits])),
-            "Omega_error": ("point", np.array([o.Omega_error for o in self.orbits])),
-            "energy": ("point", self.energy),
-            "profile": (("point", "site"), np.array([o.profile for o in self.orbits])),
-        }
-        if self.with_stability:
-            data["stable"] = ("point", self.stable)
-            data["max_abs_multiplier"] = ("point", self.max_abs_multiplier)
-            data["multiplier_error"] = ("point", self.multiplier_error)
-        request = self.tools.request
-        chain = request.chain
-        attributes = {"sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
-        coordinates = {"site": self.tools.layout.shown}
-        return xr.Dataset(data, coordinates, {**attributes, "mode": request.mode, "tolerance": request.tolerance})
+
+def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:
+    """Whether a solution was located between two at which the quantity followed goes either way."""
+    return not (here.point.walked or here.point.requested) and turns_between(before.point, after.point)
 
 
 def _listed(values: Sequence[float]) -> str:

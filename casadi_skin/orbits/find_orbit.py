@@ -9,23 +9,25 @@ made regular by a multiple of a damping that comes back as zero (Sepulchre and M
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, shown
-from casadi_skin.bvp.statement import BoundaryValueProblem, Bounds, check_expression
+from casadi_skin.arguments import number, short_repr
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.bvp.statement import Bounds, Statement, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.models.declared import Expression
+from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
-from casadi_skin.orbits.optimum import OptimalSolution
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solve import solve
 
-PERIOD, UNFOLDING = "period", "unfolding"
+UNFOLDING = "unfolding"
 SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
 HARMONICS = 12  # of the reference of the phase
@@ -46,7 +48,7 @@ def find_orbit(
     objective: Expression | str | None = None,
     running: Expression | None = None,
     **options: Any,
-) -> PeriodicOrbit:
+) -> Orbit:
     """The periodic orbit near a guess.
 
     `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
@@ -68,10 +70,10 @@ def find_orbit(
     asked = _Asked(first, length, cycles, dict(parameters or {}), select, section, *search)
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
-    solution = state_problem(asked, guess, symmetry).solve(guess, **options)
-    optimum = solution.optimum if isinstance(solution, OptimalSolution) else None
-    orbit = PeriodicOrbit(solution.statement, solution.method, solution.point, first, symmetry, optimum)
-    if abs(orbit.unfolding) > NOT_ZERO * max(orbit.method.tolerance, orbit.error):
+    solution = solve(state_problem(asked, guess, symmetry), guess, **options)
+    space = replace(cast(BoundarySpace, solution.space), periodic=Periodic(model, first, symmetry))
+    orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
+    if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         raise BoundaryError(f"{model.name}: {words}: the hamiltonian is not conserved, or the orbit is degenerate")
     return orbit
@@ -95,7 +97,7 @@ def _check(
     free: Sequence[str],
 ) -> None:
     if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"cycles: given {shown(cycles)}; accepted: a whole number >= 1")
+        raise ValueError(f"cycles: given {short_repr(cycles)}; accepted: a whole number >= 1")
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
@@ -180,7 +182,9 @@ class _Asked:
         found: dict[str, Any] = {"bounds": self.bounds}
         if isinstance(self.objective, str):
             if self.objective != PERIOD:
-                raise ValueError(f"objective: given {shown(self.objective)}; accepted: an expression, or {PERIOD!r}")
+                raise ValueError(
+                    f"objective: given {short_repr(self.objective)}; accepted: an expression, or {PERIOD!r}"
+                )
             found["objective"] = type(model.state)(period)
         elif self.objective is not None:
             found["objective"] = self.at_start(model, "objective", self.objective)
@@ -194,19 +198,19 @@ class _Asked:
         return found
 
 
-def _forced_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+def _forced_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Statement:
     """Whole periods of the forcing, closed."""
     model = asked.model
     assert model.forcing_period is not None
     period = asked.cycles * model.forcing_period
     conditions = [model.end(model.state) - model.start(model.state)]
     conditions += [] if asked.select is None else [asked.at_start(model, "select", asked.select)]
-    return BoundaryValueProblem(
+    return Statement(
         model, conditions, (), (0.0, period), asked.values, asked.free, **asked.minimised(model, period)
     )  # fmt: skip
 
 
-def _closed_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+def _closed_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Statement:
     """The whole period, closed, with a phase; unfolded where the model is conservative."""
     unfolded = asked.model.hamiltonian is not None
     model = asked.extended(unfolded)
@@ -220,12 +224,12 @@ def _closed_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Bou
     else:
         integrals.append(_phase(model, model.time / period, asked, guess) / period)
     free = [PERIOD, *([UNFOLDING] if unfolded else []), *asked.free]
-    return BoundaryValueProblem(
+    return Statement(
         model, conditions, integrals, (0.0, period), asked.parameters(model), free, **asked.minimised(model, period)
     )  # fmt: skip
 
 
-def _symmetric_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> BoundaryValueProblem:
+def _symmetric_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> Statement:
     """Half or a quarter of the period, from one fixed set of the reversal to the other."""
     first, last = pinned_components(asked.model, symmetry)
     model = asked.extended(False)
@@ -235,14 +239,14 @@ def _symmetric_problem(asked: _Asked, guess: Guess, symmetry: SymmetryClass) -> 
     minimised, part = asked.minimised(model, period), symmetry.value
     if "running" in minimised:
         minimised["running"] = minimised["running"] / part
-    return BoundaryValueProblem(
+    return Statement(
         model, conditions, (), (0.0, part * period), asked.parameters(model), [PERIOD, *asked.free], **minimised
     )  # fmt: skip
 
 
 def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Expression:
     """The orbit times the derivative of its reference, scaled so that a shift of phase changes the mean by itself."""
-    statement = BoundaryValueProblem(
+    statement = Statement(
         model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
     values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)

@@ -1,56 +1,64 @@
-"""Following a family: the walk, with stability and its changes computed beside it, point by point."""
+"""Following a branch of any kind: its continuation, with stability and special points computed beside it."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, numbers
+from casadi_skin.arguments import check_name, number, numbers, short_repr
 from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.points import End, Point
+from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.branch import SLOW, Branch
-from casadi_skin.orbits.multipliers import floquets_of
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.method import MAX_POINTS
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import MAX_POINTS, TWO_PI, FamilyRequest
+from casadi_skin.orbits.request import FamilyModel, FamilyRequest, family_request
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import NotLocatedError, fold_between, turns_between
 from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
-from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
-UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
-STABILITY_BATCH = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
 
-
-class FamilyContinuation:
-    """Iterates over the orbits of a family and, between two of them, over the changes of stability.
+class Following:
+    """Iterates over the solutions of a branch and, between two of them, over the changes of stability.
 
     What has been computed is in `branch()` at any time, so that an interruption loses no more than the few points whose
-    stability is computed together. `orbits` and `changes` computed earlier may be given: the walk goes on from the last
-    two points walked.
+    stability is computed together. Solutions and changes computed earlier may be given: the continuation goes on from
+    the last of its own points among them.
     """
 
     def __init__(
         self,
-        tools: FamilyTools,
+        space: SolutionSpace,
         stability: bool = False,
         events: bool = True,
-        orbits: Sequence[Orbit] = (),
+        solutions: Sequence[Solution] = (),
         changes: Sequence[StabilityChange] = (),
+        until: Callable[[Any], bool] | None = None,
     ) -> None:
-        self.tools, self.stability, self.events = tools, stability, events and stability
-        self.orbits, self.changes = list(orbits), list(changes)
-        self._walk = tools.walk((tools.start, *(o.point for o in self.orbits if o.point.walked)))
-        self._waiting: deque[Point] = deque()  # walked, but not yet among the orbits
+        self.space, self.stability, self.events, self.until = space, stability, events and stability, until
+        self.solutions, self.changes = list(solutions), list(changes)
+        self._waiting: deque[Point] = deque()  # reached, but not yet among the solutions
+        self._continuation = space.continuation(self._history()) if self.solutions or space.start_is_limit else None
         self._end: End | None = None
         self._detail = ""
-        self._stopped: End | None = None  # the reason why no more points are taken from the walk
+        self._stopped = False
 
-    def __iter__(self) -> Iterator[Orbit | StabilityChange]:
+    def _history(self) -> tuple[Point, ...]:
+        own = [s.point for s in self.solutions if s.point.walked]
+        return (self.space.start, *own) if self.space.start_is_limit or not own else tuple(own)
+
+    def __iter__(self) -> Iterator[Solution | StabilityChange]:
         results = self._results()
         while True:
             with one_thread(), interrupts_deferred():  # not while whoever iterates is at work
@@ -59,122 +67,275 @@ class FamilyContinuation:
                 return
             yield result
 
-    def _results(self) -> Iterator[Orbit | StabilityChange]:
-        together = min(self.tools.flow.batch, STABILITY_BATCH) if self.stability else 1
-        for point in self._walk:
-            if len(self.orbits) + len(self._waiting) == self.tools.request.max_points:
-                self._stopped = End.POINTS
+    def _points(self) -> Iterator[Point]:
+        """Points of the branch with the folds between them; sets `_end` where the branch cannot go on."""
+        last = self.solutions[-1].point if self.solutions else None
+        if self._continuation is None:
+            last = self.space.start
+            self._continuation = self.space.continuation((last,))
+            yield last
+        for point in self._continuation:
+            end, words = self.space.stop(point)
+            if words:
+                self._end, self._detail = end, words
+                return
+            if self.space.locates_folds and last is not None and turns_between(last, point):
+                try:
+                    yield fold_between(self.space.point_solver, last, point)
+                except NotLocatedError as error:
+                    self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
+                    return
+            yield point
+            last = point
+            if end is not None:
+                self._end = end
+                return
+
+    def _results(self) -> Iterator[Solution | StabilityChange]:
+        together = self.space.stability_batch if self.stability else 1
+        limit = self.space.point_solver.settings.max_points
+        for point in self._points():
+            if len(self.solutions) + len(self._waiting) == limit:
+                self._end = End.POINTS
                 break
             self._waiting.append(point)
             if len(self._waiting) == together:
                 yield from self._finish_waiting()
-            if self._end is not None:
+            if self._stopped or self._end is End.FLOW:
                 return
-            if self._at_limit(point):
-                self._stopped = End.LIMIT
-                break
         yield from self._finish_waiting()
 
-    def _at_limit(self, point: Point) -> bool:
-        """Whether all that is left to ask for is an S that the family does not come to."""
-        request = self.tools.request
-        if request.chain.g > 0 or SLOW * point.Omega > self.tools.start.Omega or request.period_max is not None:
-            return False
-        slowest = min((*request.at_Omega, *(TWO_PI / period for period in request.at_period)), default=np.inf)
-        return point.Omega < slowest and point.parameter_rate <= UNCHANGED
-
-    def _finish_waiting(self) -> Iterator[Orbit | StabilityChange]:
-        """The orbits of the points that wait, with their stability and its changes, in order."""
+    def _finish_waiting(self) -> Iterator[Solution | StabilityChange]:
+        """The solutions of the points that wait, with their stability and its changes, in order."""
         try:
-            for orbit in self._with_stability():
-                if self.events and self.orbits and self.orbits[-1].floquet().stable != orbit.floquet().stable:
-                    change = locate_change(self.tools.point_solver, self.orbits[-1], orbit)
+            for solution in self._with_stability():
+                change = self._change_before(solution)
+                if change is not None:
                     self.changes.append(change)
                     yield change
-                self.orbits.append(orbit)
+                self.solutions.append(solution)
                 self._waiting.popleft()
-                yield orbit
+                yield solution
+                if self.until is not None and self.until(solution):
+                    self._stopped = True
+                    self._waiting.clear()
+                    return
         except FlowError as error:
             self._end, self._detail = End.FLOW, str(error)
             self._waiting.clear()
 
-    def _with_stability(self) -> Iterator[Orbit]:
-        """Orbits of the points that wait; raises FlowError at the first whose stability cannot be computed."""
+    def _change_before(self, solution: Solution) -> StabilityChange | None:
+        """The change of stability between the last orbit and this one, where they differ."""
+        if not (self.events and self.solutions):
+            return None
+        before = self.solutions[-1]
+        assert isinstance(before, Orbit)
+        assert isinstance(solution, Orbit)
+        if before.floquet().stable == solution.floquet().stable:
+            return None
+        largest = self.space.request.amplitude_max if isinstance(self.space, Family) else 1.0
+        return locate_change(self.space, before, solution, largest)
+
+    def _with_stability(self) -> Iterator[Solution]:
+        """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
         points = list(self._waiting)
         if not (points and self.stability):
-            yield from (Orbit(self.tools, point) for point in points)
+            yield from (solution_at(self.space, point) for point in points)
             return
         try:
-            known = floquets_of(self.tools, points)
+            known = self.space.floquets(points)
         except FlowError:  # of one of them: those before it are computed by themselves
-            yield from (Orbit(self.tools, point, floquets_of(self.tools, [point])[0]) for point in points)
+            yield from (solution_at(self.space, point, self.space.floquets([point])[0]) for point in points)
             return
-        yield from (Orbit(self.tools, point, result) for point, result in zip(points, known, strict=True))
+        yield from (solution_at(self.space, point, result) for point, result in zip(points, known, strict=True))
 
     def branch(self) -> Branch:
         """What has been computed so far."""
-        request = self.tools.request
-        end = self._end or (None if self._waiting else self._stopped or self._walk.end)
-        in_S = {request.S_of(t.value) for t in self._walk.missed if t.held is Scalar.PARAMETER}
-        in_Omega = {t.value for t in self._walk.missed if t.held is Scalar.OMEGA}
-        in_period = {T for T in request.at_period if TWO_PI / T in in_Omega}
-        in_Omega &= set(request.at_Omega)
-        if end is End.REACHED:
-            in_S |= set(request.at) - {orbit.S for orbit in self.orbits}
-            in_Omega |= set(request.at_Omega) - {orbit.Omega for orbit in self.orbits}
-            in_period |= set(request.at_period) - {orbit.period for orbit in self.orbits}
-        missed = (tuple(sorted(in_S)), tuple(sorted(in_Omega)), tuple(sorted(in_period)))
-        return self.finished(end, self._detail or self._walk.detail, missed)
+        walked_end = None if self._continuation is None or self._waiting else self._continuation.end
+        end, detail = self._end or walked_end, self._detail
+        if self._continuation is not None and not detail:
+            detail = self._continuation.detail
+        return self.finished(end, detail, self._misses(end))
 
-    def finished(self, end: End | None, detail: str, missed: Sequence[tuple[float, ...]]) -> Branch:
-        """The branch of what has been computed, with a known end; `missed` in S, in Omega and in the period."""
-        orbits, changes = tuple(self.orbits), tuple(self.changes)
-        return Branch(self.tools, self.tools.start, orbits, changes, self.stability, end, detail, *missed)
+    def _misses(self, end: End | None) -> dict[str, tuple[float, ...]]:
+        """Values asked for without a solution: those that the continuation missed, and at its end all others."""
+        if self._stopped:
+            return {}
+        missed = [] if self._continuation is None else self._continuation.missed
+        misses, whole = {}, end is End.REACHED
+        for name, values in self._asked().items():
+            had = {self._value(name, s) for s in self.solutions} if whole else set()
+            targets = {value: self.space.target(name, value) for value in values}
+            found = {v for v, t in targets.items() if t in missed} | (
+                {v for v in values if v not in had} if whole else set()
+            )
+            if found:
+                misses[name] = tuple(sorted(found))
+        return misses
+
+    def _asked(self) -> Mapping[str, Sequence[float]]:
+        """All values asked for by name, the ends among them where the continuation missed them."""
+        asked, settings = dict(self.space.asked()), self.space.point_solver.settings
+        missed = [] if self._continuation is None else self._continuation.missed
+        if any(t in missed for t in settings.ends) and isinstance(self.space, BoundarySpace):
+            asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
+        if isinstance(self.space, Family) and Target(Scalar.PARAMETER, settings.parameter_max) in missed:
+            asked["S"] = (*asked["S"], self.space.request.amplitude_max)
+        return asked
+
+    def _value(self, name: str, solution: Solution) -> float:
+        return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)
+
+    def finished(
+        self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
+    ) -> Branch:
+        """The branch of what has been computed, with a known end."""
+        found = (tuple(self.solutions), tuple(self.changes))
+        return Branch(self.space, *found, self.stability, end, detail, misses, stopped or self._stopped)
+
+
+def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
+    """Follow a branch to its end, calling `progress` with each solution."""
+    for result in following:
+        if progress is not None and isinstance(result, Solution):
+            progress(result)
+    return following.branch()
 
 
 def follow_family(
-    chain: Chain,
+    model: FamilyModel | OdeModel,
     mode: int | str,
     amplitude_max: float,
     *,
     at: Sequence[float] = (),
-    stability: bool = False,
-    events: bool = True,
-    tolerance: float = 1e-8,
-    transcription: str = "trigonometric",
-    corrector: str = "ipopt",
-    flow: str = "splitting",
-    symmetry: SymmetryClass | None = None,
-    walker: str | None = None,
-    degree: int | None = None,
     at_Omega: Sequence[float] = (),
     at_period: Sequence[float] = (),
     period_max: float | None = None,
     max_points: int = MAX_POINTS,
-    tail: str | None = None,
+    until: Callable[[Orbit], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    tolerance: float = 1e-8,
+    parameters: Mapping[str, float] | None = None,
     progress: Callable[[Orbit], None] | None = None,
+    **method: Any,
 ) -> Branch:
-    """Follow the family of nonlinear modes that grows from linear mode `mode` to S = ||y||^2 = `amplitude_max`.
+    """Follow the family of nonlinear modes that grows from a linear mode; dimensionless, or in the model's units.
 
-    Points exactly at the S of `at`, the frequencies `at_Omega` and the periods `at_period` are among the orbits, as
-    often as the family passes them. It ends at the period `period_max` where that comes before `amplitude_max`, as it
-    does for softening orbits that have no larger S, and after `max_points` points wherever it is then. `tolerance`
-    bounds the relative error of Omega, profile and multipliers; `progress` is called with each orbit. A family that
-    ends early is returned with `complete` False and a `reason`. Raises ValueError for arguments out of range. Method:
-    collocation and pseudo-arclength continuation in the gauge (paper, Sec. II; Keller 1977).
+    Arguments:
+        model: a `Chain`, or an `OdeModel` of second order with a declared reversal and an equilibrium at 0.
+        mode: the linear mode by ascending frequency from 1, "first" or "last".
+        amplitude_max: S at which the family ends: the sum of squares of the positions at the phase where all velocities
+            vanish, or what the model's normalisation says.
+        at: values of S at which orbits are wanted exactly, as often as the family passes them.
+        at_Omega: frequencies, likewise.
+        at_period: periods, likewise.
+        period_max: period at which the family ends where that comes before `amplitude_max`.
+        max_points: number of orbits after which it ends wherever it is.
+        until: ends the family at the first orbit for which it is true.
+        stability: whether multipliers are computed for each orbit.
+        events: whether changes of stability are located.
+        tolerance: bounds the relative error of Omega, profile and multipliers.
+        parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
+        progress: called with each orbit.
+        method: fields of `Method`: transcription, degree, corrector, walker, flow, tail, symmetry.
+
+    Returns:
+        The branch; one that ended early has `complete` False and a `reason`.
+
+    Raises:
+        ValueError, TypeError: an argument is out of range; the message names it.
+
+    Collocation and pseudo-arclength continuation in scaled coordinates (paper, Sec. II; Keller 1977).
     """
-    asked = (("at", at), ("at_Omega", at_Omega), ("at_period", at_period))
-    wanted, wanted_Omega, wanted_period = (numbers(name, values) for name, values in asked)
-    methods = (transcription, corrector, flow, symmetry, walker, degree)
-    longest = None if period_max is None else number("period_max", period_max)
-    largest = number("amplitude_max", amplitude_max, "a finite number > 0")
-    passed = (wanted_Omega, wanted_period, longest, max_points)
-    if stability and tail is None and isinstance(chain, Chain) and not chain.infinite:
-        tail = "full"  # all sites take part in it
-    number_of_mode = chain.mode_number(mode) if isinstance(chain, Chain) else mode
-    request = FamilyRequest(chain, number_of_mode, largest, wanted, tolerance, *methods, *passed, tail)
-    walk = FamilyContinuation(FamilyTools(request), stability, events)
-    for result in walk:
-        if progress is not None and isinstance(result, Orbit):
-            progress(result)
-    return walk.branch()
+    request = family_request(
+        model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,
+        max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
+    )  # fmt: skip
+    request = for_stability(request, method.get("walker")) if stability else request
+    return run_following(Following(Family(request), stability, events, until=until), progress)
+
+
+def for_stability(request: FamilyRequest, walker: str | None = None) -> FamilyRequest:
+    """The request with every position an unknown, as stability needs, unless its method asks for another way."""
+    if request.method.tail is not None or request.coordinates.is_whole:
+        return request
+    request.coordinates.check_whole()
+    return replace(request, method=replace(request.method, tail="full", walker=walker))
+
+
+def follow(
+    solution: Solution,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float] = (),
+    max_points: int = 500,
+    max_step: float = 0.2,
+    until: Callable[[Any], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
+
+    Arguments:
+        solution: an orbit or a solution of a boundary-value problem without objective; an orbit of a family is first
+            solved again as a boundary-value problem at its S.
+        parameter: name of the parameter to follow; the others keep their values.
+        to: where the branch ends; it goes round folds on its way.
+        at: values at which solutions are wanted exactly, as often as the branch passes them.
+        max_points: number of points after which the branch ends.
+        max_step: longest step, 1 being a change of the states by their own size.
+        until: ends the branch at the first solution for which it is true.
+        stability: whether multipliers are computed for each orbit.
+        events: whether changes of stability are located.
+        progress: called with each solution.
+
+    Returns:
+        The branch; it also ends where it comes back to the value that it started from.
+
+    Raises:
+        ValueError: an argument is out of range.
+        BoundaryError: not even the start can be solved.
+    """
+    space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    if stability and space.periodic is None:
+        raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
+    return run_following(Following(space, stability, events, until=until), progress)
+
+
+def following_space(
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+) -> BoundarySpace:
+    """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
+    if isinstance(solution, Orbit) and isinstance(solution.space, Family):
+        from casadi_skin.orbits.restating import restated
+
+        solution = restated(solution, parameter)
+    space = solution.space
+    assert isinstance(space, BoundarySpace)
+    statement = replace(space.statement, parameters={**space.statement.parameters, **solution.parameters})
+    if statement.optimises:
+        raise ValueError("follow: given a solution with an objective; accepted: one without")
+    check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
+    start, end = solution.parameters[parameter], number("to", to)
+    if end == start:
+        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
+    for value in numbers("at", at):
+        if not min(start, end) <= value <= max(start, end):
+            raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
+    if isinstance(max_points, bool) or not isinstance(max_points, int) or max_points < 2:
+        raise ValueError(f"max_points: given {short_repr(max_points)}; accepted: a whole number >= 2")
+    if not number("max_step", max_step) > 0.0:
+        raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
+    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
+    settings = ContinuationSettings(
+        1.0, space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
+        max_parameter_step=0.2,
+    )  # fmt: skip
+    sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
+    return BoundarySpace(
+        statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
+        tuple(float(np.float64(v)) for v in at), solution.point, settings,
+    )  # fmt: skip

@@ -8,9 +8,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import BoundaryValueProblem, check_name
+from casadi_skin.bvp.statement import Statement
 
 
 @runtime_checkable
@@ -29,7 +29,7 @@ ACCEPTED = (
 )
 
 
-def sampled(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     """The guess at times t, shape (time, component); raises ValueError for what is no guess."""
     n = statement.model.full_size
     values = _values(statement, guess, t)
@@ -40,7 +40,7 @@ def sampled(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
     return values
 
 
-def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
+def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
     if isinstance(guess, Evaluated):
         return np.asarray(guess.evaluate(t), dtype=float)
@@ -60,7 +60,7 @@ def _values(statement: BoundaryValueProblem, guess: Guess, t: Array) -> Array:
     try:
         constant = np.asarray(guess, dtype=float).ravel()
     except (TypeError, ValueError):
-        raise ValueError(f"guess: given {shown(guess)}; accepted: {ACCEPTED}") from None
+        raise ValueError(f"guess: given {short_repr(guess)}; accepted: {ACCEPTED}") from None
     return np.tile(constant, (t.size, 1))
 
 
@@ -69,7 +69,9 @@ def _column(name: str, given: Any, t: Array) -> Array:
     try:
         return np.array([float(given(float(x))) for x in t]) if callable(given) else np.full(t.size, float(given))
     except (TypeError, ValueError):
-        raise ValueError(f"guess: given {shown(given)} for {name}; accepted: a number, or a function of t") from None
+        raise ValueError(
+            f"guess: given {short_repr(given)} for {name}; accepted: a number, or a function of t"
+        ) from None
 
 
 def _interpolated(times: Array, values: Array, t: Array) -> Array:

@@ -56,10 +56,10 @@ def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | 
     def gap(fraction: float) -> float:
         if fraction in (0.0, 1.0):
             return lead(after if fraction else before)
-        point = branch.tools.point_solver.along(before.point, after.point, fraction)
+        point = branch.space.point_solver.along(before.point, after.point, fraction)
         if point is None:
             raise ArithmeticError("no orbit between two of the branch")
-        nearest.append(Orbit(branch.tools, point))
+        nearest.append(Orbit(branch.space, point))
         return lead(nearest[-1])
 
     with suppress(ArithmeticError):

@@ -1,11 +1,9 @@
-"""Solutions of boundary-value problems with an objective or bounds."""
+"""What was minimised in a boundary-value problem, and how well the optimality conditions hold."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-from casadi_skin.orbits.solution import BoundarySolution
 
 
 @dataclass(frozen=True)
@@ -34,25 +32,3 @@ class Optimum:
     objective: float
     objective_error: float
     optimality: Optimality
-
-
-@dataclass(frozen=True, eq=False)
-class OptimalSolution(BoundarySolution):
-    """A local optimum and how well it satisfies the optimality conditions."""
-
-    optimum: Optimum
-
-    @property
-    def objective(self) -> float:
-        """What is minimised."""
-        return self.optimum.objective
-
-    @property
-    def status(self) -> str:
-        """What was found, in a sentence."""
-        active, error = ", ".join(self.optimum.optimality.active), max(self.error, self.parameter_error)
-        kind = "a local optimum" if self.optimum.optimality.curved else "a stationary point"
-        words = f"{kind}{f' on the bounds {active}' if active else ''}"
-        if error > self.method.tolerance:
-            words += f", to {error:.1e}: bounds hold states at the mesh's points only"
-        return words

@@ -1,4 +1,4 @@
-"""One nonlinear mode: a periodic orbit of the chain in physical coordinates, with its stability when asked for."""
+"""One periodic orbit of any model in the coordinates of the model, with its stability when asked for."""
 
 from __future__ import annotations
 
@@ -9,18 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.continuation.points import Point
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.lattice.full_chain import EdgeSite
-from casadi_skin.lattice.log_profile import log_positions
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
-from casadi_skin.orbits.multipliers import accelerations, floquets_of, on_all_sites, orbit_state
-from casadi_skin.orbits.tools import FamilyTools
-from casadi_skin.stability.flow import Transition
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.coordinates import LOG10, quarter_phases
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.model_coordinates import amplitude_square
+from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
-from casadi_skin.stability.multipliers import floquet_vectors
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
@@ -28,43 +24,54 @@ TIE = 1e-10  # relative difference of displacements that count as equal
 
 
 @dataclass(frozen=True, eq=False)
-class Orbit:
-    """A converged orbit y_n(t) of period 2 pi/Omega with all velocities zero at t = 0; dimensionless."""
+class Orbit(Solution):
+    """A converged periodic orbit; dimensionless, or in the units of its model.
 
-    tools: FamilyTools
-    point: Point
+    An orbit of a family has all velocities zero at t = 0, and its states are displacements; an orbit of `find_orbit`
+    has the states of the first-order model.
+    """
+
     known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
-    asked_S: float | None = None  # the S that the orbit was asked for at, which kappa/g need not give back exactly
-    asked_period: float | None = None  # likewise, which 2 pi/Omega need not give back exactly
 
     @property
-    def chain(self) -> Chain:
-        """The chain that the orbit belongs to."""
-        return self.tools.request.chain
-
-    @property
-    def S(self) -> float:
-        """Total amplitude ||y||^2, the sum of y_n^2 at t = 0."""
-        return self.tools.request.S_of(self.point.parameter) if self.asked_S is None else self.asked_S
+    def symmetry(self) -> SymmetryClass:
+        """Which part of the period was unknown."""
+        symmetry = self.space.symmetry  # type: ignore[attr-defined]
+        assert isinstance(symmetry, SymmetryClass)
+        return symmetry
 
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.point.Omega
+        return self.point.Omega if isinstance(self.space, Family) else 2.0 * np.pi / self.period
 
     @property
     def period(self) -> float:
-        """Period 2 pi/Omega."""
-        return self.tools.request.period_of(self.Omega) if self.asked_period is None else self.asked_period
+        """Period; in a forced model that of the forcing or a multiple."""
+        if "period" in self.exact:
+            return self.exact["period"]
+        start, end = self.interval
+        return end - start
 
     @property
     def Omega_error(self) -> float:
         """Estimated absolute error of Omega."""
-        return self.point.error.Omega
+        return self.point.error.Omega if isinstance(self.space, Family) else self.parameter_error * self.Omega
+
+    @property
+    def period_error(self) -> float:
+        """Estimated absolute error of the period; 0 in a forced model."""
+        return self.Omega_error / self.Omega * self.period
+
+    @property
+    def parameter_error(self) -> float:
+        if isinstance(self.space, Family):
+            return self.point.error.Omega / self.point.Omega
+        return super().parameter_error
 
     @property
     def S_error(self) -> float:
-        """Estimated absolute error of S: 0 where the other errors are those at the S that it has.
+        """Estimated absolute error of S: 0 where the other errors are those at the S that the orbit has.
 
         Not 0 for an orbit asked for by its Omega or period, which has these exactly, and where S hardly changes along
         the family: near its folds, and where S has come to a limit that the period has not.
@@ -77,48 +84,76 @@ class Orbit:
         return self.point.error.profile
 
     @property
-    def at_round_off(self) -> bool:
-        """Whether round-off keeps the errors from falling to the tolerance asked for."""
-        return self.point.at_round_off
+    def unfolding(self) -> float:
+        """Coefficient of the damping that a conservative model does not have: zero but for errors."""
+        return self.parameters.get("unfolding", 0.0)
 
-    @cached_property
-    def residual(self) -> float:
-        """Largest residual of the collocation equations relative to their largest term."""
-        return self.point.problem.relative_residual(self.point.z)
+    @property
+    def model_parameters(self) -> Array:
+        """Parameters of the model itself, in its order."""
+        return np.array([self.parameters[name] for name in self.model.parameter_names])
 
     # Shape ----------------------------------------------------------------------------------------------------------
 
-    def _gauge(self, theta: Array) -> Array:
-        """Scaled gauge positions q at phases theta, shape (len(theta), core sites)."""
-        return self.point.problem.sample(self.point.z, theta)
-
     def evaluate(self, t: ArrayLike, sites: ArrayLike | None = None) -> Array:
-        """Displacements y_n(t), shape (time, site), in physical coordinates; the largest at t = 0 is positive.
+        """States at any times.
 
-        `sites` are numbers from 1 to N, all by default. In an infinite chain they are 0, -1, -2, ... from the edge for
-        gamma > 0 and 1, 2, 3, ... for gamma < 0, by default those of the nonlinear core. Raises ValueError for others.
+        Arguments:
+            t: times, shape (times,).
+            sites: numbers of the components, from 1; all by default. In an infinite chain they are 0, -1, -2, ... from
+                the edge for gamma > 0 and 1, 2, 3, ... for gamma < 0, by default those of the nonlinear core.
+
+        Returns:
+            Shape (times, components): displacements of an orbit of a family, whose largest is positive at t = 0 where
+            the model is odd; all states of another orbit.
+
+        Raises:
+            ValueError: times that are no numbers, components that are not there.
         """
-        return self._displacements(self.Omega * np.atleast_1d(np.asarray(t, dtype=float)), sites)
+        return self._at_phases(2.0 * np.pi / self.period * as_times(t), sites)
 
-    def _displacements(self, theta: Array, sites: ArrayLike | None = None) -> Array:
+    def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
         numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
-        return self._scale * self.tools.layout.displacements(self.point.problem, self.point.z, theta, numbers)
+        if isinstance(self.space, Family):
+            return self._scale * self.space.positions(self.point, theta, numbers)
+        return self._boundary_space().states_at(self.point, theta, numbers)
 
     @cached_property
     def _scale(self) -> float:
         """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
 
-        Of sites that tie, as in a reciprocal chain, the last one decides. What the corrector left of the normalisation
-        sum_n w_n q_n(0)^2 = 1 is divided out, so that ||y||^2 is S to round-off.
+        Of sites that tie, as in a reciprocal chain, the last one decides; an orbit whose model is not odd has no image
+        of the other sign. What the corrector left of the normalisation is divided out, so that the amplitude is
+        sqrt(S) to round-off.
         """
-        start = self.tools.core.rho * self._gauge(np.zeros(1))[0]
+        coordinates = self._family().coordinates
+        start = coordinates.scale * self.point.problem.sample(self.point.z, np.zeros(1))[0]
+        if coordinates.scaled.half_period is None:
+            return float(np.sqrt(self.S) / coordinates.amplitude(start))
         tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE) * np.max(np.abs(start)))
-        return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / np.linalg.norm(start))
+        return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / coordinates.amplitude(start))
+
+    @cached_property
+    def S(self) -> float:
+        """Total amplitude: the sum of squares of the positions at t = 0, where all velocities vanish.
+
+        What a model's normalisation says in its place, where it has one. Raises ValueError for an orbit of a model
+        without positions.
+        """
+        if isinstance(self.space, Family):
+            return self.exact["S"] if "S" in self.exact else self.space.value("S", self.point)
+        space = self._boundary_space()
+        positions = space.positions
+        if not positions:
+            raise ValueError("S: an orbit of a model of first order has no amplitude of positions")
+        return amplitude_square(space.given).value(self.evaluate(0.0)[0, :positions])
 
     @property
-    def shown_sites(self) -> Indices:
-        """Numbers of the sites in files and pictures: all, or those of the nonlinear core of a long chain."""
-        return self.tools.layout.shown
+    def output_sites(self) -> Indices:
+        """Numbers of the components in files and pictures: all, or those of the nonlinear core of a long chain."""
+        if isinstance(self.space, Family):
+            return self.space.coordinates.output_sites
+        return np.arange(1, len(self.space.state_names) + 1)
 
     @property
     def harmonics(self) -> int:
@@ -127,42 +162,29 @@ class Orbit:
         return problem.resolution if isinstance(problem, TrigonometricProblem) else 64
 
     def coefficients(self, harmonics: int, sites: ArrayLike | None = None) -> Array:
-        """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites); see `evaluate`."""
-        theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
+        """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites); see `evaluate`.
+
+        Raises ValueError for an orbit without the symmetries of odd cosines.
+        """
+        if self.symmetry is not SymmetryClass.QUARTER:
+            raise ValueError("coefficients: the orbit is no sum of odd cosines: its symmetries do not leave a quarter")
         to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
-        return np.asarray(to_coefficients @ self._displacements(theta, sites))
+        return np.asarray(to_coefficients @ self._at_phases(quarter_phases(harmonics), sites))
 
     @cached_property
     def profile(self) -> Array:
-        """Displacements at t = 0, where all velocities vanish, shape (sites,)."""
+        """States at t = 0: of an orbit of a family displacements, where all velocities vanish; shape (components,)."""
         start: Array = self.evaluate(0.0)[0]
         return start
-
-    @cached_property
-    def _core_logs(self) -> tuple[Array, Array]:
-        return log_positions(self.tools, self.point)
 
     def log10_displacements(self, sites: ArrayLike | None = None) -> tuple[Array, Array]:
         """log10 |y_n(0)| and the signs of y_n(0), each (sites,): right far below the smallest double.
 
-        A site at rest has -inf and sign 0; `sites` are those of `evaluate`.
+        A site at rest has -inf and sign 0; `sites` are those of `evaluate`. Raises ValueError for an orbit that is not
+        one of a family.
         """
-        layout = self.tools.layout
-        logs, signs = self._core_logs
-        numbers = layout.shown if self.chain.infinite else np.arange(1, self.chain.sites + 1)
-        numbers = numbers if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
-        if isinstance(layout, CoreWithTail):
-            m = layout.distances(numbers)
-            inside, place = m < layout.core.sites, layout.core.sites - 1 - m
-            (logs, signs), core = layout.log_positions(self.point.problem, self.point.z, m), (logs, signs)
-            logs[inside], signs[inside] = core[0][place[inside]], core[1][place[inside]]
-            logs = logs - np.arctanh(abs(self.chain.gamma)) * m
-        elif isinstance(layout, EdgeSite):
-            moves = numbers - 1 == layout.edge
-            logs, signs = np.where(moves, logs[0], -np.inf), np.where(moves, signs[0], 0.0)
-        else:
-            logs, signs = (logs + layout.core.log_rho)[numbers - 1], signs[numbers - 1]
-        return (logs + np.log(abs(self._scale))) / np.log(10.0), signs * np.sign(self._scale)
+        logs, signs = self._family().log_displacements(self.point, sites)
+        return (logs + np.log(abs(self._scale))) / LOG10, signs * np.sign(self._scale)
 
     @cached_property
     def log10_profile(self) -> Array:
@@ -176,43 +198,54 @@ class Orbit:
 
     @cached_property
     def energy(self) -> float:
-        """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to; of an infinite tail, infinite."""
-        return self.S * self.tools.layout.energy(self.point.problem, self.point.z, self.tools.hamiltonian)
+        """The conserved quantity that the model declares; raises ValueError where it declares none.
+
+        Of a chain that of its gauge, with rho = 1 at the edge that the modes lean to; infinite where an infinite tail
+        moves along.
+        """
+        if isinstance(self.space, Family):
+            return self.S * self.space.coordinates.energy(self.point.problem, self.point.z)
+        return self._boundary_space().energy(self.point)
 
     @cached_property
     def Omega_shift(self) -> float:
-        """Omega - omega_j, formed without subtraction where the shift is small.
+        """Omega minus the linear frequency of an orbit of a family, without subtraction where the shift is small.
 
-        The fundamental harmonic of the equations projected on the linear mode gives Omega^2 - omega_j^2 as a ratio
-        of sums over the cubic term, with no cancellation.
+        The fundamental harmonic of the equations projected on the linear mode gives Omega^2 - omega^2 as a ratio of
+        sums over the nonlinear terms, with no cancellation.
         """
-        return self.tools.layout.Omega_shift(self.point.problem, self.point.z)
-
-    @property
-    def regime(self) -> Regime | None:
-        """Whether Omega, or three times it, is pinned to the band; None where the tail is not eliminated."""
-        problem = self.point.problem
-        return problem.regime(self.point.z) if isinstance(problem, CoreWithTailProblem) else None
+        return self._family().coordinates.Omega_shift(self.point.problem, self.point.z)
 
     # Stability ------------------------------------------------------------------------------------------------------
 
-    def _transition(self) -> tuple[Transition, Array]:
-        """Transition matrix of all sites, and q'' at phase zero."""
-        tools, point = self.tools, on_all_sites(self.tools, self.point)
-        tools = tools.whole if isinstance(tools.layout, CoreWithTail) else tools
-        acceleration = accelerations(tools, [orbit_state(point)])[0]
-        return tools.flow.transition(point.problem, point.z), np.asarray(acceleration)
+    def floquet(self, by: str | None = None) -> Floquet:
+        """Linear stability: multipliers, and of what kind an instability is.
 
-    def floquet(self) -> Floquet:
-        """Multipliers and the kind of instability; at |gamma| = 1 without the Jordan block's algebraic growth.
+        Arguments:
+            by: name of the flow map; that of the branch by default. Of an orbit of a family one of
+                `methods.FLOWS`, of another "collocation" or "cvodes".
 
-        Raises FlowError where the flow map cannot reach the tolerance.
+        Returns:
+            Multipliers with their errors, from the N x N problem where the symmetries allow it, else over the full
+            period; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block.
+
+        Raises:
+            FlowError: the flow map cannot reach the tolerance.
+            ValueError: there is no such flow map.
         """
+        if by is not None:
+            found = self.space.floquets([self.point], by)[0]
+            found.warn()
+            return found
         return self._floquet
 
     @cached_property
     def _floquet(self) -> Floquet:
-        return floquets_of(self.tools, [self.point])[0] if self.known_floquet is None else self.known_floquet
+        if self.known_floquet is not None:
+            return self.known_floquet
+        found = self.space.floquets([self.point])[0]
+        found.warn()
+        return found
 
     @property
     def multiplier_error(self) -> float:
@@ -220,21 +253,36 @@ class Orbit:
         return self.floquet().error
 
     def floquet_vectors(self) -> ComplexArray:
-        """Floquet vectors (positions, velocities) at t = 0 in physical coordinates, shape (2N, 2N), one a column.
+        """Floquet vectors at t = 0 in the coordinates of the model, one a column, as `floquet().multipliers` goes.
 
-        Columns go with `floquet().multipliers`. Raises ValueError at |gamma| = 1, where the gauge has no image of them.
+        Returns:
+            Shape (2n, 2n): positions, then velocities; each column scaled to largest entry 1.
+
+        Raises:
+            ValueError: at |gamma| = 1 of a chain, where the gauge has no image of them.
         """
-        if abs(self.chain.gamma) == 1.0:
-            raise ValueError(
-                "floquet_vectors: at |gamma| = 1 the vectors form Jordan chains that the gauge does not have"
-            )
-        return floquet_vectors(*self._transition(), self.chain.rho)
+        if isinstance(self.space, Family):
+            return self.space.floquet_vectors(self.point, self.floquet())
+        return self._boundary_space().floquet_vectors(self.floquet())
 
     def transient_growth(self, quarters: int = 40) -> TransientGrowth:
-        """Largest amplification of perturbations at multiples of a quarter period, in physical coordinates.
+        """Largest amplification of perturbations at multiples of a quarter period, in the coordinates of the model.
 
-        Raises ValueError at |gamma| = 1 or without the splitting flow.
+        Raises ValueError without the splitting flow, without a Hamiltonian flow on a quarter of the period, and where
+        the gauge has no image of perturbations.
         """
-        if abs(self.chain.gamma) == 1.0 or self.tools.request.flow != "splitting":
+        family = self._family()
+        coordinates = family.whole.coordinates
+        splitting = family.request.method.flow == "splitting"
+        if coordinates.without_vectors or not (splitting and coordinates.symplectic):
             raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
-        return transient_growth(*self._transition(), self.chain.log_rho, self.period, quarters)
+        return transient_growth(*family.transition(self.point), coordinates.log_scale, self.period, quarters)
+
+    def _family(self) -> Family:
+        if not isinstance(self.space, Family):
+            raise ValueError("this quantity is that of an orbit of a family that grows from a linear mode")
+        return self.space
+
+    def _boundary_space(self) -> BoundarySpace:
+        assert isinstance(self.space, BoundarySpace)
+        return self.space

@@ -2,85 +2,96 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import shown
+from casadi_skin import methods
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.optimum import Optimum
 
 if TYPE_CHECKING:
-    from casadi_skin.orbits.boundary_branch import BoundaryBranch
-    from casadi_skin.orbits.solve import Method
+    from casadi_skin.orbits.space import SolutionSpace
 
 
 @dataclass(frozen=True, eq=False)
-class BoundarySolution:
+class Solution:
     """States over the interval and values of all parameters, with estimated errors.
 
-    `error` is the estimated error of each state relative to its largest value (no less than a millionth of the largest
-    of all states, nor a thousandth of that of the guess), the largest of these; `parameter_error` that of the free
-    parameters, relative to their values (no less than a thousandth of their guess; 1 at least where that is 0).
+    Attributes:
+        space: what the solution belongs to.
+        point: its unknowns, in the discretisation that meets the tolerance.
+        exact: values that the solution was asked for at, by name, which its unknowns need not give back exactly.
+        optimum: what was minimised, and the optimality conditions; None where nothing was.
     """
 
-    statement: BoundaryValueProblem
-    method: Method
+    space: SolutionSpace
     point: Point
+    exact: Mapping[str, float] = field(default_factory=dict)
+    optimum: Optimum | None = None
 
     @property
-    def problem(self) -> BoundaryProblem:
-        """The equations that are satisfied."""
-        problem = self.point.problem
-        assert isinstance(problem, BoundaryProblem)
-        return problem
+    def model(self) -> Any:
+        """The model that the solution belongs to."""
+        return self.space.model
 
     @cached_property
     def parameters(self) -> dict[str, float]:
         """All parameters by name."""
-        values = self.problem.parameters(self.point.z)
-        return dict(zip(self.statement.model.parameter_names, map(float, values), strict=True))
-
-    def kept(self) -> dict[str, Any]:
-        """What this kind of solution knows beyond its point; its neighbours on a branch know the same."""
-        return {}
+        values = self.space.parameters(self.point)
+        return values | {name: value for name, value in self.exact.items() if name in values}
 
     @cached_property
     def interval(self) -> tuple[float, float]:
         """Start and end."""
-        return self.statement.span(np.array(list(self.parameters.values())))
+        return self.space.interval(self.point)
 
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times in the interval, shape (time, component); raises ValueError for others."""
-        try:
-            times = np.atleast_1d(np.asarray(t, dtype=float))
-        except (TypeError, ValueError):
-            raise ValueError(f"t: given {shown(t)}; accepted: numbers") from None
+        times = as_times(t)
         start, end = self.interval
         slack = 1e-9 * (end - start)
         if not np.all((times >= start - slack) & (times <= end + slack)):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {start:g} to {end:g}")
-        return self.problem.sample(self.point.z, np.clip((times - start) / (end - start), 0.0, 1.0))
+        return self.point.problem.sample(self.point.z, np.clip((times - start) / (end - start), 0.0, 1.0))
 
     def __getitem__(self, name: str) -> float | Array:
         """The value of a parameter, or the values of a state at `t`; raises KeyError for other names."""
-        names = self.statement.model.state_names
+        names = self.space.state_names
         if name in self.parameters:
             return self.parameters[name]
         if name not in names:
             raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
         return self.states[:, names.index(name)]
 
+    # The discretisation -----------------------------------------------------------------------------------------------
+
+    @property
+    def problem(self) -> BoundaryProblem:
+        """The equations on their mesh; raises ValueError for an orbit in another discretisation."""
+        problem = self.point.problem
+        if not isinstance(problem, BoundaryProblem):
+            raise ValueError("problem: an orbit of a family has no mesh of a boundary-value problem; see point.problem")
+        return problem
+
+    @property
+    def statement(self) -> Statement:
+        """The boundary-value problem that is solved."""
+        return self.problem.statement
+
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: ends and stages of the intervals."""
-        start, end = self.interval
+        start, end = self.statement.span(np.array(list(self.parameters.values())))
         return np.asarray(start + self.problem._fractions() * (end - start))
 
     @cached_property
@@ -90,8 +101,8 @@ class BoundarySolution:
 
     @property
     def mesh(self) -> Array:
-        """Ends of the intervals, shape (intervals + 1,)."""
-        start, end = self.interval
+        """Ends of the intervals of the part that was unknown, shape (intervals + 1,)."""
+        start, end = self.statement.span(np.array(list(self.parameters.values())))
         return np.asarray(start + mesh.edges(self.problem.constants) * (end - start))
 
     @property
@@ -99,14 +110,23 @@ class BoundarySolution:
         """Number of intervals."""
         return self.problem.resolution
 
+    # Errors -----------------------------------------------------------------------------------------------------------
+
     @property
     def error(self) -> float:
-        """Estimated error of the states, relative to the largest value of each."""
+        """Estimated error of the states, relative to the largest value of each.
+
+        The largest value of a state counts as no less than a millionth of that of all states, nor than a thousandth of
+        that of the guess.
+        """
         return self.point.error.profile
 
     @property
     def parameter_error(self) -> float:
-        """Estimated relative error of the free parameters; 0 where there are none."""
+        """Estimated relative error of the free parameters; 0 where there are none.
+
+        Values count as no less than a thousandth of their guess, or than 1 where that is 0.
+        """
         return self.point.error.Omega if self.statement.free else 0.0
 
     @property
@@ -114,13 +134,44 @@ class BoundarySolution:
         """Whether rounding keeps the estimated errors above the tolerance: no mesh makes them smaller."""
         return self.point.at_round_off
 
-    @property
+    @cached_property
     def residual(self) -> float:
         """Largest residual of the equations relative to their largest term."""
-        return self.problem.relative_residual(self.point.z)
+        return self.point.problem.relative_residual(self.point.z)
 
-    def follow(self, parameter: str, end: float, **options: Any) -> BoundaryBranch:
-        """The branch of solutions through this one; see `casadi_skin.orbits.boundary_branch.follow`."""
-        from casadi_skin.orbits.boundary_branch import follow
+    # Optima -----------------------------------------------------------------------------------------------------------
 
-        return follow(self, parameter, end, **options)
+    @property
+    def objective(self) -> float:
+        """What is minimised; raises ValueError where nothing is."""
+        return self._known_optimum().objective
+
+    @property
+    def status(self) -> str:
+        """What was found, in a sentence; raises ValueError where nothing is minimised."""
+        optimality, error = self._known_optimum().optimality, max(self.error, self.parameter_error)
+        active = ", ".join(optimality.active)
+        kind = "a local optimum" if optimality.curved else "a stationary point"
+        words = f"{kind}{f' on the bounds {active}' if active else ''}"
+        if error > self.space.tolerance:
+            words += f", to {error:.1e}: bounds hold states at the mesh's points only"
+        return words
+
+    def _known_optimum(self) -> Optimum:
+        if self.optimum is None:
+            raise ValueError("objective: nothing was minimised")
+        return self.optimum
+
+    # Branches ---------------------------------------------------------------------------------------------------------
+
+    def follow(self, parameter: str, to: float, **options: Any) -> Any:
+        """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
+        return methods.TASKS["follow"].load()(self, parameter, to, **options)
+
+
+def as_times(t: ArrayLike) -> Array:
+    """Times as an array; raises ValueError for what is no number."""
+    try:
+        return np.atleast_1d(np.asarray(t, dtype=float))
+    except (TypeError, ValueError):
+        raise ValueError(f"t: given {short_repr(t)}; accepted: numbers") from None

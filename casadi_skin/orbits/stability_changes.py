@@ -1,57 +1,84 @@
-"""Where stability changes between two orbits of a family, by root finding on corrected orbits."""
+"""Where stability changes between two orbits of a branch, by root finding on corrected orbits."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.result import Floquet
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.stability.result import Floquet, ReversibleFloquet
 
-WIDTH = 1e-6  # of the bracket in S, or in S relative to the family's largest where that is below 1
+if TYPE_CHECKING:
+    from casadi_skin.orbits.orbit import Orbit
+
+WIDTH = 1e-6  # of the bracket in what is followed, or relative to its largest value where that is below 1
 FINEST = 1e-14  # of the way from one orbit to the next
 TINY = 1e-300  # a gap of nothing, which still has its sign
 
 
 @dataclass(frozen=True)
 class StabilityChange:
-    """A change of stability at S, with the bracket's width in S.
+    """A change of stability along a branch.
 
-    `kind` is that of the instability on the unstable side, "real" or "complex"; `mu` is where on the mu axis it is
-    born: -1 (where the energy has an extremum along the family) or 0 for a real one, the collision for a complex one.
+    Attributes:
+        value: of the quantity that the branch is followed in, S of a family.
+        Omega: frequency there.
+        kind: that of the instability on the unstable side, "real" or "complex".
+        stable_before, stable_after: in the order of the branch.
+        mu: of reversible orbits where on the mu axis the instability is born: -1 (where the energy has an extremum
+            along the family) or 0 for a real one, the collision for a complex one; of others the real part of the
+            multiplier.
+        width: of the bracket, in what the branch is followed in.
     """
 
-    S: float
+    value: float
     Omega: float
     kind: str
     stable_before: bool
     stable_after: bool
     mu: float
-    S_width: float
+    width: float
+
+    @property
+    def S(self) -> float:
+        """The place along a family."""
+        return self.value
+
+    @property
+    def S_width(self) -> float:
+        """Width of the bracket along a family."""
+        return self.width
 
 
 class _NotFoundError(ArithmeticError):
-    """The corrector does not find an orbit inside the bracket."""
+    """The corrector does not find the orbit at a fraction of the way."""
+
+    def __init__(self, fraction: float) -> None:
+        super().__init__(fraction)
+        self.fraction = fraction
 
 
 class _Bracket:
     """Two orbits of different stability, the nearest found on either side of the change, and a function of the way.
 
-    `gap` of a fraction of the way is analytic through the change, but for the choice of the mu that it is about: the
-    squared distance of the two mu that meet, or the distance of one from the end of [-1, 0].
+    `gap` of a fraction of the way is analytic through the change, but for the choice of its multiplier.
     """
 
-    def __init__(self, point_solver: PointSolver, before: Orbit, after: Orbit) -> None:
-        self._point_solver, self._ends = point_solver, (before, after)
+    def __init__(self, space: SolutionSpace, before: Orbit, after: Orbit) -> None:
+        self._space, self._ends = space, (before, after)
         self.first, self.last, self.low, self.high = before, after, 0.0, 1.0
+
+    def value(self, orbit: Orbit) -> float:
+        """Where an orbit is along the branch."""
+        return self._space.value(self._space.parameter, orbit.point)
 
     @property
     def width(self) -> float:
-        """Distance in S."""
-        return abs(self.last.S - self.first.S)
+        """Distance in what is followed."""
+        return abs(self.value(self.last) - self.value(self.first))
 
     @property
     def unstable(self) -> Floquet:
@@ -64,41 +91,60 @@ class _Bracket:
         if fraction in (0.0, 1.0):
             orbit = after if fraction else before
         else:
-            point = self._point_solver.along(before.point, after.point, fraction)
+            point = self._space.point_solver.along(before.point, after.point, fraction)
             if point is None:
-                raise _NotFoundError
-            orbit = Orbit(before.tools, point)
-        known = orbit.floquet()
-        as_before = known.stable == before.floquet().stable
+                raise _NotFoundError(fraction)
+            orbit = type(before)(before.space, point)
+        found = orbit.floquet()
+        as_before = found.stable == before.floquet().stable
         if as_before and fraction > self.low:
             self.first, self.low = orbit, fraction
         elif not as_before and fraction < self.high:
             self.last, self.high = orbit, fraction
-        size = _to_instability(known, self.unstable) if known.stable else _from_stability(known)
-        return max(size, TINY) if as_before else -max(size, TINY)
+        size = max(_distance(found, self.unstable), TINY)
+        return size if as_before else -size
 
     def close(self, width: float) -> None:
-        """Narrow the bracket to a width in S: by the root of `gap`, then by halving what is left."""
+        """Narrow the bracket to a width: by the root of `gap`, then by halving what is left."""
         from scipy.optimize import brentq
 
-        reach = width / max(self.width, width)  # of the way, if S went along evenly
-        root = brentq(self.gap, 0.0, 1.0, xtol=0.2 * reach, rtol=FINEST)
-        for fraction in (root - 0.4 * reach, root + 0.4 * reach):
-            if self.low < fraction < self.high:
-                self.gap(fraction)
+        reach = width / max(self.width, width)  # of the way, if the branch went along evenly
+        try:
+            root = brentq(self.gap, 0.0, 1.0, xtol=0.2 * reach, rtol=FINEST)
+        except _NotFoundError as error:  # another branch leaves where stability changes, and no orbit is alone there
+            root = error.fraction
+        for off in (-0.4 * reach, 0.4 * reach):
+            self._beside(root, off)
         while self.width > width and self.high - self.low > FINEST:
             self.gap(0.5 * (self.low + self.high))
 
+    def _beside(self, fraction: float, off: float) -> None:
+        """Narrow the bracket to an orbit a little off a fraction of the way, or farther off where none is found."""
+        while self.low < fraction + off < self.high:
+            try:
+                self.gap(fraction + off)
+            except _NotFoundError:
+                off *= 2.0
+            else:
+                return
 
-def _from_stability(unstable: Floquet) -> float:
-    """Size of the instability that `_born` names, in the measure of `_Bracket.gap`."""
+
+def _distance(found: Floquet, unstable: Floquet) -> float:
+    """How far an orbit is from the change of stability that a near unstable orbit names."""
+    if not (isinstance(found, ReversibleFloquet) and isinstance(unstable, ReversibleFloquet)):
+        return abs(found.max_abs_multiplier - 1.0)
+    return _to_instability(found, unstable) if found.stable else _from_stability(found)
+
+
+def _from_stability(unstable: ReversibleFloquet) -> float:
+    """Size of the instability that `_born` names: distance of mu from [-1, 0], or the square of that of two mu."""
     mu, real = _born(unstable)
     error = float(unstable.mu_error[np.argmin(np.abs(unstable.mu - mu))])
     return abs(mu.real + 0.5) - 0.5 - error if real else 4.0 * mu.imag**2
 
 
-def _to_instability(stable: Floquet, unstable: Floquet) -> float:
-    """How far the mu of a stable orbit are from the instability of a near one, in the measure of `_Bracket.gap`."""
+def _to_instability(stable: ReversibleFloquet, unstable: ReversibleFloquet) -> float:
+    """How far the mu of a stable orbit are from the instability of a near one, in the measure of `_from_stability`."""
     mu, real = _born(unstable)
     if real:
         outwards = stable.mu.real if mu.real > -0.5 else -1.0 - stable.mu.real
@@ -110,30 +156,34 @@ def _to_instability(stable: Floquet, unstable: Floquet) -> float:
 
 
 def _born(unstable: Floquet) -> tuple[complex, bool]:
-    """The mu by which an orbit is unstable, and whether it is real; that farthest from the middle of [-1, 0]."""
+    """The mu (or else the multiplier) by which an orbit is unstable, farthest outside, and whether it is real."""
+    if not isinstance(unstable, ReversibleFloquet):
+        others = unstable.others[unstable.outside]
+        worst = complex(others[np.argmax(np.abs(others))])
+        return worst, worst.imag == 0.0
     outside = np.flatnonzero(~unstable.is_inside)
     real = outside[unstable.is_real[outside]]
     chosen = real if real.size else outside
     return complex(unstable.mu[chosen[np.argmax(np.abs(unstable.mu[chosen] + 0.5))]]), real.size > 0
 
 
-def locate_change(point_solver: PointSolver, before: Orbit, after: Orbit) -> StabilityChange:
+def locate_change(space: SolutionSpace, before: Orbit, after: Orbit, largest: float) -> StabilityChange:
     """Find the change of stability on the stretch of branch between two neighbouring orbits (Brent 1973).
 
-    Where the corrector fails inside the bracket the change is given with the bracket reached (`S_width`). Raises
-    FlowError from the flow map.
+    `largest` is the size of the largest value of what is followed. Where the corrector fails inside the bracket the
+    change is given with the bracket reached. Raises FlowError from the flow map.
     """
-    bracket = _Bracket(point_solver, before, after)
+    bracket = _Bracket(space, before, after)
     with suppress(_NotFoundError):
-        bracket.close(WIDTH * min(1.0, before.tools.request.amplitude_max))
+        bracket.close(WIDTH * min(1.0, largest))
     first, last = bracket.first, bracket.last
     mu, real = _born(bracket.unstable)
     return StabilityChange(
-        S=0.5 * (first.S + last.S),
+        value=0.5 * (bracket.value(first) + bracket.value(last)),
         Omega=0.5 * (first.Omega + last.Omega),
         kind="real" if real else "complex",
         stable_before=before.floquet().stable,
         stable_after=after.floquet().stable,
         mu=mu.real,
-        S_width=abs(last.S - first.S),
+        width=bracket.width,
     )

@@ -1,4 +1,4 @@
-"""The journal of a run: every orbit as it converges, appended to one file, so that a killed run loses nothing.
+"""The journal of a run: every solution as it converges, appended to one file, so that a killed run loses nothing.
 
 Records are MessagePack behind a length of four bytes; a record that was cut off by a kill is ignored when reading.
 """
@@ -16,16 +16,18 @@ import numpy as np
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.files import replacing
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.solvers.levels import ErrorEstimate
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
 
 
-class FloquetRecord(msgspec.Struct, frozen=True, tag="floquet"):
-    """A stability result; arrays as bytes of little-endian doubles."""
+class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
+    """Stability by the N x N problem; arrays as bytes of little-endian doubles."""
 
     mu: bytes
     mu_error: bytes
@@ -33,10 +35,20 @@ class FloquetRecord(msgspec.Struct, frozen=True, tag="floquet"):
     power: int
 
 
-class OrbitRecord(msgspec.Struct, frozen=True, tag="orbit"):
-    """A converged orbit with all that the walk needs to go on from it."""
+class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
+    """Stability by the monodromy matrix."""
 
-    mode: int
+    multipliers: bytes
+    monodromy: bytes
+    trivial: int
+    trivial_deviation: float
+    allowed: float
+
+
+class SolutionRecord(msgspec.Struct, frozen=True, tag="solution"):
+    """A converged solution with all that the continuation needs to go on from it."""
+
+    branch: str
     resolution: int
     z: bytes
     tangent: bytes
@@ -46,31 +58,29 @@ class OrbitRecord(msgspec.Struct, frozen=True, tag="orbit"):
     iterations: int
     requested: bool
     walked: bool
-    floquet: FloquetRecord | None
-    constants: bytes = b""  # of the problem: the mesh
-    at_round_off: bool = False
-    parameter_error: float = 0.0
+    floquet: ReversibleRecord | FullPeriodRecord | None
+    constants: bytes  # of the problem: the mesh
+    at_round_off: bool
+    parameter_error: float
 
 
 class ChangeRecord(msgspec.Struct, frozen=True, tag="change"):
-    """A change of stability; it lies between the orbits recorded before and after it."""
+    """A change of stability; it lies between the solutions recorded before and after it."""
 
-    mode: int
+    branch: str
     change: StabilityChange
 
 
 class EndRecord(msgspec.Struct, frozen=True, tag="end"):
-    """The end of a family."""
+    """The end of a branch."""
 
-    mode: int
+    branch: str
     end: End | None
     detail: str
-    missed: tuple[float, ...]
-    missed_Omega: tuple[float, ...] = ()
-    missed_period: tuple[float, ...] = ()
+    misses: dict[str, tuple[float, ...]]
 
 
-Record = OrbitRecord | ChangeRecord | EndRecord
+Record = SolutionRecord | ChangeRecord | EndRecord
 Kind = TypeVar("Kind")
 
 
@@ -78,35 +88,53 @@ def _doubles(data: bytes, kind: str = "<f8") -> np.ndarray:
     return np.frombuffer(data, kind).copy()
 
 
-def orbit_record(orbit: Orbit, with_stability: bool) -> OrbitRecord:
-    """Record of an orbit."""
-    point, floquet = orbit.point, None
-    if with_stability:
-        f = orbit.floquet()
-        floquet = FloquetRecord(
-            f.mu.astype("<c16").tobytes(), f.mu_error.astype("<f8").tobytes(), f.trivial_deviation, f.power
-        )
-    return OrbitRecord(
-        mode=orbit.tools.request.mode,
+def _bytes(values: np.ndarray, kind: str = "<f8") -> bytes:
+    return values.astype(kind).tobytes()
+
+
+def solution_record(branch: str, solution: Solution, with_stability: bool) -> SolutionRecord:
+    """Record of a solution of the branch of that name."""
+    point = solution.point
+    floquet = solution.floquet() if with_stability and isinstance(solution, Orbit) else None
+    return SolutionRecord(
+        branch=branch,
         resolution=point.problem.resolution,
-        z=point.z.astype("<f8").tobytes(),
-        tangent=point.tangent.astype("<f8").tobytes(),
+        z=_bytes(point.z),
+        tangent=_bytes(point.tangent),
         Omega_error=point.error.Omega,
         profile_error=point.error.profile,
         step=point.step,
         iterations=point.iterations,
         requested=point.requested,
         walked=point.walked,
-        floquet=floquet,
-        constants=point.problem.constants.astype("<f8").tobytes(),
+        floquet=None if floquet is None else _floquet_record(floquet),
+        constants=_bytes(point.problem.constants),
         at_round_off=point.at_round_off,
         parameter_error=point.error.parameter,
     )
 
 
-def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
+def _floquet_record(floquet: Floquet) -> ReversibleRecord | FullPeriodRecord:
+    if isinstance(floquet, ReversibleFloquet):
+        mu, errors = _bytes(floquet.mu, "<c16"), _bytes(floquet.mu_error)
+        return ReversibleRecord(mu, errors, floquet.trivial_deviation, floquet.power)
+    assert isinstance(floquet, FullPeriodFloquet)
+    multipliers, monodromy = _bytes(floquet.multipliers, "<c16"), _bytes(floquet.monodromy)
+    return FullPeriodRecord(multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed)
+
+
+def _floquet(record: ReversibleRecord | FullPeriodRecord) -> Floquet:
+    if isinstance(record, ReversibleRecord):
+        mu, errors = _doubles(record.mu, "<c16"), _doubles(record.mu_error)
+        return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
+    multipliers = _doubles(record.multipliers, "<c16")
+    monodromy = _doubles(record.monodromy).reshape(multipliers.size, multipliers.size)
+    return FullPeriodFloquet(multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed)
+
+
+def _solution(record: SolutionRecord, space: SolutionSpace) -> Solution:
     point = Point(
-        problem=tools.levels.problem(record.resolution).with_constants(_doubles(record.constants)),
+        problem=space.levels.problem(record.resolution).with_constants(_doubles(record.constants)),
         z=_doubles(record.z),
         tangent=_doubles(record.tangent),
         error=ErrorEstimate(record.Omega_error, record.profile_error, parameter=record.parameter_error),
@@ -116,11 +144,7 @@ def _orbit(record: OrbitRecord, tools: FamilyTools) -> Orbit:
         walked=record.walked,
         at_round_off=record.at_round_off,
     )
-    f = record.floquet
-    known = None
-    if f is not None:
-        known = Floquet(_doubles(f.mu, "<c16"), _doubles(f.mu_error), f.trivial_deviation, f.power)
-    return Orbit(tools, point, known)
+    return solution_at(space, point, None if record.floquet is None else _floquet(record.floquet))
 
 
 class Journal:
@@ -147,8 +171,14 @@ def _write(file: BinaryIO, payload: bytes) -> None:
 
 
 def read_journal(path: Path) -> list[Record]:
-    """All whole records of a journal; what a kill cut off at its end is left out."""
-    return read_records(path, msgspec.msgpack.Decoder(Record))
+    """All whole records of a journal; what a kill cut off at its end is left out.
+
+    Raises ValueError, in one line, for a journal that this version did not write.
+    """
+    try:
+        return read_records(path, msgspec.msgpack.Decoder(Record))
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{path}: is no journal of this version; accepted: --overwrite") from error
 
 
 def read_records(path: Path, decoder: msgspec.msgpack.Decoder[Kind]) -> list[Kind]:
@@ -172,28 +202,26 @@ def trim_journal(path: Path, records: Sequence[msgspec.Struct]) -> None:
 
 
 def resumable(records: Sequence[Record]) -> list[Record]:
-    """The records up to the last point walked of a family that has not ended.
+    """The records up to the last point of a continuation, or to the end of a branch.
 
-    Points between two points walked, and changes of stability after the last one, are computed again.
+    Points between two points of a continuation, and changes of stability after the last one, are computed again.
     """
     last = 0
     for place, record in enumerate(records, start=1):
-        if isinstance(record, EndRecord) or (isinstance(record, OrbitRecord) and record.walked):
+        if isinstance(record, EndRecord) or (isinstance(record, SolutionRecord) and record.walked):
             last = place
     return list(records[:last])
 
 
 def restore(
-    records: Sequence[Record], tools: FamilyTools, stability: bool, events: bool
-) -> FamilyContinuation | Branch:
-    """The finished branch of the family of `tools`, or the walk that goes on from what the records hold of it."""
-    mode = tools.request.mode
-    mine = [r for r in records if r.mode == mode]
-    orbits = [_orbit(r, tools) for r in mine if isinstance(r, OrbitRecord)]
+    records: Sequence[Record], branch: str, space: SolutionSpace, stability: bool, events: bool
+) -> Following | Branch:
+    """The finished branch of that name, or what goes on from what the records hold of it."""
+    mine = [r for r in records if r.branch == branch]
+    solutions = [_solution(r, space) for r in mine if isinstance(r, SolutionRecord)]
     changes = [r.change for r in mine if isinstance(r, ChangeRecord)]
-    walk = FamilyContinuation(tools, stability, events, orbits, changes)
+    following = Following(space, stability, events, solutions, changes)
     for record in mine:
         if isinstance(record, EndRecord):
-            missed = (record.missed, record.missed_Omega, record.missed_period)
-            return walk.finished(record.end, record.detail, missed)
-    return walk
+            return following.finished(record.end, record.detail, record.misses)
+    return following

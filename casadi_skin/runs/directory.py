@@ -7,13 +7,13 @@ from enum import Enum
 from pathlib import Path
 
 from casadi_skin.files import replacing
-from casadi_skin.scene import AnyScene, SceneError, parse_any_scene
+from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", "dynamics.csv", "dynamics.nc", "search.csv",
-           "starts.csv", "search.nc", "branch.csv", "branch.nc",
+           "starts.csv", "search.nc", "branch.csv", "branch.nc", "special_points.csv",
            f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
@@ -32,7 +32,7 @@ class Existing(Enum):
     OVERWRITE = "overwrite"
 
 
-def prepare(directory: Path, scene: AnyScene, scene_text: str, existing: Existing) -> bool:
+def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) -> bool:
     """Make `directory` ready for a run of `scene`; False where a resumed run has nothing left to do.
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
@@ -89,7 +89,12 @@ def _check_free(directory: Path, may_hold: bool, accepted: str) -> bool:
 
 def _check_writable(directory: Path) -> None:
     """Raises DirectoryError for a path that is not a directory, or where nothing can be written."""
-    if directory.exists() and not directory.is_dir():
+    try:
+        exists = directory.exists()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise DirectoryError(f"{directory}: {reason}; accepted: an empty or new directory") from error
+    if exists and not directory.is_dir():
         raise DirectoryError(f"{directory}: is not a directory; accepted: an empty or new directory")
     parent = directory
     while not parent.exists():
@@ -98,19 +103,27 @@ def _check_writable(directory: Path) -> None:
         raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
 
 
-def _check_same(directory: Path, scene: AnyScene) -> None:
+def check_same_source(directory: Path, path: Path, source: str) -> None:
+    """Raises DirectoryError where the directory is a run of a model file that has been changed since."""
+    held = directory / f"{SCENE_MODEL}{path.suffix}"
+    if held.exists() and held.read_text(encoding="utf-8") != source:
+        raise DirectoryError(
+            f"{directory}: was begun with another {path.name} (see {held.name}); accepted: the same, or --overwrite"
+        )
+
+
+def _check_same(directory: Path, scene: Scene) -> None:
     """Raises DirectoryError where the directory is not a run of this scene."""
     path = directory / SCENE
     if not path.exists():
         raise DirectoryError(f"{directory}: holds no {SCENE}, so no run to resume; accepted: the directory of a run")
     try:
-        before = parse_any_scene(path.read_text(encoding="utf-8"), str(path))
+        before = parse_scene(path.read_text(encoding="utf-8"), str(path))
     except (SceneError, UnicodeDecodeError) as error:
         raise DirectoryError(f"{directory}: its {SCENE} cannot be read: {error}") from error
     if not scene.same_request(before):
-        names = dict.fromkeys((*scene.__struct_fields__, *before.__struct_fields__))
-        tables = [name for name in names if name != "title"]
-        changed = [f"[{name}]" for name in tables if getattr(scene, name, None) != getattr(before, name, None)]
+        tables = [name for name in scene.__struct_fields__ if name != "title"]
+        changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
         raise DirectoryError(
             f"{directory}: was begun with another scene ({', '.join(changed)} differs); accepted: the same scene but "
             "for its title, or --overwrite"

@@ -12,33 +12,39 @@ from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.figures.style import number
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.results.netcdf import write_evolution
-from casadi_skin.results.tables import evolution_columns, evolution_rows, write_csv
-from casadi_skin.scene import DynamicsTable, Scene
+from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
+from casadi_skin.results.evolution import evolution_columns, evolution_rows, evolution_variables
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.writing import mode_of, origin
+from casadi_skin.scene import DynamicsTable
 from casadi_skin.theory.linear import Array
 
 PER_PERIOD, FEWEST, MOST = 20, 401, 4001
 
 
-def scene_orbit(scene: Scene, branches: Sequence[Branch]) -> Orbit:
-    """The orbit of the scene's [dynamics], where its branch first passes S.
+def scene_orbit(request: Request, branches: Sequence[Branch]) -> Orbit:
+    """The orbit of the scene's [dynamics]: where its family first passes S, or the last of another branch.
 
     Raises ValueError where the branch does not reach S, ArithmeticError where no orbit is found there.
     """
-    dynamics = _table(scene)
-    found = [b for b in branches if dynamics.mode in (None, b.tools.request.mode)]
-    if not found:
+    dynamics = _table(request)
+    if not isinstance(branches[0].space, Family):
+        return branches[0].orbits[-1]
+    found = [b for b in branches if dynamics.mode in (None, mode_of(b))]
+    if not found or dynamics.S is None:
         raise ValueError(f"mode {dynamics.mode}: its family was not computed")
-    return found[0].at(dynamics.S)
+    orbit: Orbit = found[0].at(S=dynamics.S)
+    return orbit
 
 
-def evolve_scene(scene: Scene, orbit: Orbit) -> Evolution:
+def evolve_scene(request: Request, orbit: Orbit) -> Evolution:
     """The time evolution of an orbit, perturbed where the scene says so.
 
     Raises ValueError where the time is out of reach, EvolutionError where the integrator fails.
     """
-    dynamics = _table(scene)
+    dynamics = _table(request)
     return simulate_orbit(
         orbit, sample_times(dynamics, orbit.period), dynamics.size or 0.0,
         site=dynamics.site, vector=dynamics.vector, seed=dynamics.seed,
@@ -46,10 +52,10 @@ def evolve_scene(scene: Scene, orbit: Orbit) -> Evolution:
     )  # fmt: skip
 
 
-def _table(scene: Scene) -> DynamicsTable:
-    if scene.dynamics is None:
+def _table(request: Request) -> DynamicsTable:
+    if request.scene.dynamics is None:
         raise ValueError("scene: given one without [dynamics]; accepted: one with it")
-    return scene.dynamics
+    return request.scene.dynamics
 
 
 def sample_times(dynamics: DynamicsTable, period: float) -> Array:
@@ -70,12 +76,19 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     return np.linspace(0.0, end, samples)
 
 
-def write_dynamics(scene: Scene, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
+def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
     """dynamics.csv, dynamics.nc and the space-time picture."""
-    write_csv(directory / "dynamics.csv", evolution_columns(orbit.chain.sites), evolution_rows(evolution))
-    write_evolution(directory / "dynamics.nc", evolution, orbit, scene_text, scene.title or "")
-    dynamics = _table(scene)
-    title = f"$j = {orbit.tools.request.mode}$, $S = {number(orbit.S)}$"
+    dynamics = _table(request)
+    write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
+    start: dict[str, float | str] = {"orbit_Omega": orbit.Omega}
+    title = f"period ${number(orbit.period)}$"
+    if isinstance(orbit.space, Family):
+        mode = orbit.space.coordinates.mode_number
+        start = {"orbit_mode": mode, "orbit_S": orbit.S, **start}
+        title = f"$j = {mode}$, $S = {number(orbit.S)}$"
+    how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
+    attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
+    write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
     if dynamics.size is not None:
         title += f", perturbed by ${number(dynamics.size)}$" + (f" at site {dynamics.site}" if dynamics.site else "")
     figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site)

@@ -8,51 +8,54 @@ from pathlib import Path
 from casadi_skin.export.c_code import export_c
 from casadi_skin.export.fmu import export_fmu
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.runs.directory import EXPORT
-from casadi_skin.runs.request import scene_chain
-from casadi_skin.scene import ExportTable, Scene
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.writing import mode_of
+from casadi_skin.scene import ExportTable
 
 
-def export_scene(scene: Scene, branches: Sequence[Branch], directory: Path) -> tuple[Path, ...]:
+def export_scene(request: Request, branches: Sequence[Branch], directory: Path) -> tuple[Path, ...]:
     """Write what the scene's [export] asks for, and return where it is; what a resumed run has is kept.
 
     Raises ValueError where the branch does not reach S or a part cannot be exported, ArithmeticError where no orbit is
     found.
     """
-    export = _table(scene)
+    export = _table(request)
     target, written = directory / EXPORT, []
+    of = exported(request, branches)
     if export.c is not None:
         if not (target.exists() and any(target.iterdir())):  # it is written whole or not at all
-            export_c(exported(scene, branches), target, None if export.c == "all" else export.c)
+            export_c(of, target, None if export.c == "all" else export.c)
         written.append(target)
     if export.fmu is not None:
-        tolerance = scene.accuracy.relative_tolerance
-        of = exported(scene, branches)
-        written.append(export_fmu(of, directory / export.fmu, export.fmi, tolerance=tolerance))
+        written.append(export_fmu(of, directory / export.fmu, export.fmi, tolerance=request.tolerance))
     return tuple(written)
 
 
-def exported(scene: Scene, branches: Sequence[Branch]) -> Chain | Orbit:
-    """The chain, or the orbit at S where its branch first passes it; raises as `export_scene` does."""
-    export = _table(scene)
-    if export.S is None:
-        return scene_chain(scene)
-    found = [branch for branch in branches if export.mode in (None, branch.tools.request.mode)]
-    if not found:
-        raise ValueError(f"mode {export.mode}: its family was not computed")
-    return found[0].at(export.S)
-
-
-def plan_export(scene: Scene) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that tell what is exported."""
-    export = _table(scene)
-    of = "the chain"
+def exported(request: Request, branches: Sequence[Branch]) -> Chain | OdeModel | Orbit:
+    """The model, the orbit at S where its family first passes it, or the last orbit of another branch."""
+    export = _table(request)
     if export.S is not None:
-        assert scene.family is not None
-        mode = export.mode or scene.family.modes(scene.chain.sites)[0]
-        of = f"the orbit j = {mode}, S = {export.S:g}"
+        found = [branch for branch in branches if export.mode in (None, mode_of(branch))]
+        if not found:
+            raise ValueError(f"mode {export.mode}: its family was not computed")
+        orbit: Orbit = found[0].at(S=export.S)
+        return orbit
+    if request.scene.orbit is not None and branches:
+        return branches[0].orbits[-1]
+    return request.model
+
+
+def plan_export(request: Request) -> list[tuple[str, str]]:
+    """Pairs (subject, text) that tell what is exported."""
+    export, of = _table(request), "the chain" if isinstance(request.model, Chain) else "the model"
+    if export.S is not None:
+        of = f"the orbit j = {export.mode or request.families[0].mode}, S = {export.S:g}"
+    elif request.scene.orbit is not None:
+        of = "the last orbit"
     lines = []
     if export.c is not None:
         parts = "all parts that need libm only" if export.c == "all" else ", ".join(export.c)
@@ -62,7 +65,7 @@ def plan_export(scene: Scene) -> list[tuple[str, str]]:
     return lines
 
 
-def _table(scene: Scene) -> ExportTable:
-    if scene.export is None:
+def _table(request: Request) -> ExportTable:
+    if request.scene.export is None:
         raise ValueError("scene: given one without [export]; accepted: one with it")
-    return scene.export
+    return request.scene.export

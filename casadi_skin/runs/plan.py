@@ -3,137 +3,249 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
+import numpy as np
+
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.lattice.full_chain import EdgeSite
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.orbits.boundary_space import DEGREE, FIRST
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
-from casadi_skin.runs.request import scene_requests
-from casadi_skin.scene import DynamicsTable, Scene
+from casadi_skin.runs.binding import state_of
+from casadi_skin.runs.request import Request
 from casadi_skin.solvers.levels import ErrorEstimate
 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
+Lines = list[tuple[str, str]]
 
-def plan_lines(scene: Scene) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that describe what a run of the scene would do."""
-    table = scene.chain
-    lines = [("chain", f"N = {table.sites}, alpha = {table.alpha:g}, gamma = {table.gamma:g}, g = {table.g:g}")]
+
+def plan_lines(request: Request) -> Lines:
+    """Pairs (subject, text) that describe what a run of the request would do."""
+    scene, lines = request.scene, _model_lines(request)
     if scene.spectrum is not None:
         lines.append(("spectrum", "linear frequencies and modes"))
-    requests = scene_requests(scene)
-    if requests:
-        lines += _family_lines(scene, requests)
-        if scene.dynamics is not None:
-            lines.append(("dynamics", _dynamics(scene.dynamics, requests[0].mode)))
+    if request.families:
+        lines += _family_lines(request)
+    elif scene.orbit is not None or request.problem is not None:
+        lines += _boundary_lines(request)
     elif scene.search is not None:
         from casadi_skin.runs.search import plan_search
 
-        lines += plan_search(scene)
+        lines += plan_search(request)
     else:
-        lines.append(("not built", "any boundary-value problem: the scene asks for no family"))
+        lines.append(("not built", _nothing(request)))
+    if scene.dynamics is not None:
+        lines.append(("dynamics", _dynamics(request)))
     if scene.export is not None:
         from casadi_skin.runs.export import plan_export
 
-        lines += plan_export(scene)
+        lines += plan_export(request)
     return lines
 
 
-def _dynamics(table: DynamicsTable, only_mode: int) -> str:
+def _nothing(request: Request) -> str:
+    tables = "family" if isinstance(request.model, Chain) else "[family], [orbit] or [solution]"
+    return f"any boundary-value problem: the scene asks for no {tables}"
+
+
+def _model_lines(request: Request) -> Lines:
+    model = request.model
+    if isinstance(model, Chain):
+        return [("chain", f"N = {model.sites}, alpha = {model.alpha:g}, gamma = {model.gamma:g}, g = {model.g:g}")]
+    words = {
+        "time reversal": model.reversal is not None,
+        "half-period symmetry": model.half_period is not None,
+        "conserved quantity": model.hamiltonian is not None,
+        "forced": model.forced,
+    }
+    declared = ", ".join(word for word, holds in words.items() if holds)
+    return [
+        ("model", f"{model.name}, from {request.path}"),
+        ("states", ", ".join(model.state_names)),
+        ("parameters", _named(request.parameters) or "none"),
+        ("declared", declared or "no symmetry, no conserved quantity"),
+    ]
+
+
+def _named(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
+
+
+def _dynamics(request: Request) -> str:
     """What of which orbit is followed in time, and how."""
+    table = request.scene.dynamics
+    assert table is not None
     kicks = {"site": f"at site {table.site}", "vector": "along a vector", "seed": f"at random, seed {table.seed}"}
     kicked = [words for name, words in kicks.items() if getattr(table, name) is not None]
     start = f", perturbed by {table.size:g} {kicked[0]}" if kicked else ""
     end = f"t = {table.duration:g}" if table.duration is not None else f"{table.periods:g} periods"
     samples = f"{table.samples} times" if table.samples is not None else "20 times a period, 401 to 4001 in all"
-    orbit = f"the orbit j = {table.mode or only_mode}, S = {table.S:g}"
+    orbit = "the last orbit"
+    if request.families:
+        orbit = f"the orbit j = {table.mode or request.families[0].mode}, S = {table.S:g}"
     return f"{orbit}{start}, to {end}; {samples}; {table.method}, tolerance {table.tolerance:g}"
 
 
-def _family_lines(scene: Scene, requests: list[FamilyRequest]) -> list[tuple[str, str]]:
-    request, tools = requests[0], FamilyTools(requests[0])
-    modes = ", ".join(str(r.mode) for r in requests)
-    wanted = (("S", request.at), ("Omega", request.at_Omega), ("period", request.at_period))
+# Families -------------------------------------------------------------------------------------------------------------
+
+
+def _family_lines(request: Request) -> Lines:
+    first, stability = request.families[0], request.scene.stability
+    family, targets, method = Family(first), first.targets, first.method
+    modes = ", ".join(str(r.mode) for r in request.families)
+    wanted = (("S", targets.at), ("Omega", targets.at_Omega), ("period", targets.at_period))
     exactly = [f"{name} = {', '.join(f'{value:g}' for value in values)}" for name, values in wanted if values]
     at = f", points exactly at {'; '.join(exactly)}" if exactly else ""
-    end = f"S = {request.amplitude_max:g}"
-    if request.period_max is not None:
-        end += f" or a period of {request.period_max:g}, whichever comes first"
+    end = f"S = {first.amplitude_max:g}"
+    if targets.period_max is not None:
+        end += f" or a period of {targets.period_max:g}, whichever comes first"
     lines = [
-        ("families", f"j = {modes}, to {end}{at}; {request.max_points} points at most"),
-        ("tolerance", f"{request.tolerance:g}, relative, of Omega and the profile"),
-        ("symmetry", tools.symmetry.reason),
+        ("families", f"j = {modes}, to {end}{at}; {targets.max_points} points at most"),
+        ("tolerance", f"{first.tolerance:g}, relative, of Omega and the profile"),
+        ("symmetry", family.symmetry.reason),
+        ("coordinates", first.coordinates.description),
     ]
-    if isinstance(tools.layout, CoreWithTail):
-        words = f"{tools.core.sites} at the edge, where the cubic term is felt; the linear tail is eliminated exactly"
-        lines.append(("unknown sites", words))
-    elif isinstance(tools.layout, EdgeSite):
-        lines.append(("unknown sites", "the edge site alone: at |gamma| = 1 no other site moves in the gauge"))
     started = time.perf_counter()
-    problem, error = _first_problem(tools)
+    problem, error = _first_problem(family)
     building = time.perf_counter() - started
+    unknowns = f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it"
     lines += [
-        ("transcription", _transcription(request, problem)),
-        (
-            "unknowns",
-            f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it",
-        ),
+        ("transcription", _transcription(first, problem)),
+        ("unknowns", unknowns),
         ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
-        ("first error", f"{error.relative(tools.linear_frequency):.1e} estimated at the start"),
+        ("first error", f"{error.relative(first.coordinates.frequency):.1e} estimated at the start"),
     ]
-    built = f"model in the gauge, collocation equations, {request.corrector} corrector"
-    if scene.stability is not None:
-        what = "multipliers and events" if scene.stability.events else "multipliers"
-        lines.append(("built", f"{built}, variational system with the {request.flow} flow for {what}"))
+    built = f"scaled model, collocation equations, {method.corrector} corrector"
+    if stability is not None:
+        what = "multipliers and events" if stability.events else "multipliers"
+        lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
-    lines.append(("expected cost", _cost(scene, tools, problem, len(requests), building)))
+    lines.append(("expected cost", _cost(request, family, problem, building)))
     return lines
 
 
-def _first_problem(tools: FamilyTools) -> tuple[Problem, ErrorEstimate]:
+def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
     """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
-    start = tools.start
+    start = family.start
     problem, z = start.problem, start.z + start.step * start.tangent
     while True:
         row = problem.parameter_row()
-        correction = tools.levels.corrector(problem).correct(z, row, float(row @ z))
-        error = tools.levels.error(problem, correction.z)
-        finer = tools.levels.finer(problem)
-        at_top = finer is None or tools.levels.finer(finer) is None  # the last level has no error to show
-        if finer is None or at_top or error.relative(problem.frequency(z)) <= tools.request.tolerance:
+        correction = family.levels.corrector(problem).correct(z, row, float(row @ z))
+        error = family.levels.error(problem, correction.z)
+        finer = family.levels.finer(problem)
+        at_top = finer is None or family.levels.finer(finer) is None  # the last level has no error to show
+        if finer is None or at_top or error.relative(problem.frequency(z)) <= family.tolerance:
             return problem, error
         problem, z = finer, problem.prolong(correction.z, finer)
 
 
 def _transcription(request: FamilyRequest, problem: Problem) -> str:
-    if request.transcription == "trigonometric":
+    name = str(request.method.transcription)
+    if name == methods.TRIGONOMETRIC:
         return f"trigonometric: positions only, {problem.resolution} odd cosines at the start"
     if isinstance(problem, ShootingProblem):
         words = f"shooting: positions and velocities, {problem.segments} segments integrated by CVODES"
         return f"{words} with a local tolerance of 1e-{problem.resolution} at the start"
-    words = f"{request.transcription}: positions and velocities, {problem.resolution} intervals"
-    return f"{words} with polynomials of degree {request.collocation_degree} at the start"
+    words = f"{name}: positions and velocities, {problem.resolution} intervals"
+    return f"{words} with polynomials of degree {request.degree} at the start"
 
 
-def _cost(scene: Scene, tools: FamilyTools, problem: Problem, families: int, building: float) -> str:
+def _cost(request: Request, family: Family, problem: Problem, building: float) -> str:
     """Cost from one measured solve (and one transition matrix), times the usual number of points."""
-    start = tools.start
+    start, families = family.start, len(request.families)
     z = start.problem.prolong(start.z + start.step * start.tangent, problem)
     row = problem.parameter_row()
     started = time.perf_counter()
-    z = tools.levels.corrector(problem).correct(z, row, float(row @ z)).z
-    tools.levels.error(problem, z)
+    z = family.levels.corrector(problem).correct(z, row, float(row @ z)).z
+    family.levels.error(problem, z)
     point = time.perf_counter() - started
     words = f"{1e3 * building:.0f} ms to build, {1e3 * point:.2g} ms a point"
-    if scene.stability is not None:
-        tools.flow.transition(problem, z)
+    if request.scene.stability is not None:
+        family.flow.transition(problem, z)
         started = time.perf_counter()
-        tools.flow.transition(problem, z)
+        family.flow.transition(problem, z)
         stability = time.perf_counter() - started
         point += stability
         words += f" and {1e3 * stability:.2g} ms for its multipliers"
     low, high = (families * (building + n * point) for n in TYPICAL_POINTS)
     return f"{words} (measured now); {low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"
+
+
+# Orbits and solutions -------------------------------------------------------------------------------------------------
+
+
+def _boundary_lines(request: Request) -> Lines:
+    scene = request.scene
+    lines = _orbit_lines(request) if scene.orbit is not None else _problem_lines(request)
+    if scene.orbit is None and scene.solution is None:
+        return [*lines, ("not built", _nothing(request))]
+    table = scene.continuation
+    if table is not None:
+        at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
+        lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
+    lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
+    lines.append(("unknowns", _unknowns(request)))
+    if scene.stability is not None:
+        lines.append(("stability", f"multipliers over the full period at every point, by {scene.methods.flow}"))
+    else:
+        lines.append(("not built", "multipliers: the scene has no [stability]"))
+    return lines
+
+
+def _symmetry(request: Request) -> SymmetryClass:
+    symmetric = request.scene.orbit is not None and request.orbit.symmetric
+    return symmetry_class(request.ode) if symmetric else SymmetryClass.FULL
+
+
+def _orbit_lines(request: Request) -> Lines:
+    orbit, model = request.orbit, request.ode
+    start = _named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
+    if model.forced:
+        times = "a period" if orbit.cycles == 1 else f"{orbit.cycles} periods"
+        what = f"closes after {times} of the forcing"
+        after = f", after a transient of {orbit.transient:g} or little more" if orbit.transient else ""
+        return [("orbit", what), ("guess", f"{times} simulated from {start}{after}")]
+    symmetry, selected = _symmetry(request), "" if orbit.select is None else f", selected by {_named(orbit.select)}"
+    if symmetry is SymmetryClass.FULL:
+        phase = "an integral phase condition" if orbit.section is None else f"phase zero at {_named(orbit.section)}"
+        what = f"the full period, {phase}{selected}"
+        what += ", unfolded by a damping that comes back as zero" if model.hamiltonian is not None else ""
+    else:
+        what = f"{symmetry.reason}{selected}"
+    if orbit.period is not None:
+        return [("orbit", what), ("guess", f"one period of {orbit.period:g} from {start}")]
+    return [("orbit", what), ("guess", f"the last cycle of a simulation for {orbit.transient:g} from {start}")]
+
+
+def _problem_lines(request: Request) -> Lines:
+    problem = request.problem
+    assert problem is not None
+    start, end = problem.span(np.array(list(request.parameters.values())))
+    ends = sum(int(expression.numel()) for expression in problem.conditions)
+    integrals = sum(int(expression.numel()) for expression in problem.integrals)
+    words = f"t from {start:g} to {end:g}; {ends} conditions at the ends, {integrals} integrals"
+    free = f"; free: {', '.join(problem.free)}" if problem.free else ""
+    best = "; an objective is minimised" if problem.optimises else ""
+    return [("problem", f"{words}{free}{best}")]
+
+
+def _unknowns(request: Request) -> str:
+    """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
+    method, model, problem = request.scene.methods, request.ode, request.problem
+    intervals, degree = method.intervals or FIRST, method.degree or DEGREE
+    table = methods.COLLOCATION_TABLES[str(method.transcription)].load()(degree)
+    columns = intervals * table.ends.size + 1
+    unfolded = model.hamiltonian is not None and _symmetry(request) is SymmetryClass.FULL
+    orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
+    free = orbit if problem is None else tuple(problem.free)
+    mesh = f"{intervals} {method.transcription} intervals of degree {degree} at the start"
+    also = f"and {', '.join(free)} " if free else ""
+    return f"{model.full_size * columns} state values {also}on {mesh}; more where the tolerance asks for it"

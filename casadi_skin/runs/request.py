@@ -1,48 +1,116 @@
-"""What the tables of a chain's scene mean: its chain and its families."""
+"""What a scene asks for, with its model at hand: everything is checked before anything is solved."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.orbits.follow import for_stability
+from casadi_skin.orbits.guesses import Guess
+from casadi_skin.orbits.method import Method, Targets
 from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.scene import Scene
+from casadi_skin.scene import OrbitTable, Scene
+from casadi_skin.scene.model_tables import CONSERVED
 
 
-def scene_chain(scene: Scene) -> Chain:
-    """The chain of a scene."""
-    table = scene.chain
-    sites: Any = table.sites  # a whole number, or inf
-    return Chain(sites, table.alpha, table.gamma, table.g)
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A scene with its model: a chain, a model of one's own, or a boundary-value problem of it.
 
-
-def scene_requests(scene: Scene) -> list[FamilyRequest]:
-    """The families that a scene asks for, in its order; empty where it asks for none.
-
-    Raises ValueError for a tail that cannot be eliminated.
+    Attributes:
+        scene: what is asked for.
+        model: the `Chain` or the `OdeModel` as it was given.
+        parameters: values of all parameters of a model by name.
+        path: the file of the model; None for a chain.
+        source: its text.
+        problem: the boundary-value problem, where the file states one.
+        guess: where its solution is sought.
     """
-    if scene.family is None:
-        return []
-    family, method, chain = scene.family, scene.method, scene_chain(scene)
-    whole = scene.stability is not None or (scene.export is not None and scene.export.S is not None)
-    tail = method.tail or ("full" if whole else None)  # all sites take part in stability, and in what is exported
-    return [
-        FamilyRequest(
-            chain=chain,
-            mode=mode,
-            amplitude_max=family.amplitude_max,
-            at=family.at,
-            tolerance=scene.accuracy.relative_tolerance,
-            transcription=method.transcription,
-            corrector=method.corrector,
-            flow=method.flow,
-            walker=method.walker,
-            degree=method.degree,
-            at_Omega=family.at_Omega,
-            at_period=family.at_period,
-            period_max=family.period_max,
-            max_points=family.max_points,
-            tail=tail,
-        )
-        for mode in family.modes(chain.sites)
-    ]
+
+    scene: Scene
+    model: Chain | OdeModel
+    parameters: Mapping[str, float]
+    path: Path | None = None
+    source: str = ""
+    problem: BoundaryValueProblem | None = None
+    guess: Guess | None = None
+
+    @property
+    def tolerance(self) -> float:
+        """The relative error allowed."""
+        return self.scene.accuracy.relative_tolerance
+
+    @cached_property
+    def equations(self) -> OdeModel:
+        """The equations of motion in the coordinates of the model; always the same symbols."""
+        return self.model.tunable_model() if isinstance(self.model, Chain) else self.model
+
+    @cached_property
+    def ode(self) -> OdeModel:
+        """The equations of motion of first order, in the same symbols."""
+        return self.equations.first_order()
+
+    @property
+    def orbit(self) -> OrbitTable:
+        """The table [orbit]; raises ValueError where there is none."""
+        if self.scene.orbit is None:
+            raise ValueError("[orbit]: missing; accepted: a scene with an [orbit]")
+        return self.scene.orbit
+
+    @cached_property
+    def families(self) -> tuple[FamilyRequest, ...]:
+        """The families that the scene asks for, in its order; raises ValueError for what cannot be followed."""
+        family = self.scene.family
+        if family is None:
+            return ()
+        targets = Targets(family.at, family.at_Omega, family.at_period, family.period_max, family.max_points)
+        parameters = None if isinstance(self.model, Chain) else self.parameters
+        export = self.scene.export
+        whole = self.scene.stability is not None or (export is not None and export.S is not None)
+        found = []
+        for mode in self.scene.modes():
+            request = FamilyRequest(
+                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters
+            )
+            found.append(for_stability(request, self.scene.method.walker) if whole else request)
+        return tuple(found)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What [accuracy] and [method] say to the solver of a boundary-value problem."""
+        method = self.scene.method
+        options = {name: getattr(method, name) for name in ("transcription", "degree", "intervals", "flow")}
+        given = {name: value for name, value in options.items() if value is not None}
+        return {"tolerance": self.tolerance, "corrector": method.corrector, **given}
+
+    def condition(self, given: Mapping[str, float] | None) -> tuple[Expression, float] | None:
+        """The expression named by a table with one number, and the number."""
+        if given is None:
+            return None
+        ((name, value),) = given.items()
+        model, names = self.ode, self.ode.state_names
+        if name in names:
+            return model.state[names.index(name)], value
+        return (model.hamiltonian if name == CONSERVED else model.outputs[name]), value
+
+
+def method_of(scene: Scene) -> Method:
+    """The table [method] as it is handed to families."""
+    table = scene.method
+    names = ("transcription", "degree", "corrector", "walker", "flow", "tail", "intervals")
+    return Method(**{name: getattr(table, name) for name in names})
+
+
+def chain_of(scene: Scene) -> Chain:
+    """The chain of a scene; raises ValueError for a scene of a model."""
+    if scene.chain is None:
+        raise ValueError("[chain]: missing; accepted: a scene of a chain")
+    sites: Any = scene.chain.sites  # a whole number, or inf
+    return Chain(sites, scene.chain.alpha, scene.chain.gamma, scene.chain.g)

@@ -1,224 +1,291 @@
-"""Running a scene: families one after the other, every orbit kept as it converges, tables and pictures at the end."""
+"""Running a scene: branches one after the other, every solution kept as it converges, and all files at the end."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import casadi_skin.figures as figures
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.continuation.points import End
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following, following_space
+from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.progress import Progress
+from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.journal import (
     ChangeRecord,
     EndRecord,
     Journal,
-    orbit_record,
     read_journal,
     restore,
     resumable,
+    solution_record,
     trim_journal,
 )
-from casadi_skin.results.netcdf import write_netcdf
-from casadi_skin.results.tables import EVENT_COLUMNS, Cell, event_row, orbit_row, spectrum_rows, write_csv
-from casadi_skin.runs.directory import JOURNAL
-from casadi_skin.runs.request import scene_chain, scene_requests
-from casadi_skin.scene import Scene
+from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
+from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.writing import write_branches, write_spectrum
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.threads import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.optimise.result import SearchResult
 
-TABLE_PERIOD = 0.5  # seconds between two writings of family.csv while a run goes on
+TABLE_PERIOD = 0.5  # seconds between two writings of the table while a run goes on
 
 
 @dataclass
 class Run:
-    """One run of a scene into a directory that is ready for it (see runs.directory).
+    """One run of a request into a directory that is ready for it (see runs.directory).
 
-    `branches` and `seconds` fill as families end; an exception or an interruption leaves what was computed in the
-    files and in the journal. `evolution` is the time evolution where the scene asks for one, as far as it could be
-    followed; `evolution_failure` tells in one line why that is not to its end. `search` is the result of a search.
-    `exported` are what was written for use outside of Python; `export_failure` tells why that could not be.
+    Attributes:
+        branches, seconds: fill as branches end; an exception or an interruption leaves what was computed in the files
+            and in the journal.
+        failures: why a part is not what was asked for, in a line each, with the table that asked for it.
+        evolution: the time evolution, as far as it could be followed.
+        search: the result of a search.
+        exported: what was written for use outside of Python.
     """
 
-    scene: Scene
+    request: Request
     scene_text: str
     directory: Path
     progress: Progress
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
     evolution: Evolution | None = None
-    evolution_failure: str = ""
     search: SearchResult | None = None
     exported: tuple[Path, ...] = ()
-    export_failure: str = ""
     _rows: list[dict[str, Cell]] = field(default_factory=list)
     _written: float = 0.0
 
     @property
     def _with_stability(self) -> bool:
-        return self.scene.stability is not None
+        return self.request.scene.stability is not None
+
+    @property
+    def _with_events(self) -> bool:
+        stability = self.request.scene.stability
+        return stability is not None and stability.events
 
     def execute(self) -> bool:
-        """Compute, write, and tell whether every family is complete and the time evolution, if any, was followed."""
+        """Compute, write, and tell whether all that was asked for was found."""
+        (self.directory / JOURNAL).touch()
+        if self.request.path is not None:
+            copy = self.directory / f"{SCENE_MODEL}{self.request.path.suffix}"
+            copy.write_text(self.request.source, encoding="utf-8")
         try:
-            self._follow_all()
+            with one_thread():
+                self._follow_all()
         finally:
             self._write_results()
         self._evolve()
-        searched = self._search()
+        self._search()
         self._export()
-        complete = all(branch.complete for branch in self.branches) and not self.evolution_failure and searched
-        complete = complete and not self.export_failure
+        complete = all(branch.complete for branch in self.branches) and not self.failures
         if complete:
             (self.directory / JOURNAL).unlink(missing_ok=True)
         return complete
 
-    # Computing ------------------------------------------------------------------------------------------------------
+    def reasons(self) -> list[str]:
+        """Why the run is not what was asked for, in a line each."""
+        reasons = []
+        for branch in self.branches:
+            if branch.complete:
+                continue
+            if isinstance(branch.space, Family):
+                reasons.append(f"mode {branch.space.coordinates.mode_number}: {branch.reason}")
+            else:
+                table = "continuation" if branch.parameter else "stability"
+                reasons.append(f"[{table}]: {branch.reason}")
+        return [*reasons, *self.failures]
+
+    # Branches -------------------------------------------------------------------------------------------------------
 
     def _follow_all(self) -> None:
-        requests = scene_requests(self.scene)
-        if not requests:
-            return
         path = self.directory / JOURNAL
-        records = resumable(read_journal(path)) if path.exists() else []
+        if self.request.scene.search is not None:  # its journal is of another kind
+            return
+        records = resumable(read_journal(path))
         trim_journal(path, records)
-        stability = self.scene.stability
         with Journal(path) as journal:
-            for request in requests:
-                known = restore(
-                    records, FamilyTools(request), stability is not None, stability is not None and stability.events
-                )
-                started = time.perf_counter()
-                self._keep(known.orbits)
-                if isinstance(known, FamilyContinuation):
-                    self._follow(known, journal)
-                else:
-                    self.branches.append(known)
-                self.seconds.append(time.perf_counter() - started)
+            try:
+                for name, space in self._spaces():
+                    started = time.perf_counter()
+                    known = restore(records, name, space, self._with_stability, self._with_events)
+                    if isinstance(known, Following):
+                        self._follow(name, known, journal)
+                    else:
+                        self._keep(known.solutions, known.space)
+                        self.branches.append(known)
+                    self.seconds.append(time.perf_counter() - started)
+            except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
+                self.failures.append(str(error))
 
-    def _follow(self, walk: FamilyContinuation, journal: Journal) -> None:
-        """Follow one family to its end; each result goes to the journal before anything else happens."""
-        request = walk.tools.request
-        self.progress.say(f"j = {request.mode}: building")
+    def _spaces(self) -> Iterator[tuple[str, SolutionSpace]]:
+        """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
+        for family in self.request.families:
+            self.progress.say(f"j = {family.mode}: building")
+            yield str(family.mode), Family(family)
+        scene, table = self.request.scene, self.request.scene.continuation
+        if scene.orbit is None and scene.solution is None:
+            return
+        from casadi_skin.runs.first_solution import first_solution
+
+        self.progress.say("solving" if scene.orbit is None else "simulating and solving")
+        first = first_solution(self.request)
+        if table is not None:
+            yield (
+                "branch",
+                following_space(
+                    first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
+                ),
+            )
+            return
+        branch = self._alone(first)
+        self._keep(branch.solutions, branch.space)
+        self.branches.append(branch)
+        self.seconds.append(0.0)
+
+    def _alone(self, solution: Solution) -> Branch:
+        """A single orbit or solution as a branch of one point."""
+        end, words = End.REACHED, ""
+        if self._with_stability:
+            try:
+                found = solution.space.floquets([solution.point])[0]
+                solution = solution_at(solution.space, solution.point, found, solution.exact)
+            except FlowError as error:
+                end, words = End.FLOW, str(error)
+        return Branch(solution.space, (solution,), (), self._with_stability, end, words)
+
+    def _follow(self, name: str, following: Following, journal: Journal) -> None:
+        """Follow one branch to its end; each result goes to the journal before anything else happens.
+
+        An interruption may come before a result is handed over: its row is added then.
+        """
+        before = len(self._rows)
+        self._keep(following.solutions, following.space)
         try:
-            for result in walk:
-                if isinstance(result, Orbit):
-                    journal.append(orbit_record(result, self._with_stability))
-                    self._keep([result])
-                    self.progress.orbit(result, len(walk.orbits))
+            for result in following:
+                if isinstance(result, Solution):
+                    journal.append(solution_record(name, result, self._with_stability))
+                    self._keep([result], following.space)
+                    self.progress.solution(result, len(following.solutions))
                 else:
-                    journal.append(ChangeRecord(request.mode, result))
+                    journal.append(ChangeRecord(name, result))
         finally:
-            branch = walk.branch()
+            branch = following.branch()
             self.branches.append(branch)
-        missed = (branch.missed, branch.missed_Omega, branch.missed_period)
-        journal.append(EndRecord(request.mode, branch.end, branch.detail, *missed))
+            self._keep(branch.solutions[len(self._rows) - before :], following.space)
+        journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))
+
+    # Other parts ----------------------------------------------------------------------------------------------------
 
     def _evolve(self) -> None:
         """The time evolution with its files, where the scene asks for one; nothing of it is imported elsewhere."""
-        if self.scene.dynamics is None:
+        if self.request.scene.dynamics is None or not self.branches:
             return
         from casadi_skin.dynamics import EvolutionError
         from casadi_skin.runs.dynamics import evolve_scene, scene_orbit, write_dynamics
 
         self.progress.say("time evolution")
         try:
-            orbit = scene_orbit(self.scene, self.branches)
-            self.evolution = evolve_scene(self.scene, orbit)
+            orbit = scene_orbit(self.request, self.branches)
+            self.evolution = evolve_scene(self.request, orbit)
         except EvolutionError as error:
-            self.evolution, self.evolution_failure = error.evolution, str(error)
+            self.evolution = error.evolution
+            self.failures.append(f"[dynamics]: {error}")
         except (ValueError, ArithmeticError) as error:
-            self.evolution_failure = str(error)
+            self.failures.append(f"[dynamics]: {error}")
         if self.evolution is not None:
             self.progress.say("writing the time evolution")
-            write_dynamics(self.scene, self.scene_text, orbit, self.evolution, self.directory)
+            write_dynamics(self.request, self.scene_text, orbit, self.evolution, self.directory)
 
     def _export(self) -> None:
         """What the scene wants out of Python; nothing of it is imported elsewhere."""
-        if self.scene.export is None:
+        if self.request.scene.export is None:
             return
         from casadi_skin.runs.export import export_scene
 
         self.progress.say("exporting")
         try:
-            self.exported = export_scene(self.scene, self.branches, self.directory)
+            self.exported = export_scene(self.request, self.branches, self.directory)
         except (ValueError, ArithmeticError) as error:
-            self.export_failure = str(error)
+            self.failures.append(f"[export]: {error}")
 
-    def _search(self) -> bool:
-        """The search with its files, where the scene asks for one, and whether it found an optimum."""
-        if self.scene.search is None:
-            return True
+    def _search(self) -> None:
+        """The search with its files, where the scene asks for one."""
+        if self.request.scene.search is None:
+            return
         from casadi_skin.optimise.result import SearchStatus
         from casadi_skin.runs.search import COMPLETE, run_search, write_results
 
-        self.search = run_search(self.scene, self.directory / JOURNAL, self.progress)
+        self.search = run_search(self.request, self.directory / JOURNAL, self.progress)
         self.progress.say("writing the search")
-        write_results(self.scene, self.scene_text, self.search, self.directory)
+        write_results(self.request, self.scene_text, self.search, self.directory)
         if self.search.status is SearchStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        return self.search.status in COMPLETE
+        if self.search.status not in COMPLETE:
+            self.failures.append(f"[search]: {self.search.reason}")
 
     # Writing --------------------------------------------------------------------------------------------------------
 
-    def _keep(self, orbits: Sequence[Orbit]) -> None:
-        """Add rows to family.csv, which is replaced at most every TABLE_PERIOD."""
-        for orbit in orbits:
-            index = sum(row["mode"] == orbit.tools.request.mode for row in self._rows)
-            self._rows.append(orbit_row(orbit, index, self._with_stability))
+    def _keep(self, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Add rows to the table, which is replaced at most every TABLE_PERIOD."""
+        mode = space.coordinates.mode_number if isinstance(space, Family) else 0
+        for solution in solutions:
+            quantities = quantities_of(Branch(space, (solution,), with_stability=self._with_stability))
+            index = sum(row.get("mode", 0) == mode for row in self._rows)
+            self._rows.append(csv_row(quantities, Place(solution, index, mode, solution.point.requested)))
         if self._rows and time.monotonic() - self._written > TABLE_PERIOD:
-            self._write_family()
+            self._write_table("family.csv" if isinstance(space, Family) else "branch.csv")
 
-    def _write_family(self) -> None:
-        write_csv(self.directory / "family.csv", list(self._rows[0]), self._rows)
+    def _write_table(self, name: str) -> None:
+        write_csv(self.directory / name, list(self._rows[0]), self._rows)
         self._written = time.monotonic()
 
     def _write_results(self) -> None:
         self.progress.say("writing tables and pictures")
-        if self.scene.spectrum is not None:
-            write_spectrum(scene_chain(self.scene), self.directory)
-        if not self._rows:
-            return
-        self._write_family()
-        stability = self.scene.stability
-        if stability is not None and stability.events:
-            events = [event_row(b.tools.request.mode, c) for b in self.branches for c in b.changes]
-            write_csv(self.directory / "events.csv", EVENT_COLUMNS, events)
+        if self.request.scene.spectrum is not None:
+            write_spectrum(self.request, self.directory)
         branches = [branch for branch in self.branches if len(branch)]
-        vectors = stability is not None and stability.vectors
-        title = self.scene.title or ""
-        write_netcdf(self.directory / "family.nc", branches, self.scene_text, title, vectors)
-        figures.save(figures.frequency_figure(branches), self.directory / "frequency")
-        profile = figures.profile_figure(branches)
-        if profile is not None:
-            figures.save(profile, self.directory / "profile")
-        for branch in branches:
-            multipliers = figures.multiplier_figure(branch)
-            if multipliers is not None:
-                figures.save(multipliers, self.directory / f"multipliers_j{branch.tools.request.mode}")
-        if self.scene.family is not None and self.scene.family.film:
-            self._write_films(branches)
+        if not branches:
+            return
+        try:
+            self._write_branches(branches)
+        except ArithmeticError as error:  # a value that is not finite
+            self.failures.append(str(error))
+        self._tell_drift(branches)
 
-    def _write_films(self, branches: Sequence[Branch]) -> None:
-        """A film of each family's mode, at the last requested point or at the end."""
-        from casadi_skin.animation import animate
+    def _write_branches(self, branches: Sequence[Branch]) -> None:
+        """The table of points, and what is made of whole branches."""
+        if isinstance(branches[0].space, Family):
+            self._write_table("family.csv")
+        else:
+            for row, place in zip(self._rows, places_of(branches[0]), strict=True):
+                row["fold"] = int(bool(place.special))
+            self._write_table("branch.csv")
+        write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
 
-        for branch in branches:
-            mode = branch.tools.request.mode
-            self.progress.say(f"film of j = {mode}")
-            asked = [orbit for orbit in branch.orbits if orbit.point.requested]
-            animate((asked or branch.orbits)[-1], self.directory / f"film_j{mode}.gif")
-
-
-def write_spectrum(chain: Chain, directory: Path) -> None:
-    """spectrum.csv and the picture of the linear spectrum."""
-    write_csv(directory / "spectrum.csv", ("mode", "omega"), spectrum_rows(chain))
-    figures.save(figures.spectrum_figure(chain), directory / "spectrum")
+    def _tell_drift(self, branches: Sequence[Branch]) -> None:
+        """Say where trivial multipliers are farther from their value than errors allow."""
+        if not self._with_stability:
+            return
+        found = [s.floquet() for branch in branches for s in branch.solutions if isinstance(s, Orbit)]
+        off = [f for f in found if f.trivial_deviation > f.allowed_deviation]
+        if off:
+            worst = max(off, key=lambda f: f.trivial_deviation / f.allowed_deviation)
+            count = f"{len(off)} of {len(found)} points"
+            size = f"by up to {worst.trivial_deviation:.1e} where {worst.allowed_deviation:.1e} is allowed"
+            self.failures.append(
+                f"[stability]: the trivial multiplier is off at {count}, {size}; try a smaller tolerance"
+            )

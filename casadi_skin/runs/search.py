@@ -9,15 +9,18 @@ import msgspec
 
 from casadi_skin import figures
 from casadi_skin.figures.search import search_figure
-from casadi_skin.optimise.request import SearchRequest, search_request
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.chain_family import ChainFamily
+from casadi_skin.optimise.family_nlp import FamilyNlp
+from casadi_skin.optimise.family_search import FamilySearch
+from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.result import SearchResult, SearchStatus
-from casadi_skin.optimise.search import Search
-from casadi_skin.optimise.search_nlp import programme
-from casadi_skin.optimise.starts import Ending, first_harmonics, sample_starts
+from casadi_skin.optimise.search import search
+from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import Journal, read_records, trim_journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
-from casadi_skin.runs.request import scene_chain
+from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene, SearchTable
 
 COMPLETE = (SearchStatus.FOUND, SearchStatus.ON_BOUND)
@@ -30,34 +33,40 @@ def search_table(scene: Scene) -> SearchTable:
     return scene.search
 
 
-def scene_search(scene: Scene) -> SearchRequest:
-    """What the scene's [search] asks for; raises ValueError or TypeError for what cannot be meant."""
-    table = search_table(scene)
+def family_search(request: Request) -> FamilySearch:
+    """The search of the scene's [search]; raises ValueError or TypeError for what cannot be meant."""
+    table, model = search_table(request.scene), request.model
     constraints = [
         (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
         for held in table.constraints
     ]
-    return search_request(
-        scene_chain(scene), table.mode, table.S, table.objective, table.maximise, table.free, table.bounds, constraints,
-        scene.accuracy.relative_tolerance,
+    if isinstance(model, Chain):
+        family: ChainFamily | ModelFamily = ChainFamily.of(model, table.mode)
+    else:
+        family = ModelFamily.of(model, table.mode, request.parameters)
+    return FamilySearch.of(
+        family, S=table.S, objective=table.objective, free=table.free,
+        bounds=table.bounds, constraints=constraints, maximise=table.maximise,
+        tolerance=request.scene.accuracy.relative_tolerance,
     )  # fmt: skip
 
 
-def run_search(scene: Scene, journal: Path, progress: Progress) -> SearchResult:
+def run_search(request: Request, journal: Path, progress: Progress) -> SearchResult:
     """Run the search, each start kept in the journal as it ends; starts that the journal holds are not run again."""
-    table, request = search_table(scene), scene_search(scene)
+    problem, table = family_search(request), search_table(request.scene)
     decoder = msgspec.msgpack.Decoder(OutcomeRecord)
     records = [r for r in (read_records(journal, decoder) if journal.exists() else []) if _ended(r)]
     trim_journal(journal, records)
-    starts = sample_starts(request, table.starts, table.seed)
-    search = Search(request, starts, table.deflate, [restored(record) for record in records])
     progress.say("building")
     with Journal(journal) as file:
-        return search.run(
-            lambda where: progress.say(str(where)),
-            table.workers,
-            None,
-            lambda found: file.append(outcome_record(found)),
+        return search(
+            problem,
+            problem.starts(table.starts, table.seed),
+            deflate=table.deflate,
+            known=[restored(record) for record in records],
+            keep=lambda outcome: file.append(outcome_record(outcome)),
+            progress=lambda where: progress.say(str(where)),
+            workers=table.workers,
         )
 
 
@@ -65,52 +74,58 @@ def _ended(record: OutcomeRecord) -> bool:
     return record.ending is not Ending.INTERRUPTED
 
 
-def write_results(scene: Scene, scene_text: str, result: SearchResult, directory: Path) -> None:
+def write_results(request: Request, scene_text: str, result: SearchResult, directory: Path) -> None:
     """search.csv, starts.csv, search.nc and the picture."""
+    scene = request.scene
     table = search_table(scene)
-    write_search(result, directory, scene_search(scene).free_names, scene_text, scene.title or "")
+    write_search(result, directory, scene_text, scene.title or "")
     if result.optima or result.others:
         figures.save(search_figure(result, table.objective), directory / "search")
 
 
-def summary_lines(result: SearchResult, objective: str) -> list[str]:
+def check_search(request: Request) -> None:
+    """Raises ValueError or TypeError where the scene's search cannot be meant."""
+    family_search(request)
+
+
+def summary_lines(result: SearchResult, request: Request) -> list[str]:
     """The result in lines for a terminal."""
+    objective = search_table(request.scene).objective
     lines = [f"search: {result.reason}"]
     for rank, optimum in enumerate((*result.optima, *result.others), start=1):
         named = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
         more = ", ..." if len(optimum.parameters) > 4 else ""
         words = ", on another family" if optimum.on_family is False else ""
         held = f"; on {', '.join(optimum.active)}" if optimum.active else ""
-        lines.append(f"{rank}: {objective} = {optimum.objective:.10g} at {named}{more}; Omega = {optimum.Omega:.10g}"
-                     f"{held}{words}")  # fmt: skip
+        found = f"{objective} = {optimum.objective:.10g} at {named}{more}; Omega = {optimum.Omega:.10g}"
+        lines.append(f"{rank}: {found}{held}{words}")
     if result.nearest is not None and result.nearest.solution is not None:
         near = result.nearest
         lines.append(f"nearest: from start {near.start.number}, {near.worst} off by {near.gap:.3g}")
     return lines
 
 
-def plan_search(scene: Scene) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that describe the search of a scene, with one start's programme measured."""
-    table, request = search_table(scene), scene_search(scene)
+def plan_search(request: Request) -> list[tuple[str, str]]:
+    """Pairs (subject, text) that describe the search of a scene, with the nonlinear programme of one start measured."""
+    table, problem = search_table(request.scene), family_search(request)
     started = time.perf_counter()
-    first = sample_starts(request, 1, table.seed)[0]
-    harmonics = first_harmonics(request, first)
-    nlp = programme(request, harmonics)
+    problem = problem.prepared(problem.starts(1, table.seed)[0])
+    nlp = FamilyNlp(problem, problem.harmonics)
     building = time.perf_counter() - started
-    bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in zip(request.free, request.bounds,
-                                                                                    strict=True))  # fmt: skip
+    limits = zip(problem.free, problem.bounds, strict=True)
+    bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in limits)
     held = [f"{c.name} = {c.upper:g}" if c.equality else f"{c.lower:g} <= {c.name} <= {c.upper:g}"
-            for c in request.conditions]  # fmt: skip
-    where = f"j = {request.mode}" + ("" if "S" in request.free else f", S = {request.amplitudes[0]:g}")
+            for c in problem.conditions]  # fmt: skip
+    where = f"j = {problem.family.mode}" + ("" if "S" in problem.free else f", S = {problem.amplitudes[0]:g}")
+    tangent = " and those of its tangent" if nlp.has_tangent else ""
     return [
         ("search", f"{'largest' if table.maximise else 'smallest'} {table.objective} on the family {where}"),
         ("free", bounds),
         ("held", "; ".join(held) or "nothing"),
-        ("tolerance", f"{request.tolerance:g}, relative, of objective and Omega"),
+        ("tolerance", f"{problem.tolerance:g}, relative, of objective and Omega"),
         ("starts", f"{table.starts}, seed {table.seed}, {table.workers} process{'' if table.workers == 1 else 'es'}"),
-        ("unknowns", f"{nlp.size} on {harmonics} odd cosines; more harmonics where the tolerance asks for it"),
-        ("built", "the orbit's equations" + (" and those of its tangent" if any(nlp.has_tangent) else "")
-         + ", their exact first and second derivatives, Ipopt"),
-        ("not built", "families beyond the starts and checks" + ("" if any(nlp.has_tangent) else ", the tangent")),
+        ("unknowns", f"{nlp.size} on {nlp.harmonics} odd cosines; more harmonics where the tolerance asks for it"),
+        ("built", f"the orbit's equations{tangent}, their exact first and second derivatives, Ipopt"),
+        ("not built", "families beyond the starts and checks" + ("" if tangent else ", the tangent")),
         ("expected cost", f"{building:.1g} s to build (measured now); starts and checks are not estimated"),
-    ]  # fmt: skip
+    ]

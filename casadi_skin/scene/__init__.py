@@ -4,54 +4,41 @@ Loads no numerics, so that reading a scene is instant.
 """
 
 from casadi_skin.scene.faults import SceneError
-from casadi_skin.scene.model_tables import ModelScene
-from casadi_skin.scene.reading import AnyScene, parse_any_scene, parse_scene, read_scene, read_text, scene_schema
+from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
+from casadi_skin.scene.reading import parse_scene, read_scene, read_text, scene_schema
+from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import (
-    C_PARTS,
-    CORRECTORS,
-    EVOLVERS,
-    FLOWS,
     PRESET_TOLERANCES,
     PRESETS,
-    TRANSCRIPTIONS,
-    WALKERS,
     AccuracyTable,
     ChainTable,
-    DynamicsTable,
-    ExportTable,
     FamilyTable,
     MethodTable,
-    Scene,
-    SearchCondition,
-    SearchTable,
     SpectrumTable,
     StabilityTable,
 )
+from casadi_skin.scene.task_tables import C_PARTS, DynamicsTable, ExportTable, SearchCondition, SearchTable
 
 __all__ = [
-    "CORRECTORS",
     "C_PARTS",
-    "EVOLVERS",
-    "FLOWS",
     "PRESETS",
     "PRESET_TOLERANCES",
-    "TRANSCRIPTIONS",
-    "WALKERS",
     "AccuracyTable",
-    "AnyScene",
     "ChainTable",
+    "ContinuationTable",
     "DynamicsTable",
     "ExportTable",
     "FamilyTable",
     "MethodTable",
-    "ModelScene",
+    "ModelTable",
+    "OrbitTable",
     "Scene",
     "SceneError",
     "SearchCondition",
     "SearchTable",
+    "SolutionTable",
     "SpectrumTable",
     "StabilityTable",
-    "parse_any_scene",
     "parse_scene",
     "read_scene",
     "read_text",

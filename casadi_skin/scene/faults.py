@@ -1,15 +1,13 @@
 """How a fault of a scene is told: one line with the place, what was given and what is accepted."""
 
-import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_type_hints
 
 from msgspec import Meta
 
+from casadi_skin.arguments import LONGEST, cut, nearest
 from casadi_skin.scene.tables import Table
-
-LONGEST = 60  # characters of a given value or name that a message shows
 
 
 class SceneError(ValueError):
@@ -28,8 +26,12 @@ def did_you_mean(near: str | None, accepted: str) -> str:
     return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    return next(iter(difflib.get_close_matches(name[:LONGEST].lower(), list(known), n=1)), None)
+def check_known(place: str, name: str, known: Sequence[str]) -> None:
+    """Raises SceneError, with the nearest known name, for an unknown one."""
+    if name not in known:
+        near = nearest(name, known)
+        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
+        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")
 
 
 def accepted_words(table: type[Table], key: str) -> str:
@@ -41,11 +43,7 @@ def is_table(value: object) -> bool:
     return isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
 
 
-def cut(text: str) -> str:
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
-
-
-def shown(value: object, depth: int = 3) -> str:
+def toml_repr(value: object, depth: int = 3) -> str:
     """A value as TOML would write it, cut where it is long, nested or huge."""
     if isinstance(value, str):
         return cut(json.dumps(value[:LONGEST], ensure_ascii=False))
@@ -54,14 +52,14 @@ def shown(value: object, depth: int = 3) -> str:
     if isinstance(value, int):  # beyond some hundred digits Python may refuse to write decimals, never hex
         return cut(str(value) if value.bit_length() < 2000 else hex(value))
     if isinstance(value, list):
-        items = [shown(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
+        items = [toml_repr(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
         return cut(f"[{', '.join(items)}]")
     return "a table" if isinstance(value, dict) else str(value)
 
 
 def inline(table: Mapping[str, object]) -> str:
     """A table as TOML would write it in one line, cut where it is long."""
-    return cut(f"{{{', '.join(f'{cut(key)} = {shown(value)}' for key, value in table.items())}}}")
+    return cut(f"{{{', '.join(f'{cut(key)} = {toml_repr(value)}' for key, value in table.items())}}}")
 
 
 def with_kind(value: object) -> str:
@@ -69,4 +67,4 @@ def with_kind(value: object) -> str:
     if is_table(value):
         return "a table" if isinstance(value, dict) else "an array of tables"
     kinds = {bool: "a boolean", int: "a whole number", float: "a float", str: "a string", list: "an array"}
-    return f"{shown(value)} ({kinds.get(type(value), 'a date or time')})"
+    return f"{toml_repr(value)} ({kinds.get(type(value), 'a date or time')})"

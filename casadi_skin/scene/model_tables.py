@@ -1,36 +1,25 @@
-"""Tables of a scene of any model: a Python file that makes it, an orbit or a boundary-value problem, a continuation.
+"""Tables of a scene of any model: a file that makes it, an orbit or a boundary-value problem, a continuation.
 
 As in the tables of a scene of a chain, titles say what a key is and descriptions what it accepts. Numbers are in the
 units that the model is written in.
 """
 
-import sys
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from casadi_skin.scene.tables import CORRECTORS, AccuracyTable, Corrector, Table
+from casadi_skin.scene.tables import Finite, Positive, Table
 
-Collocation = Literal["gauss", "radau"]
-MultiplierFlow = Literal["collocation", "cvodes"]
-
-COLLOCATIONS: tuple[str, ...] = get_args(Collocation)
-MULTIPLIER_FLOWS: tuple[str, ...] = get_args(MultiplierFlow)
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
 
 _MAX_POINTS = 1_000_000
-_MAX_INTERVALS = 1500  # the same as in orbits.solve, which loads numerics
 _MAX_CYCLES = 1000
 
-_Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
-_Positive = Annotated[float, Meta(gt=0, le=sys.float_info.max)]
-_Named = dict[str, _Finite]
+_Named = dict[str, Finite]
 _Text = Annotated[str, Meta(min_length=1)]
-_One = Annotated[dict[str, _Finite], Meta(min_length=1, max_length=1)]
+_One = Annotated[dict[str, Finite], Meta(min_length=1, max_length=1)]
 _STATES = "a list of finite numbers, one a state, or a table of numbers by the names of states (left out: 0)"
 
 
@@ -41,7 +30,7 @@ class ModelTable(Table, frozen=True):
         _Text,
         Meta(
             title="File of the model, beside the scene unless it has a path",
-            description="a Python file, or a .json file written by OdeModel.save",
+            description="a Python file, or a .json file written by save_model",
         ),
     ]
     name: Annotated[
@@ -62,17 +51,17 @@ class OrbitTable(Table, frozen=True):
     """A periodic orbit of the model: where it is sought, and what picks it out."""
 
     start: Annotated[
-        tuple[_Finite, ...] | _Named, Meta(title="State that a simulation starts from", description=_STATES)
+        tuple[Finite, ...] | _Named, Meta(title="State that a simulation starts from", description=_STATES)
     ]
     transient: Annotated[
-        _Positive | None,
+        Positive | None,
         Meta(
             title="Time simulated before the cycle that is the guess",
             description="a finite number > 0 (autonomous models: this or period)",
         ),
     ] = None
     period: Annotated[
-        _Positive | None,
+        Positive | None,
         Meta(
             title="Guessed period: the guess is one period from the start",
             description="a finite number > 0 (autonomous models: this or transient; forced models: neither is needed)",
@@ -109,7 +98,7 @@ class SolutionTable(Table, frozen=True):
     """A solution of the boundary-value problem that the file states."""
 
     guess: Annotated[
-        _Text | tuple[_Finite, ...] | _Named,
+        _Text | tuple[Finite, ...] | _Named,
         Meta(
             title="Where the solution is sought",
             description=f"{_STATES}, or the name of a function of t in the Python file",
@@ -124,9 +113,9 @@ class ContinuationTable(Table, frozen=True):
         _Text,
         Meta(title="Parameter", description=f'the name of a parameter, or "{SELECTED}": the value in [orbit] select'),
     ]
-    to: Annotated[_Finite, Meta(title="Value at which the branch ends", description="a finite number")]
+    to: Annotated[Finite, Meta(title="Value at which the branch ends", description="a finite number")]
     at: Annotated[
-        tuple[_Finite, ...],
+        tuple[Finite, ...],
         Meta(title="Points exactly at these values", description="a list of finite numbers, each once"),
     ] = ()
     max_points: Annotated[
@@ -143,62 +132,3 @@ class ContinuationTable(Table, frozen=True):
             description="a number > 0 and <= 10",
         ),
     ] = 0.2
-
-
-class MultiplierTable(Table, frozen=True):
-    """Multipliers over the full period at every point are asked for; there is nothing to set."""
-
-
-class CollocationTable(Table, frozen=True):
-    """The interchangeable methods, by name."""
-
-    transcription: Annotated[
-        Collocation, Meta(title="Collocation", description=", ".join(f'"{name}"' for name in COLLOCATIONS))
-    ] = "gauss"
-    degree: Annotated[
-        Annotated[int, Meta(ge=1, le=12)],
-        Meta(title="Degree of the polynomials", description="a whole number >= 1 and <= 12"),
-    ] = 6
-    corrector: Annotated[
-        Corrector, Meta(title="Solver of a point", description=", ".join(f'"{name}"' for name in CORRECTORS))
-    ] = "ipopt"
-    intervals: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_INTERVALS)],
-        Meta(title="Intervals of the first mesh", description=f"a whole number >= 1 and <= {_MAX_INTERVALS}"),
-    ] = 12
-    flow: Annotated[
-        MultiplierFlow,
-        Meta(title="Flow map of stability", description=", ".join(f'"{name}"' for name in MULTIPLIER_FLOWS)),
-    ] = "collocation"
-
-
-class ModelScene(Table, frozen=True):
-    """All that one run is asked for of any model; what is None is neither built nor computed."""
-
-    model: ModelTable
-    orbit: OrbitTable | None = None
-    solution: SolutionTable | None = None
-    continuation: ContinuationTable | None = None
-    stability: MultiplierTable | None = None
-    accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
-    method: CollocationTable = msgspec.field(default_factory=CollocationTable)
-    title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
-
-    def same_request(self, other: object) -> bool:
-        """Whether the other scene is one of a model as well, and equal but for the title."""
-        if not isinstance(other, ModelScene):
-            return False
-        return msgspec.structs.replace(self, title=None) == msgspec.structs.replace(other, title=None)
-
-
-MODEL_TABLES: Mapping[str, type[Table]] = MappingProxyType(
-    {
-        "model": ModelTable,
-        "orbit": OrbitTable,
-        "solution": SolutionTable,
-        "continuation": ContinuationTable,
-        "stability": MultiplierTable,
-        "accuracy": AccuracyTable,
-        "method": CollocationTable,
-    }
-)

@@ -3,40 +3,26 @@
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
-from casadi_skin.scene.checks import (
-    check_accuracy,
-    check_degree,
-    check_dynamics,
-    check_export,
-    check_family,
-    check_search,
-    check_walker,
-)
+from casadi_skin.arguments import LONGEST, cut, nearest
+from casadi_skin.scene.checks import check_scene
 from casadi_skin.scene.faults import (
-    LONGEST,
     SceneError,
     accepted_words,
-    cut,
     did_you_mean,
     inline,
     is_table,
-    nearest,
     refusal,
-    shown,
+    toml_repr,
     with_kind,
 )
-from casadi_skin.scene.model_checks import check_chain_tables, check_model_scene, check_model_tables
-from casadi_skin.scene.model_tables import MODEL_TABLES, ModelScene
-from casadi_skin.scene.tables import TABLES, ChainTable, Scene, Table
-
-AnyScene = Scene | ModelScene
-Kind = TypeVar("Kind", Scene, ModelScene)
+from casadi_skin.scene.scene import TABLES, Scene
+from casadi_skin.scene.tables import ChainTable, Table
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -59,49 +45,21 @@ def read_text(path: str | Path) -> str:
 def parse_scene(text: str, source: str = "scene") -> Scene:
     """Read a scene from TOML text; raises SceneError whose message begins with the source."""
     try:
-        return _chain_scene(_parse_toml(text))
-    except SceneError as fault:
-        raise SceneError(f"{source}: {fault}") from None
-
-
-def parse_any_scene(text: str, source: str = "scene") -> AnyScene:
-    """Read a scene of a chain or, with [model] in it, of any model; raises SceneError as `parse_scene` does."""
-    try:
         raw = _parse_toml(text)
-        return _model_scene(raw) if "model" in raw else _chain_scene(raw, ", or a table [model] with file")
+        _check_names(raw)
+        scene = _convert(raw)
+        check_scene(scene)
     except SceneError as fault:
         raise SceneError(f"{source}: {fault}") from None
-
-
-def _chain_scene(raw: dict[str, Any], otherwise: str = "") -> Scene:
-    check_model_tables(list(raw))
-    _check_names(raw, TABLES)
-    if "chain" not in raw:
-        keys = ", ".join(ChainTable.__struct_fields__)
-        raise SceneError(f"[chain]: missing; accepted: a table with {keys}{otherwise}")
-    scene = _convert(raw, Scene, TABLES)
-    check_accuracy(scene.accuracy)
-    check_degree(scene.method)
-    check_walker(scene.method)
-    check_family(scene)
-    check_dynamics(scene)
-    check_search(scene)
-    check_export(scene)
-    return scene
-
-
-def _model_scene(raw: dict[str, Any]) -> ModelScene:
-    check_chain_tables(list(raw))
-    _check_names(raw, MODEL_TABLES)
-    scene = _convert(raw, ModelScene, MODEL_TABLES)
-    check_model_scene(scene)
     return scene
 
 
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene, for editors that complete and check TOML."""
-    kinds, definitions = msgspec.json.schema_components([Scene, ModelScene], ref_template="#/$defs/{name}")
-    return {"anyOf": list(kinds), "$defs": definitions}
+    schema = msgspec.json.schema(Scene)
+    definition = schema["$defs"]["Scene"]
+    definition["anyOf"] = [{"required": ["chain"]}, {"required": ["model"]}]
+    return schema
 
 
 def _parse_toml(text: str) -> dict[str, Any]:
@@ -117,15 +75,20 @@ def _parse_toml(text: str) -> dict[str, Any]:
     raise SceneError(f"not TOML: {reason}")
 
 
-def _check_names(raw: dict[str, Any], tables: Mapping[str, type[Table]]) -> None:
-    """Refuse unknown tables and keys, values in place of tables, and what is required but missing."""
-    places = {name: f"[{name}]" for name in tables} | {"title": "title"}
+def _check_names(raw: dict[str, Any]) -> None:
+    """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
+    places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
     for name, value in raw.items():
         if name not in places:
             fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
-            near = nearest(name, [*places, "model"])
-            raise SceneError(fault + did_you_mean(near and places.get(near, f"[{near}]"), ", ".join(places.values())))
-    for name, table in tables.items():
+            near = nearest(name, places)
+            raise SceneError(fault + did_you_mean(near and places[near], ", ".join(places.values())))
+    if "chain" in raw and "model" in raw:
+        raise refusal("[chain]", "beside [model]", "[chain] or [model] in one scene")
+    if "chain" not in raw and "model" not in raw:
+        keys = ", ".join(ChainTable.__struct_fields__)
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, or a table [model] with file")
+    for name, table in TABLES.items():
         if name in raw:
             _check_keys(name, table, raw[name])
 
@@ -142,7 +105,7 @@ def _check_keys(name: str, table: type[Table], given: object) -> None:
         for number in _leaves(value):
             # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
             if isinstance(number, int) and abs(number) > sys.float_info.max:
-                raise refusal(f"[{name}] {key}", shown(number), accepted_words(table, key))
+                raise refusal(f"[{name}] {key}", toml_repr(number), accepted_words(table, key))
     for field in msgspec.structs.fields(table):
         if field.required and field.name not in given:
             raise SceneError(f"[{name}] {field.name}: missing; accepted: {accepted_words(table, field.name)}")
@@ -157,10 +120,10 @@ def _leaves(value: object) -> Iterator[object]:
         yield from _leaves(item)
 
 
-def _convert(raw: dict[str, Any], kind: type[Kind], tables: Mapping[str, type[Table]]) -> Kind:
+def _convert(raw: dict[str, Any]) -> Scene:
     """Let msgspec check types and bounds; the path in its message becomes our place."""
     try:
-        return msgspec.convert(raw, kind)
+        return msgspec.convert(raw, Scene)
     except msgspec.ValidationError as error:
         message = str(error)
     path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
@@ -168,11 +131,11 @@ def _convert(raw: dict[str, Any], kind: type[Kind], tables: Mapping[str, type[Ta
         raise SceneError(message)
     name, key, item = path.groups()
     value = raw[name][key] if key else raw[name]
-    accepted = accepted_words(tables[name], key) if key else accepted_words(kind, name)
+    accepted = accepted_words(TABLES[name], key) if key else accepted_words(Scene, name)
     value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
-    given = with_kind(value) if ", got `" in message else shown(value)
+    given = with_kind(value) if ", got `" in message else toml_repr(value)
     if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted
         given = inline(value)
     near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
     place = f"[{name}] {key}" if key else name
-    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and shown(near), accepted)}")
+    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and toml_repr(near), accepted)}")

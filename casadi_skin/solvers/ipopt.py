@@ -11,9 +11,10 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
+from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 
 _STATUS = {
-    "Solve_Succeeded": Status.CONVERGED,
+    SOLVED: Status.CONVERGED,
     "Solved_To_Acceptable_Level": Status.TOO_MANY_ITERATIONS,
     "Maximum_Iterations_Exceeded": Status.TOO_MANY_ITERATIONS,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
@@ -55,23 +56,16 @@ class IpoptCorrector:
             "jac_g": jac_g,
             "hess_lag": hess_lag,
             "no_nlp_grad": True,  # the gradient of the Lagrangian, which nothing asks for
-            "print_time": False,
             "calc_lam_x": False,
             "calc_lam_p": False,
             "calc_f": False,
             "calc_g": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,  # a failure comes back as a status
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": tolerance,
-            "ipopt.constr_viol_tol": tolerance,
-            "ipopt.acceptable_iter": 0,
             "ipopt.max_iter": max_iterations,
             "ipopt.nlp_scaling_method": "none",
             "ipopt.mumps_pivtol": 1e-6,
         }
-        self._solver = ca.nlpsol("corrector", "ipopt", {"x": z, "p": held, "f": 0, "g": constraints}, options)
+        nlp = {"x": z, "p": held, "f": 0, "g": constraints}
+        self._solver = nlp_solver("corrector", nlp, tolerance, options)
         self._buffers = self._attach(size, held.numel())
 
     def _attach(self, size: int, parameters: int) -> tuple[ca.FunctionBuffer, Callable[[], None], Array, Array, Array]:

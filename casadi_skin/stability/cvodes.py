@@ -9,11 +9,12 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.symmetry import symmetry_class
-from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.integrators.cvodes import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
 
 TIGHTEST = 1e-13
+MAX_STEPS = 100_000
 SAFETY = 2.0  # errors are not quite proportional to local tolerances: measured, up to 2.4 times the difference
 MARGIN = 1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
 
@@ -41,16 +42,7 @@ class CvodesFlow:
     def _build(self, local: float) -> ca.Function:
         model, time = self.model, ca.SX.sym("time")
         dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
-        options = {
-            "reltol": local,
-            "abstol": local,
-            "linear_multistep_method": "adams",
-            "nonlinear_solver_iteration": "functional",
-            "max_num_steps": 100_000,
-            "fsens_err_con": True,
-        }
-        integrator = ca.integrator("flow", "cvodes", dae, 0.0, 1.0, options)
-        return integrator.factory("transition", ["x0", "p"], ["xf", "jac:xf:x0"])
+        return CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True).transition("flow", dae)
 
     def _matrix(self, orbit: OrbitState, local: float) -> Array:
         """Transition matrix; velocities of a brake orbit vanish at phase zero."""
@@ -58,12 +50,11 @@ class CvodesFlow:
         start = np.concatenate([positions, np.zeros(self.model.size - positions.size)])
         parameters = np.array([orbit.parameter, duration(orbit, self.fraction)])
         try:
-            with interrupts_deferred():
-                return np.array(self._function(local)(start, parameters)[1])
-        except RuntimeError as error:
+            return np.array(run_cvodes(self._function(local), start, parameters)["jac_xf_x0"])
+        except CvodesError as error:
             place = f"the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
             raise FlowError(
-                f"cvodes fails with a local tolerance of {local:.0e} along {place}: {_words(error)}; try a larger "
+                f"cvodes fails with a local tolerance of {local:.0e} along {place}: {error}; try a larger "
                 "tolerance or flow splitting"
             ) from error
 
@@ -84,9 +75,3 @@ class CvodesFlow:
         pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
         difference = SAFETY * (fine - coarse)
         return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)
-
-
-def _words(error: RuntimeError) -> str:
-    """The line of CasADi's message that tells what went wrong, without the place in its sources."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1][:200] if lines else "no reason given"

@@ -7,9 +7,7 @@ inverse maps multiplied the other way round: of a product with entries near 1 th
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -18,57 +16,23 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.integrators import IntegrationError, Trajectory
-from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.integrators.cvodes import CvodesError, CvodesOptions, run_cvodes
+from casadi_skin.integrators.trajectory import IntegrationError, Trajectory, size_of
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import FullPeriodFloquet
 
-ComplexArray = NDArray[np.complex128]
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
 LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
 TIGHTEST = 1e-13
+MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
 
 
-class TrivialMultiplierWarning(UserWarning):
-    """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers in descending modulus, the trivial ones among them as they were computed.
-
-    `monodromy` is the matrix over the full period at phase zero. `trivial` counts multipliers that are 1 for every
-    orbit: one in an autonomous model, two in a conservative one, none in a forced one; `deviation` is how far these are
-    from 1 (of a pair, the root of the product of both: an error e splits it by the root of e).
-    """
-
-    values: ComplexArray
-    monodromy: Array
-    trivial: int
-    deviation: float
-    allowed: float
-
-    @property
-    def others(self) -> ComplexArray:
-        """Multipliers but the trivial ones, in descending modulus."""
-        return np.asarray(self.values[_others(self.values, self.trivial)])
-
-    @property
-    def stable(self) -> bool:
-        """Whether no multiplier but the trivial ones lies outside the unit circle, within what errors allow."""
-        return bool(np.all(np.abs(self.others) <= 1.0 + self.allowed))
-
-    def warn(self) -> None:
-        """Warn where the trivial multipliers have drifted."""
-        if self.deviation > self.allowed:
-            words = f"the trivial multiplier is off by {self.deviation:.1e}, more than {self.allowed:.1e}"
-            warnings.warn(f"{words}; try a smaller tolerance", TrivialMultiplierWarning, stacklevel=4)
-
-
-def multipliers_by_collocation(
+def by_collocation(
     problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, tolerance: float
-) -> Multipliers:
+) -> FullPeriodFloquet:
     """Multipliers from the interval maps of the linearised equations."""
     jacobians = stage_jacobians(problem, z)
     maps = interval_maps(problem, jacobians)
@@ -76,7 +40,14 @@ def multipliers_by_collocation(
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    return _multipliers(maps, model, tolerance, contraction)
+    return _multipliers(maps, trivial_multipliers(model, symmetry), tolerance, contraction)
+
+
+def trivial_multipliers(model: OdeModel, symmetry: SymmetryClass) -> int:
+    """How many multipliers of an orbit are 1: one of an autonomous model, two of orbits that come in families."""
+    if model.forced:
+        return 0
+    return 1 if model.hamiltonian is None and symmetry is SymmetryClass.FULL else 2
 
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
@@ -120,47 +91,36 @@ def _whole(maps: Array, model: OdeModel, symmetry: SymmetryClass) -> Array:
     return np.concatenate([there, np.array([half @ m @ half for m in there])])
 
 
-def multipliers_by_cvodes(
-    model: OdeModel, start: Array, parameters: Array, period: float, tolerance: float
-) -> Multipliers:
+def by_cvodes(
+    model: OdeModel, start: Array, parameters: Array, period: float, symmetry: SymmetryClass, tolerance: float
+) -> FullPeriodFloquet:
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
     dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
     local = max(LOCAL * tolerance, TIGHTEST)
-    scale = float(np.max(np.abs(start))) or 1.0
-    options = {
-        "reltol": local,
-        "abstol": local * scale,
-        "fsens_err_con": True,
-        "max_num_steps": 200_000,
-        "disable_internal_warnings": True,
-        "show_eval_warnings": False,
-    }
-    integrator = ca.integrator("flow", "cvodes", dae, 0.0, 1.0, options)
-    sensitivity = integrator.factory("monodromy", ["x0", "p"], ["xf", "jac:xf:x0"])
+    options = CvodesOptions(local, local * size_of(start), MAX_STEPS, stiff=True, sensitivity_errors=True)
     try:
-        with interrupts_deferred():
-            matrix = np.array(sensitivity(start, parameters)[1])
-    except RuntimeError as error:
-        reason = str(error).rpartition(" returned ")[2].partition(".")[0].strip('"') or "it failed"
+        matrix = np.array(run_cvodes(options.transition("monodromy", dae), start, parameters)["jac_xf_x0"])
+    except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
-        raise IntegrationError("cvodes", f"it returned {reason}", empty, np.array([period])) from error
-    return _multipliers(matrix[None], model, tolerance)
+        raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
+    return _multipliers(matrix[None], trivial_multipliers(model, symmetry), tolerance)
 
 
-def _multipliers(maps: Array, model: OdeModel, tolerance: float, contraction: float | None = None) -> Multipliers:
+def _multipliers(maps: Array, trivial: int, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
     _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
     balanced = maps * units / units[:, None]
     values = _eigenvalues(balanced, contraction)
-    trivial = 0 if model.forced else 1 if model.hamiltonian is None else 2
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
-    near = values[~_others(values, trivial)]
+    is_other = _others(values, trivial)
+    near = values[~is_other]
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
-    return Multipliers(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
+    values = np.concatenate([near, values[is_other]])
+    return FullPeriodFloquet(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
 
 
 def _product(maps: Sequence[Array] | Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.gauss import gauss_table
+from casadi_skin.bvp.butcher import gauss_table
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.stepping import StepMap, SteppedFlow

@@ -7,14 +7,18 @@ reversible too, (M + M^-1)/2 = I + 2 diag(B^T C, C^T B). With mu the eigenvalues
 mu is real and in [-1, 0]. The velocity of the flow, (0, a_0) at phase zero, is a left eigenvector of B^T C with the
 trivial eigenvalue: it is taken out exactly by a reflection, so that no other eigenvalue that comes near it mixes
 with it.
+
+Where the equations are reversible but not Hamiltonian, Phi is not symplectic, and (M + M^-1)/2 is block diagonal all
+the same: -C'^T, with C' the lower left block of Phi^-1, takes the place of C.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
@@ -27,9 +31,7 @@ from casadi_skin.stability.reduction import (
     half_cosine_errors,
     half_cosines,
 )
-from casadi_skin.stability.result import Floquet
-
-__all__ = ["ComplexArray", "Floquet", "floquet", "floquet_vectors", "floquets", "trivial_pair"]
+from casadi_skin.stability.result import ReversibleFloquet
 
 ORBIT_SAFETY = 2.0
 ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows in mu
@@ -46,13 +48,13 @@ def _power(transition: Transition) -> int:
 class _Solved:
     """Results, with the part of the errors of mu that the flow makes, relative to max(1, |mu|), of each orbit."""
 
-    results: list[Floquet]
+    results: list[ReversibleFloquet]
     flow_errors: Array
     reflections: Reflections
     systems: Eigensystems
 
 
-def floquet(transition: Transition, acceleration: Array) -> Floquet:
+def floquet(transition: Transition, acceleration: Array) -> ReversibleFloquet:
     """Multipliers of a reversible orbit from its transition matrix over a quarter (odd orbits) or half of the period.
 
     `acceleration` is q'' at phase zero, shape (n,), which gives the trivial pair. The errors are those of the flow.
@@ -65,16 +67,24 @@ def floquets(
     orbits: Sequence[OrbitState],
     accelerations: Callable[[Sequence[OrbitState]], Array],
     tolerance: float,
-) -> list[Floquet]:
+    symplectic: bool = True,
+) -> list[ReversibleFloquet]:
     """Multipliers of several orbits of one model, with the errors of the flow and of the orbits in those of mu.
 
     The flow's part is brought below `tolerance`, relative to max(1, |mu|), where mu is not near a defective pair.
-    `accelerations` gives q'' at phase zero, shape (orbits, n). Raises FlowError.
+    `accelerations` gives q'' at phase zero, shape (orbits, n); `symplectic` tells whether the equations are Hamiltonian
+    in positions and velocities. Raises FlowError.
     """
+
+    def solve(found: Sequence[Transition], places: NDArray[np.int64]) -> _Solved:
+        those = found if symplectic else [with_reversed_block(transition) for transition in found]
+        return _solve(those, starts[places], better[places])
+
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
     transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST))
-    solved = _solve(transitions, starts, better)
-    results, waiting, flow_errors = solved.results, np.arange(len(orbits)), solved.flow_errors
+    waiting = np.arange(len(orbits))
+    solved = solve(transitions, waiting)
+    results, flow_errors = solved.results, solved.flow_errors
     for _ in range(RETRIES):
         over = flow_errors > tolerance
         if not over.any():
@@ -83,7 +93,7 @@ def floquets(
         norms = np.array([transitions[i].error for i in waiting.tolist()])
         wanted = max(float(np.min(0.5 * norms * tolerance / flow_errors[over])), 1e-3 * tolerance)
         again = flow.transitions([orbits[i] for i in waiting.tolist()], wanted)
-        solved = _solve(again, starts[waiting], better[waiting])
+        solved = solve(again, waiting)
         flow_errors = solved.flow_errors
         for i, transition, result in zip(waiting.tolist(), again, solved.results, strict=True):
             transitions[i], results[i] = transition, result
@@ -112,10 +122,28 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
         by_both = by_flow + couplings(systems, orbit_part)
         errors = eigenvalue_errors(systems, by_both, norms, _round_off(transitions, matrices))
     results = [
-        Floquet(mu, error, float(deviation), power)
+        ReversibleFloquet(mu, error, float(deviation), power)
         for mu, error, deviation in zip(systems.values, errors, deviations, strict=True)
     ]
     return _Solved(results, flow_errors, reflections, systems)
+
+
+def with_reversed_block(transition: Transition) -> Transition:
+    """A transition of a flow that is reversible alone, with -C'^T in the place of C, C' of its inverse."""
+    inverse = np.asarray(np.linalg.inv(transition.matrix), dtype=float)
+
+    def replaced(matrix: Array, inverted: Array) -> Array:
+        n, total = matrix.shape[0] // 2, matrix.copy()
+        total[n:, :n] = -inverted[n:, :n].T
+        return total
+
+    truncation, pair = transition.truncation, transition.pair
+    if truncation is not None:
+        truncation = replaced(truncation, -inverse @ truncation @ inverse)
+    if pair is not None:
+        along, better = (np.asarray(np.linalg.inv(matrix), dtype=float) for matrix in pair)
+        pair = (replaced(pair[0], along), replaced(pair[1], better))
+    return replace(transition, matrix=replaced(transition.matrix, inverse), truncation=truncation, pair=pair)
 
 
 def _flow_part(transitions: Sequence[Transition], matrices: Array, reflections: Reflections) -> Array:
@@ -172,4 +200,21 @@ def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> 
         for value in (root**2, root**-2):
             columns.append(np.concatenate([x * (value - 1.0 - 2.0 * mu), velocity]))
     vectors = np.concatenate([rho, rho])[:, None] * np.stack(columns, axis=1)
+    return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+
+
+def vectors_of_map(transition: Transition, multipliers: ComplexArray, scale: Array) -> ComplexArray:
+    """Floquet vectors at phase zero of a flow that is reversible alone, from the map M itself; shape (2n, 2n).
+
+    Columns go with `multipliers`, those of the double eigenvalue of the trivial pair as they come; positions and
+    velocities are multiplied by `scale` and columns scaled to largest entry 1.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    n = transition.matrix.shape[0] // 2
+    reversal = np.diag(np.repeat([1.0, -1.0], n))
+    half = reversal @ np.linalg.inv(transition.matrix) @ reversal @ transition.matrix
+    values, vectors = np.linalg.eig(half.astype(complex))
+    _, order = linear_sum_assignment(np.abs(multipliers[:, None] - values[None, :] ** _power(transition)))
+    vectors = np.concatenate([scale, scale])[:, None] * vectors[:, order]
     return np.asarray(vectors / np.max(np.abs(vectors), axis=0))

@@ -1,8 +1,10 @@
-"""The stability of one orbit as numbers: mu with its errors, the multipliers that follow, and what kind they are."""
+"""The stability of one orbit as numbers: its multipliers with their errors, and of what kind they are."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,9 +16,87 @@ from casadi_skin.stability.reduction import ComplexArray
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
 
 
+class TrivialMultiplierWarning(UserWarning):
+    """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
+
+
+class Floquet(ABC):
+    """Linear stability of one orbit.
+
+    Attributes:
+        multipliers: all multipliers over the period, the trivial ones first, shape (components of the full state,).
+        trivial: number of multipliers that are 1 for every orbit: one in an autonomous model, two in a conservative or
+            reversible one, none in a forced one.
+        trivial_deviation: how far the trivial ones are from their exact value.
+        monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
+    """
+
+    multipliers: ComplexArray
+    trivial: int
+    trivial_deviation: float
+    monodromy: Array | None
+
+    @property
+    def others(self) -> ComplexArray:
+        """Multipliers but the trivial ones."""
+        return self.multipliers[self.trivial :]
+
+    @property
+    @abstractmethod
+    def outside(self) -> NDArray[np.bool_]:
+        """Which of `others` lie off the unit circle on its outside, by more than errors allow."""
+
+    @property
+    @abstractmethod
+    def on_circle(self) -> NDArray[np.bool_]:
+        """Which of `others` lie on the unit circle, within estimated errors."""
+
+    @property
+    @abstractmethod
+    def real(self) -> NDArray[np.bool_]:
+        """Which of `others` are real within estimated errors, of those off the unit circle."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether no multiplier lies outside the unit circle, within estimated errors."""
+        return not np.any(self.outside)
+
+    @property
+    @abstractmethod
+    def unstable_real(self) -> int:
+        """Number of multipliers outside the unit circle on the real axis."""
+
+    @property
+    @abstractmethod
+    def unstable_complex(self) -> int:
+        """Number of multipliers outside the unit circle off the real axis; a complex pair counts two."""
+
+    @property
+    @abstractmethod
+    def max_abs_multiplier(self) -> float:
+        """Largest modulus of a multiplier, the trivial ones left out."""
+
+    @property
+    @abstractmethod
+    def error(self) -> float:
+        """Estimated absolute error of the multipliers."""
+
+    @property
+    def allowed_deviation(self) -> float:
+        """What `trivial_deviation` may be before the multipliers are not to be trusted."""
+        return np.inf
+
+    def warn(self) -> None:
+        """Warn where the trivial multipliers have drifted by more than errors allow."""
+        if self.trivial_deviation > self.allowed_deviation:
+            words = f"the trivial multiplier is off by {self.trivial_deviation:.1e}"
+            words += f", more than {self.allowed_deviation:.1e}; try a smaller tolerance"
+            warnings.warn(words, TrivialMultiplierWarning, stacklevel=4)
+
+
 @dataclass(frozen=True)
-class Floquet:
-    """Linear stability of one orbit with n positions: n - 1 values of mu beside the trivial one.
+class ReversibleFloquet(Floquet):
+    """Stability of a reversible orbit with n positions, from n - 1 values of mu beside the trivial one.
 
     `mu` and `mu_error`, its estimated errors, have shape (n - 1,); `trivial_deviation` is how far the trivial
     eigenvalue is from its exact value. `power` of lambda(M) gives the multipliers over the period.
@@ -26,6 +106,20 @@ class Floquet:
     mu_error: Array
     trivial_deviation: float
     power: int
+    trivial: int = field(default=2, init=False)
+    monodromy: None = field(default=None, init=False)
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        return np.column_stack([~self.is_inside, np.zeros(self.mu.size, dtype=bool)]).ravel()
+
+    @property
+    def on_circle(self) -> NDArray[np.bool_]:
+        return np.repeat(self.is_inside, 2)
+
+    @property
+    def real(self) -> NDArray[np.bool_]:
+        return np.repeat(self.is_real, 2)
 
     @cached_property
     def is_real(self) -> NDArray[np.bool_]:
@@ -40,7 +134,6 @@ class Floquet:
 
     @property
     def stable(self) -> bool:
-        """Whether every mu lies in [-1, 0] within its estimated error."""
         return bool(np.all(self.is_inside))
 
     @property
@@ -64,7 +157,7 @@ class Floquet:
         return np.where(self.is_inside, on_circle, off_circle)
 
     @cached_property
-    def multipliers(self) -> ComplexArray:
+    def multipliers(self) -> ComplexArray:  # type: ignore[override]
         """All 2n multipliers over the period, shape (2n,): the trivial pair, exactly 1, then each lambda, 1/lambda."""
         outer = self.root ** (2 * self.power)
         return np.concatenate([np.ones(2, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
@@ -92,6 +185,49 @@ class Floquet:
             above = np.max(moduli) - self.max_abs_multiplier
             below = self.max_abs_multiplier - np.max(np.min(moduli, axis=0))
         return max(largest, float(above), float(below))
+
+
+@dataclass(frozen=True, eq=False)
+class FullPeriodFloquet(Floquet):
+    """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1."""
+
+    multipliers: ComplexArray
+    monodromy: Array
+    trivial: int
+    trivial_deviation: float
+    allowed: float
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        return np.abs(self.others) > 1.0 + self.allowed
+
+    @property
+    def on_circle(self) -> NDArray[np.bool_]:
+        return np.abs(np.abs(self.others) - 1.0) <= self.allowed
+
+    @property
+    def real(self) -> NDArray[np.bool_]:
+        return np.asarray(self.others.imag == 0.0)
+
+    @property
+    def unstable_real(self) -> int:
+        return int(np.count_nonzero(self.outside & (self.others.imag == 0.0)))
+
+    @property
+    def unstable_complex(self) -> int:
+        return int(np.count_nonzero(self.outside & (self.others.imag != 0.0)))
+
+    @property
+    def max_abs_multiplier(self) -> float:
+        return float(np.max(np.abs(self.others), initial=0.0))
+
+    @property
+    def error(self) -> float:
+        return self.allowed
+
+    @property
+    def allowed_deviation(self) -> float:
+        return self.allowed
 
 
 def _modulus(mu: ComplexArray) -> Array:

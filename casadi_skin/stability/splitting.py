@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.stepping import StepMap, SteppedFlow
@@ -17,37 +18,20 @@ from casadi_skin.stability.stepping import StepMap, SteppedFlow
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
-def srkn_coefficients() -> tuple[Array, Array]:
-    """Drifts a, shape (11,), and kicks b, shape (12,), of the method called SRKN11b by Blanes and Moan (2002)."""
-    b = [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879]
-    a = [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928]
-    b.append(0.5 - sum(b))
-    a.append(1.0 - 2.0 * sum(a))
-    return np.array(a + a[-2::-1]), np.array(b + b[::-1])
-
-
 class SplittingMap:
     """Transition matrices of models of second order by the splitting in `steps` equal steps."""
 
     def __init__(self, jacobian: JacobianAlong, steps: int) -> None:
         self.jacobian, self.steps = jacobian, steps
-        drifts, kicks = srkn_coefficients()
-        # One node at the start of each drift-kick pair; the last kick of a step and the first of the next are one.
-        ends = np.concatenate([[0.0], np.cumsum(drifts)])
-        nodes = (np.arange(steps)[:, None] + ends[1:]).ravel() / steps
-        self.fractions = np.concatenate([[0.0], nodes])
-        inner = kicks[1:].copy()
-        inner[-1] += kicks[0]
-        self._drifts, self._kicks = np.tile(drifts, steps), np.tile(inner, steps)
-        self._kicks[-1] = kicks[-1]
-        self._first = float(kicks[0])
+        self._sequence = KicksAndDrifts.of(steps)
+        self.fractions = self._sequence.times / steps
 
     def __call__(self, nonzeros: Array, durations: Array) -> Array:
         """Transition matrices, shape (points, 2n, 2n), from J's non-zeros (points, len(fractions), non-zeros)."""
         from scipy.linalg.blas import daxpy
 
         points, n, h = durations.size, self.jacobian.size, durations / self.steps
-        weights = np.concatenate([[self._first], self._kicks])
+        weights = self._sequence.kicks
         stages = np.multiply(nonzeros.swapaxes(0, 1), weights[:, None, None] * (h * h)[:, None], order="C")
         stages = stages.reshape(weights.size, -1)
         matrix = self.jacobian.block_matrix(points)
@@ -56,13 +40,17 @@ class SplittingMap:
         start[0][:, range(n), range(n)] = 1.0
         start[1][:, range(n), range(n, 2 * n)] = h[:, None]
         rows, shape = (points * n, 2 * n), (points, n, 2 * n)
-        x, v = start[0].ravel(), start[1].ravel()
-        matrix.data = stages[0]
-        v = daxpy((matrix @ x.reshape(rows)).ravel(), v)
-        for drift, stage in zip(self._drifts, stages[1:], strict=True):
-            x = daxpy(v, x, a=drift)
-            matrix.data = stage
-            v = daxpy((matrix @ x.reshape(rows)).ravel(), v)
+
+        def kick(i: int, x: Array, v: Array) -> Array:
+            matrix.data = stages[i]
+            moved: Array = daxpy((matrix @ x.reshape(rows)).ravel(), v)
+            return moved
+
+        def drift(a: float, x: Array, v: Array) -> Array:
+            moved: Array = daxpy(v, x, a=a)
+            return moved
+
+        x, v = self._sequence.apply(start[0].ravel(), start[1].ravel(), kick, drift)
         return np.concatenate([x.reshape(shape), v.reshape(shape) / h[:, None, None]], axis=1)
 
 

@@ -217,7 +217,7 @@ class CosineEquations:
 
 def _as_it_is(orbit: Orbit, numbers: Numbers, harmonics: int) -> ExactOrbit:
     """An orbit of a finite chain with its own errors, scaled by the gauge so that all coefficients are of one size."""
-    chain, sites = orbit.chain, None
+    chain, sites = orbit.model, None
     if abs(chain.gamma) == 1.0:
         chain, sites = replace(chain, sites=1, gamma=0.0), [chain.sites if chain.gamma > 0 else 1]
     S, away = numbers.convert((orbit.S, abs(chain.gamma)))

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import ExactOrbit
 
 Extended = NDArray[np.longdouble]
@@ -19,6 +21,13 @@ PARTS = np.arange(1, COLUMNS + 1)
 MULTIPLE = 840  # of all numbers of parts
 AGREED = 1e-17  # difference of mu with two numbers of steps
 REFINEMENTS = 5
+
+
+def reduced(orbit: Orbit) -> ReversibleFloquet:
+    """The stability of an orbit of a family as its N x N problem gives it."""
+    found = orbit.floquet()
+    assert isinstance(found, ReversibleFloquet)
+    return found
 
 
 def paired(values: Complex, others: Complex) -> Complex:

@@ -33,7 +33,7 @@ def _in_time(orbit: Orbit) -> Any:
     """The physical equations solved over one period from the orbit at phase zero."""
     from scipy.integrate import solve_ivp
 
-    chain, n, y0 = orbit.chain, orbit.chain.sites, orbit.profile
+    chain, n, y0 = orbit.model, orbit.model.sites, orbit.profile
 
     def rates(_: float, x: Array) -> Array:
         y = x[:n]
@@ -47,14 +47,14 @@ def _in_time(orbit: Orbit) -> Any:
 
 def return_error(orbit: Orbit) -> float:
     """Largest difference of positions and velocities over Omega after one period, relative to the largest position."""
-    states, n = _in_time(orbit).y, orbit.chain.sites
+    states, n = _in_time(orbit).y, orbit.model.sites
     off = np.abs(states[:, -1] - states[:, 0]) / np.max(np.abs(orbit.profile))
     return float(max(np.max(off[:n]), np.max(off[n:]) / orbit.Omega))
 
 
 def physical_multipliers(orbit: Orbit) -> Complex:
     """Eigenvalues of the full-period monodromy matrix in physical coordinates, shape (2N,), largest modulus first."""
-    solution, n = _in_time(orbit).sol, orbit.chain.sites
+    solution, n = _in_time(orbit).sol, orbit.model.sites
     values = monodromy_eigenvalues(orbit, lambda t: solution(t)[:n], rtol=RELATIVE, atol=RELATIVE)
     return values[np.argsort(-np.abs(values))]
 
@@ -84,7 +84,7 @@ def monodromy_eigenvalues(
     """
     from scipy.integrate import solve_ivp
 
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     at = displacements or (lambda t: orbit.evaluate(t)[0])
 
     def rates(t: float, flat: Array) -> Array:

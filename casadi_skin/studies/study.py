@@ -17,7 +17,7 @@ from rich.table import Table
 
 from casadi_skin.figures.style import save
 from casadi_skin.files import replacing
-from casadi_skin.results.tables import Cell, write_csv
+from casadi_skin.results.dataset import Cell, write_csv
 
 Case = TypeVar("Case")
 Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]

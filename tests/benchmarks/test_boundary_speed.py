@@ -21,12 +21,11 @@ import pytest
 from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import ContinuationSettings
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.solve import BoundaryError, Method, Sizes, build_levels, first_point, sampled
+from casadi_skin.orbits.solve import first_point, space_of
 
 pytestmark = pytest.mark.benchmark
 
@@ -48,12 +47,10 @@ def cases() -> ModuleType:
     return module
 
 
-def solve_warm(problem: BoundaryValueProblem, guess: Any, method: Method) -> float:
+def solve_warm(problem: BoundaryValueProblem, guess: Any, tolerance: float) -> float:
     """Seconds of a solve whose discretisations and solvers are built."""
-    levels = build_levels(problem, method, Sizes.of(problem, sampled(problem, guess, np.linspace(*problem.span(
-        np.array(list(problem.values.values()))), 201))))  # fmt: skip
-    point_solver = PointSolver(levels, ContinuationSettings(1.0, method.tolerance))
-    return seconds(lambda: first_point(point_solver, problem, guess, method), 3)
+    space = space_of(problem, guess, {"tolerance": tolerance})
+    return seconds(lambda: first_point(space, guess), 3)
 
 
 def by_scipy(case: Any, eps: float, tolerance: float) -> Any:
@@ -104,7 +101,7 @@ def test_layers_beside_solve_bvp(record: Record, cases: ModuleType, name: str, e
             break
     ours = seconds(lambda: problem.solve(guess, tolerance=tolerance), 3)
     columns, error = solution.t.size, case.error(solution, eps)
-    warm = solve_warm(problem, guess, Method(tolerance=tolerance))
+    warm = solve_warm(problem, guess, tolerance)
     record(f"BVP {words}, built and solved", ours, columns)
     record(f"BVP {words}, solved", warm, columns)
     assert error <= accuracy
@@ -130,7 +127,7 @@ def test_bratu_and_its_branch(record: Record) -> None:
     model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
     problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lambda": 1.0})
     record("BVP Bratu, built and solved", seconds(lambda: problem.solve([0.0, 0.0], tolerance=1e-7), 5), 1)
-    record("BVP Bratu, solved", solve_warm(problem, [0.0, 0.0], Method(tolerance=1e-7)), 1)
+    record("BVP Bratu, solved", solve_warm(problem, [0.0, 0.0], 1e-7), 1)
     x = np.linspace(0.0, 1.0, 11)
     theirs = lambda: solve_bvp(  # noqa: E731
         lambda x, y: np.stack([y[1], -np.exp(y[0])]),

@@ -19,9 +19,10 @@ import pytest
 from casadi_skin import Chain, Orbit, export_c, follow_family
 from casadi_skin.bvp.trigonometric import second_derivative_matrix
 from casadi_skin.export.codegen import c_source
+from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.splitting import SplittingMap, srkn_coefficients
+from casadi_skin.stability.splitting import SplittingMap
 
 pytestmark = [
     pytest.mark.benchmark,
@@ -135,7 +136,7 @@ def splitting_in_casadi(chain: Chain) -> ca.Function:
 
 
 def in_casadi(orbit: Orbit) -> dict[str, Callable[[], object]]:
-    chain, problem = orbit.chain, orbit.point.problem
+    chain, problem = orbit.model, orbit.point.problem
     model, n = chain.tunable_model(), 2 * chain.sites
     J = ca.jacobian(model.full_rhs, model.full_state)
     results = [ca.densify(model.full_rhs), J, ca.densify(ca.jacobian(model.full_rhs, model.parameters))]
@@ -178,7 +179,7 @@ def square(orbit: Orbit, kind: str) -> tuple[ca.Function, np.ndarray, np.ndarray
 
 
 def in_numpy(orbit: Orbit) -> dict[str, Callable[[], object]]:
-    chain, problem, model = orbit.chain, orbit.point.problem, orbit.chain.gauge_model()
+    chain, problem, model = orbit.model, orbit.point.problem, orbit.model.gauge_model()
     N, n, H = chain.sites, 2 * chain.sites, problem.resolution
     x, V = np.sin(np.arange(n) + 1.0), np.eye(n)
     z, kappa, Omega = orbit.point.z, orbit.point.parameter, orbit.Omega

@@ -19,10 +19,10 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
-from casadi_skin.orbits import multipliers
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits import family
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.levels import Levels
@@ -34,8 +34,8 @@ SOFT = Chain(24, 1.0, 0.25, -1.0)
 Record = Callable[[str, float, int], None]
 
 
-def follow(tools: FamilyTools, stability: bool) -> FamilyContinuation:
-    walk = FamilyContinuation(tools, stability, events=False)
+def follow(tools: Family, stability: bool) -> Following:
+    walk = Following(tools, stability, events=False)
     for _ in walk:
         pass
     assert walk.branch().complete
@@ -45,35 +45,35 @@ def follow(tools: FamilyTools, stability: bool) -> FamilyContinuation:
 @pytest.mark.parametrize("walker", ["series", "arclength"])
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
 def test_end_breather_family_with_and_without_multipliers(record: Record, corrector: str, walker: str) -> None:
-    request = FamilyRequest(SOFT, 1, 3.0, (0.2, 1.0, 3.0), 1e-9, corrector=corrector, walker=walker)
+    request = family_request(SOFT, 1, 3.0, at=(0.2, 1.0, 3.0), tolerance=1e-9, corrector=corrector, walker=walker)
     started = time.perf_counter()
-    tools = FamilyTools(request)
-    FamilyContinuation(tools)
+    tools = Family(request)
+    Following(tools)
     tools.levels.corrector(tools.levels.problem(8))
     print(f"\n{corrector}, {walker}: first build {time.perf_counter() - started:.3f} s")
     walk = follow(tools, stability=True)
-    assert abs(walk.orbits[-1].Omega - 0.765958900020734) < 1e-9
+    assert abs(walk.solutions[-1].Omega - 0.765958900020734) < 1e-9
     for stability in (True, False):
         value = seconds(lambda s=stability: follow(tools, s), 9)  # type: ignore[misc]
         words = "with multipliers" if stability else "without"
-        record(f"end breather, {corrector}, {walker}, {words}", value, len(walk.orbits))
+        record(f"end breather, {corrector}, {walker}, {words}", value, len(walk.solutions))
 
 
 def test_twelve_families_with_stability(record: Record) -> None:
     """Those of the paper's Fig. 3: six modes, hardening and softening, to S = 3."""
     wanted = [(g, mode) for g in (1.0, -1.0) for mode in MODES]
-    every = [FamilyTools(FamilyRequest(Chain(24, 1.0, 0.25, g), mode, 3.0, (), 1e-8)) for g, mode in wanted]
+    every = [Family(family_request(Chain(24, 1.0, 0.25, g), mode, 3.0, tolerance=1e-8)) for g, mode in wanted]
     for tools in every:
         follow(tools, stability=True)
     started = time.perf_counter()
-    points = sum(len(follow(tools, stability=True).orbits) for tools in every)
+    points = sum(len(follow(tools, stability=True).solutions) for tools in every)
     record("twelve families with stability", time.perf_counter() - started, points)
 
 
 @pytest.mark.parametrize("walker", ["series", "arclength"])
 def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Time inside the calls of each part, everything built; what the parts call of each other is counted once."""
-    tools = FamilyTools(FamilyRequest(SOFT, 1, 3.0, (), 1e-9, walker=walker))
+    tools = Family(family_request(SOFT, 1, 3.0, tolerance=1e-9, walker=walker))
     follow(tools, stability=True)
     spent: Counter[str] = Counter()
     calls: Counter[str] = Counter()
@@ -100,11 +100,11 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
     watch(TaylorRecursion, "series", "series")
     watch(Levels, "refined", "error estimates, but for the two above")
-    watch(multipliers, "floquets", "multipliers")
+    watch(family, "floquets", "multipliers")
     started = time.perf_counter()
     walk = follow(tools, stability=True)
     spent["the rest, Python"] = time.perf_counter() - started - sum(spent.values())
-    print(f"\n{walker}, {len(walk.orbits)} points")
+    print(f"\n{walker}, {len(walk.solutions)} points")
     for part, value in spent.most_common():
         print(f"  {part:<42} {value / unit:6.0f} solves, {calls[part] or '':>4}")
     assert calls["multipliers"] > 0
@@ -113,17 +113,18 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
-tools = FamilyTools(FamilyRequest(Chain({sites}, 1.0, 0.25, 1.0), {sites}, 3.0, (3.0,), 1e-9, corrector="{corrector}"))
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.family import Family
+chain = Chain({sites}, 1.0, 0.25, 1.0)
+tools = Family(family_request(chain, {sites}, 3.0, at=(3.0,), tolerance=1e-9, corrector="{corrector}"))
 started = time.perf_counter()
-walk = FamilyContinuation(tools)
+walk = Following(tools)
 for _ in walk:
     pass
-assert abs(walk.orbits[-1].Omega - 2.3200364277694) < 1e-8, walk.orbits[-1].Omega
+assert abs(walk.solutions[-1].Omega - 2.3200364277694) < 1e-8, walk.solutions[-1].Omega
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-print(time.perf_counter() - started, len(walk.orbits), memory)
+print(time.perf_counter() - started, len(walk.solutions), memory)
 """
 
 

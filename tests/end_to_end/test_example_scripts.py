@@ -34,7 +34,7 @@ def load() -> Load:
 
 def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
     """Perturbations (2N, columns) after `time`: Eq. 1 and its linearisation, written out here, by Dormand-Prince."""
-    chain = orbit.chain
+    chain = orbit.model
     N, columns = chain.sites, perturbations.shape[1]
     coupling = np.diag(np.full(N - 1, 1 + chain.gamma), -1) + np.diag(np.full(N - 1, 1 - chain.gamma), 1)
     matrix = coupling - (2 + chain.alpha) * np.eye(N)
@@ -95,13 +95,13 @@ def test_kick_from_the_far_end(load: Load, tmp_path: Path) -> None:
 def test_smallest_kick(load: Load, tmp_path: Path) -> None:
     kick = load("smallest_kick").main(tmp_path / "picture.png", starts=2)
     assert drawn(tmp_path / "picture.png")
-    orbit, n = kick.orbit, kick.orbit.chain.sites
-    assert kick.best.optimum.strict
+    orbit, n = kick.orbit, kick.orbit.model.sites
+    assert kick.best.strict
     assert abs(kick.norm / 6.52883e-4 - 1) < 1e-5
     # Dormand-Prince in physical coordinates: it escapes at the very end, the far end at the same norm does not.
     far_end = kick.far_end_kick * kick.norm / kick.far_end_norm
     for z, least, most in ((kick.best.kick, 0.49999, 0.50001), (far_end, 0.3, 0.45)):
-        run = evolve(orbit.chain, orbit.profile + z[:n], z[n:], np.linspace(0, 40, 801), "dop853", 1e-11, "physical")
+        run = evolve(orbit.model, orbit.profile + z[:n], z[n:], np.linspace(0, 40, 801), "dop853", 1e-11, "physical")
         assert least < distance_from_orbit(orbit, run).max() < most
     # What linear growth makes of it, by the linearised equations written out above.
     seen = physical_flow(orbit, np.eye(2 * n), kick.linear_time) / np.repeat([1.0, orbit.Omega], n)[:, None]
@@ -130,7 +130,7 @@ def test_thousand_sites(load: Load, tmp_path: Path) -> None:
 
 def residual(orbit: Orbit) -> float:
     """Largest residual of Eq. 1 relative to the largest term at the same site, from the Fourier coefficients alone."""
-    chain, odd = orbit.chain, 2 * np.arange(16) + 1
+    chain, odd = orbit.model, 2 * np.arange(16) + 1
     cosine = np.cos(np.outer(np.array([0.1, 0.4, 0.9]), odd))
     c = orbit.coefficients(16)
     y, acceleration = cosine @ c, -(cosine * (odd * orbit.Omega) ** 2) @ c
@@ -142,6 +142,7 @@ def residual(orbit: Orbit) -> float:
     return float(np.max(np.abs(terms.sum(axis=0)).max(axis=0) / np.abs(terms).max(axis=(0, 1))))
 
 
+@pytest.mark.slow
 def test_duffing_check(load: Load, tmp_path: Path) -> None:
     example = load("duffing_check")
     errors = example.main(tmp_path / "picture.png")
@@ -156,6 +157,7 @@ def test_duffing_check(load: Load, tmp_path: Path) -> None:
     assert errors["trigonometric"].true[-1] < 1e-14
 
 
+@pytest.mark.slow
 def test_export_c(load: Load, tmp_path: Path) -> None:
     numbers, in_c, in_python = load("export_c").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -165,6 +167,7 @@ def test_export_c(load: Load, tmp_path: Path) -> None:
     assert np.abs(in_c[:400, 1]).max() < 0.35 < 0.45 < np.abs(in_c[:, 1]).max()  # the kick arrives after four periods
 
 
+@pytest.mark.slow
 def test_chain_as_fmu(load: Load, tmp_path: Path) -> None:
     differences = load("chain_as_fmu").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

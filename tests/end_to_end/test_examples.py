@@ -31,6 +31,17 @@ def requested_points(directory: Path) -> dict[tuple[int, float], tuple[float, fl
     return {(int(r["mode"]), float(r["S"])): (float(r["Omega"]), float(r["max_abs_multiplier"])) for r in table}
 
 
+def test_pictures_of_a_run_are_drawn(tmp_path: Path) -> None:
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    chain = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
+    scene.write_text(chain + "[family]\nmode = 1\namplitude_max = 0.1\n", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    assert (out / "frequency.png").read_bytes().startswith(b"\x89PNG")
+    assert "</svg>" in (out / "frequency.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("pictures")
 def test_softening_end_breather(tmp_path: Path) -> None:
     assert main(["run", str(ROOT / "examples" / "softening_end_breather.toml"), "--out", str(tmp_path / "out")]) == 0
     points = requested_points(tmp_path / "out")
@@ -56,6 +67,7 @@ def test_twelve_families_of_figure_3(name: str, g: float, tmp_path: Path) -> Non
         np.testing.assert_array_equal(shift, g)
 
 
+@pytest.mark.slow
 def test_the_python_examples_of_the_readme_run() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     family, own = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)

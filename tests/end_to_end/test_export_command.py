@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from apart import modules_of_a_run
 
+from casadi_skin import Chain, follow_family
 from casadi_skin.cli import main
 from casadi_skin.export.compiler import build_c
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 CHAIN = "[chain]\nsites = 6\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-11\n"
@@ -33,12 +36,9 @@ def test_from_a_scene_to_a_running_program(tmp_path: Path, capsys: pytest.Captur
     assert f"exported to {out / 'export'}" in capsys.readouterr().out
     printed = subprocess.run([str(build_c(out / "export"))], capture_output=True, text=True, check=True).stdout
     found = {name: float(value) for name, value in (line.split() for line in printed.splitlines())}
-    code = (
-        "from casadi_skin import *; o = follow_family(Chain(6, 1.0, 0.25, -1.0), mode=1, amplitude_max=0.4, at=(0.4,),"
-        "tolerance=1e-11).at(S=0.4); print(o.period, o.floquet().max_abs_multiplier)"
-    )
-    python = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    np.testing.assert_allclose([found["period"], found["largest_multiplier"]], np.array(python, float), rtol=1e-12)
+    orbit = follow_family(Chain(6, 1.0, 0.25, -1.0), mode=1, amplitude_max=0.4, at=(0.4,), tolerance=1e-11).at(S=0.4)
+    expected = [orbit.period, orbit.floquet().max_abs_multiplier]
+    np.testing.assert_allclose([found["period"], found["largest_multiplier"]], expected, rtol=1e-12)
     before = (out / "export" / "main.c").stat().st_mtime_ns
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
     assert (out / "export" / "main.c").stat().st_mtime_ns == before
@@ -114,15 +114,11 @@ def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.
 
 def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "s.toml", FAMILY)
-    code = (
-        "import sys; from casadi_skin.cli import main; "
-        f"assert main(['run', {str(scene)!r}, '--out', {str(tmp_path / 'out')!r}, '--quiet']) == 0; "
-        "print('loaded:', [m for m in sys.modules if 'export' in m and m.startswith('casadi_skin')])"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.splitlines()[-1] == "loaded: []"
+    loaded = modules_of_a_run(scene, tmp_path / "out")
+    assert not [name for name in loaded if "export" in name and name.startswith("casadi_skin")]
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_example_prints_numbers_of_independent_codes(tmp_path: Path) -> None:
     scene = Path(__file__).parents[2] / "examples" / "breather_in_c.toml"

@@ -14,10 +14,15 @@ from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
 from casadi_skin.studies.stress.cases import all_cases
 from casadi_skin.studies.stress.study import COLUMNS
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 FILES = {
     *("extremes.csv", "extremes.png", "extremes.svg"),
     *(f"{name}.{kind}" for name in ("physical_against_gauge", "threshold") for kind in ("csv", "png", "svg")),
 }
+
+
+CHOSEN = ("gamma = 1, g = 1", "gamma = 0, g = -1", "gamma = 1, j = 12", "gamma = nan", "gamma = -1.5")
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -27,12 +32,19 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cases of gamma, and two small chains in physical coordinates."""
-    chosen = [case for case in all_cases() if case.theme == "gamma"]
+    """Five cases of gamma, and two small chains in physical coordinates."""
+    chosen = [case for case in all_cases() if case.name in CHOSEN]
     monkeypatch.setattr(study_module, "all_cases", lambda: chosen)
     monkeypatch.setattr(physical, "QUICK_SIZES", (4, 8))
     monkeypatch.setattr(physical, "GAMMAS", (0.25,))
     monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.25, 0.5))
+
+
+@pytest.fixture
+def fewest(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with one chain and one threshold."""
+    monkeypatch.setattr(physical, "QUICK_SIZES", (4,))
+    monkeypatch.setattr(study_module, "QUICK_GAMMAS", (0.5,))
 
 
 def test_every_case_has_a_name_of_its_own() -> None:
@@ -61,13 +73,13 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         [0.367762016876, 0.366992903607]
     )
     told = capsys.readouterr().out
-    assert "15 cases: 10 hold, 5 are refused, 0 not as expected" in told
+    assert "5 cases: 2 hold, 3 are refused, 0 not as expected" in told
     assert "refused: gamma = -1.5: gamma: given -1.5; accepted: -1 <= gamma <= 1" in told
     assert main(["extremes", "--quick", "--out", str(out), "--quiet"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = Case("theme", "a wrong one", "asked", "check", lambda: Finding("it", 1e-3, 1e-6), quick=True)
     monkeypatch.setattr(study_module, "all_cases", lambda: [wrong])
@@ -77,7 +89,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("fewest")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

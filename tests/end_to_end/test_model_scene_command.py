@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import csv
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from apart import undrawn
 
 from casadi_skin.cli import main
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = """
@@ -42,7 +42,7 @@ def rows(directory: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def period_by_crossings(mu: float) -> float:
+def period_by_crossings(mu: float, until: float = 90.0) -> float:
     """Time from one rising zero of x to the next, once the oscillator of van der Pol has settled."""
     from scipy.integrate import solve_ivp
 
@@ -51,7 +51,7 @@ def period_by_crossings(mu: float) -> float:
 
     crossing.direction = 1.0  # type: ignore[attr-defined]
     flow = solve_ivp(
-        lambda t, s: [s[1], mu * (1 - s[0] ** 2) * s[1] - s[0]], (0.0, 90.0), [2.0, 0.0], method="DOP853",
+        lambda t, s: [s[1], mu * (1 - s[0] ** 2) * s[1] - s[0]], (0.0, until), [2.0, 0.0], method="DOP853",
         events=crossing, rtol=1e-12, atol=1e-12,
     )  # fmt: skip
     return float(np.diff(flow.t_events[0])[-1])
@@ -60,6 +60,7 @@ def period_by_crossings(mu: float) -> float:
 # The examples ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(EXAMPLES / "van_der_pol.toml"), "--out", str(tmp_path / "out")]) == 0
     table = rows(tmp_path / "out")
@@ -72,6 +73,7 @@ def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "results in" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_resonance_of_duffing(tmp_path: Path) -> None:
     from scipy.integrate import solve_ivp
 
@@ -110,6 +112,23 @@ def test_the_resonance_of_duffing(tmp_path: Path) -> None:
         assert np.array_equal(np.isfinite(edges).sum(axis=1) - 1, data.intervals.values)
 
 
+def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 1.4\nat = [1.2]\n[stability]\n"
+    out = tmp_path / "out"
+    assert main(["run", str(write_scene(tmp_path, "van_der_pol", rest)), "--out", str(out)]) == 0
+    table = rows(out)
+    assert [float(r["mu"]) for r in table if r["requested"] == "1"] == [1.2]
+    assert float(table[-1]["period"]) == pytest.approx(period_by_crossings(1.4, 40.0), rel=1e-7)
+    assert all(r["stable"] == "1" and r["unstable"] == "0" for r in table)
+    with xarray.open_dataset(out / "branch.nc", engine="scipy") as data:
+        np.testing.assert_array_equal(data.largest.values[:, 0], [float(r["x_max"]) for r in table])
+        np.testing.assert_allclose(data.profile.values[:, 0], data.profile.values[:, -1], atol=1e-7)
+        moduli = np.hypot(*np.moveaxis(data.multipliers.values, -1, 0))
+        assert moduli.max(axis=1) == pytest.approx(1.0, abs=1e-8)  # the trivial one, of which the table is not
+        np.testing.assert_allclose(moduli.min(axis=1), [float(r["max_abs_multiplier"]) for r in table], rtol=1e-14)
+
+
 # Files and status -----------------------------------------------------------------------------------------
 
 
@@ -119,7 +138,7 @@ def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) ->
     assert main(["run", str(write_scene(tmp_path, "problem", rest)), "--out", str(out)]) == 1
     table = rows(out)
     assert {path.name for path in out.iterdir()} == PICTURES | {
-        "branch.csv", "branch.nc", "scene.toml", "scene_model.py", "journal.msgpack",
+        "branch.csv", "branch.nc", "special_points.csv", "scene.toml", "scene_model.py", "journal.msgpack",
     }  # fmt: skip
     assert not {"period", *STABILITY} & set(table[0])
     fold = next(r for r in table if r["fold"] == "1")
@@ -216,22 +235,21 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
         assert main([command, str(scene)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["check", str(write_scene(tmp_path, "van_der_pol", ""))]) == 0
-    assert "no [orbit] or [solution]" in capsys.readouterr().out
+    assert "no [family], [orbit] or [solution]" in capsys.readouterr().out
     assert main(["run", str(scene)]) == 2
     assert "asks for nothing to compute" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 60\nmax_step = 0.02\n"
     scene, out = write_scene(tmp_path, "van_der_pol", rest), tmp_path / "out"
-    command = [sys.executable, "-m", "casadi_skin.cli", "run", str(scene), "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
-    until = time.monotonic() + 60.0
-    while not (out / "branch.csv").exists() and time.monotonic() < until:
+    process = undrawn("run", scene, "--out", out)
+    while not (out / "branch.csv").exists() or len(rows(out)) < 2:
+        assert process.poll() is None, process.communicate()
         time.sleep(0.02)
-    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
-    output, error = process.communicate(timeout=60)
+    output, error = process.communicate()
     assert process.returncode == 130, error
     assert "Traceback" not in error
     assert "what was computed is in" in error

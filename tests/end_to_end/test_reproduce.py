@@ -26,6 +26,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
     return np.array([float(row[name]) for row in rows])
 
 
+@pytest.mark.usefixtures("pictures")
 def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "paper"
     assert main(["reproduce", "fig2", "fig1", "--out", str(out), "--quiet"]) == 0
@@ -43,6 +44,7 @@ def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.Capture
         np.testing.assert_allclose(D @ u, omega**2 * u, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
     for name in ("first", "second"):
         assert main(["reproduce", "fig2", "--out", str(tmp_path / name), "--quiet"]) == 0
@@ -97,6 +99,7 @@ def test_an_unknown_target_is_refused_in_one_line(
         PaperReproduction(tmp_path / "out", [given])
 
 
+@pytest.mark.usefixtures("pictures")
 def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +115,7 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     assert (tmp_path / "fig1.png").exists()
 
 
+@pytest.mark.usefixtures("pictures")
 def test_a_computation_that_fails_is_told_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

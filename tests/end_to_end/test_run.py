@@ -8,12 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from apart import ended, killed
 
 from casadi_skin.cli import main
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 STABILITY_COLUMNS = ["max_abs_multiplier", "stable", "unstable_real", "unstable_complex", "multiplier_error"]
 FAMILY_COLUMNS = [
@@ -107,8 +113,8 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
     def refuse(*_: object) -> None:
         raise AssertionError("a variational system was built")
 
-    monkeypatch.setattr("casadi_skin.orbits.tools.SplittingFlow", refuse)
-    monkeypatch.setattr("casadi_skin.orbits.tools.CvodesFlow", refuse)
+    monkeypatch.setattr("casadi_skin.stability.splitting.SplittingFlow", refuse)
+    monkeypatch.setattr("casadi_skin.stability.cvodes.CvodesFlow", refuse)
     scene = write_scene(tmp_path / "small.toml")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
     assert not set(STABILITY_COLUMNS) & set(rows(tmp_path / "out" / "family.csv")[0])
@@ -128,7 +134,7 @@ def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
         'flow = "rk4"',
     ):
         rest = f"[stability]\nevents = false\n[accuracy]\ntolerance = 1e-9\n[method]\n{method}\n"
-        scene = write_scene(tmp_path / "scene.toml", sites=4, g=1.0, mode="4", rest=rest)
+        scene = write_scene(tmp_path / "scene.toml", sites=3, g=1.0, mode="3", rest=rest)
         out = tmp_path / method[:18].replace('"', "").replace(" ", "")
         assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
         points = [r for r in rows(out / "family.csv") if r["requested"] == "1"]
@@ -137,12 +143,16 @@ def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
         np.testing.assert_allclose(other, found[0], rtol=0, atol=2e-8)
 
 
+@pytest.mark.parametrize(
+    ("method", "limit"),  # omega^2/|g| = 3 is where the period diverges; a mesh follows it to where S is 3 but for 1e-4
+    [('transcription = "gauss"\ncorrector = "newton"\n', 3.0003), pytest.param("", 3.0, marks=pytest.mark.slow)],
+    ids=["gauss", "standard"],
+)
 def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, method: str, limit: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scene = write_scene(
-        tmp_path / "duffing.toml", sites=1, end=5.0, at="[1.0, 4.0]", rest='[accuracy]\npreset = "draft"\n'
-    )
+    rest = f'[accuracy]\npreset = "draft"\n[method]\n{method}'
+    scene = write_scene(tmp_path / "duffing.toml", sites=1, end=5.0, at="[1.0, 4.0]", rest=rest)
     out = tmp_path / "out"
     assert main(["run", str(scene), "--out", str(out)]) == 1
     told = capsys.readouterr().err
@@ -150,13 +160,14 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
     assert "does not exist at S = 5" in told
     table = rows(out / "family.csv")
     assert [float(r["S"]) for r in table if r["requested"] == "1"] == [1.0]
-    assert 2.9 < max(float(r["S"]) for r in table) < 3.0  # omega^2/|g| = 3 is where the period diverges
+    assert 2.9 < max(float(r["S"]) for r in table) < limit
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 1
     assert rows(out / "family.csv") == table
 
 
 # Interruption -------------------------------------------------------------------------------------------------------
 
+SHORT = {"sites": 3, "mode": "[1, 2, 3]", "end": 1.0, "at": "[0.2, 0.5, 1.0]"}
 LONG = {"sites": 60, "mode": "[1, 2, 60]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
 
 
@@ -165,21 +176,32 @@ def start(scene: Path, out: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for_points(out: Path, size: int) -> None:
-    deadline = time.monotonic() + 60
+def wait_for_points(process: subprocess.Popen[str], out: Path, size: int) -> None:
     journal = out / "journal.msgpack"
     while not journal.exists() or journal.stat().st_size < size:
-        assert time.monotonic() < deadline, "the run wrote no journal"
+        assert process.poll() is None, process.communicate()
         time.sleep(0.01)
 
 
-def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: Path) -> None:
-    scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
-    out, whole = tmp_path / "killed", tmp_path / "whole"
+def killed_from_outside(scene: Path, out: Path) -> int:
     process = start(scene, out)
-    wait_for_points(out, 100_000)
+    wait_for_points(process, out, 100_000)
     process.kill()
     process.communicate()
+    return process.returncode
+
+
+@pytest.mark.parametrize(
+    ("chain", "kill"),
+    [(SHORT, partial(killed, 12)), pytest.param(LONG, killed_from_outside, marks=pytest.mark.slow)],
+    ids=["short", "long"],
+)
+def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(
+    tmp_path: Path, chain: dict[str, Any], kill: Callable[[Path, Path], int]
+) -> None:
+    scene = write_scene(tmp_path / "scene.toml", **chain, rest="[stability]\nevents = false\n")
+    out, whole = tmp_path / "killed", tmp_path / "whole"
+    assert kill(scene, out) == -signal.SIGKILL
     kept = (out / "journal.msgpack").stat().st_size
     assert kept > 0
     with (out / "journal.msgpack").open("ab") as journal:
@@ -194,15 +216,33 @@ def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(tmp_path: 
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0  # nothing left to do
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_writes_what_it_has(tmp_path: Path, number: signal.Signals) -> None:
-    scene = write_scene(tmp_path / "long.toml", **LONG, rest="[stability]\nevents = false\n")  # type: ignore[arg-type]
-    out = tmp_path / "out"
+def interrupted_from_outside(number: signal.Signals, scene: Path, out: Path) -> int:
     process = start(scene, out)
-    wait_for_points(out, 100_000)
+    wait_for_points(process, out, 100_000)
     process.send_signal(number)
     _, told = process.communicate()
-    assert process.returncode == 130, told
+    print(told, end="", file=sys.stderr)
+    return process.returncode
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("chain", "interrupt"),
+    [(SHORT, partial(ended, records=12)), pytest.param(LONG, interrupted_from_outside, marks=pytest.mark.slow)],
+    ids=["short", "long"],
+)
+def test_an_interrupted_run_writes_what_it_has(
+    tmp_path: Path,
+    chain: dict[str, Any],
+    interrupt: Callable[..., int],
+    number: signal.Signals,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    scene = write_scene(tmp_path / "scene.toml", **chain, rest="[stability]\nevents = false\n")
+    out = tmp_path / "out"
+    assert interrupt(number, scene=scene, out=out) == 130
+    told = capsys.readouterr().err
     assert "--resume" in told
     assert "Traceback" not in told
     assert len(rows(out / "family.csv")) > 1

@@ -15,6 +15,8 @@ from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """[chain]
 sites = 6
@@ -75,6 +77,7 @@ def test_the_plan_of_a_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "those of its tangent" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_infeasible_search_has_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write(tmp_path / "s.toml", constraints='[{ quantity = "Omega", lower = 5.0 }]')
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
@@ -123,6 +126,7 @@ def test_a_search_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "beside [family]" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path: Path) -> None:

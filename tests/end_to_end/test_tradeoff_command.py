@@ -74,10 +74,19 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
     assert max(differences) < 1e-13
 
 
+@pytest.mark.usefixtures("pictures")
+@pytest.mark.parametrize(("methods", "flows"), [(2, 1), pytest.param(8, 4, marks=pytest.mark.slow)])
 def test_a_few_settings_and_what_an_interruption_leaves(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: Path,
+    tmp_path: Path,
+    methods: int,
+    flows: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     few(monkeypatch)
+    monkeypatch.setattr(study_module, "orbit_settings", lambda *asked: settings.orbit_settings(*asked)[:methods])
+    monkeypatch.setattr(study_module, "flow_settings", lambda *asked: settings.flow_settings(*asked)[:flows])
     real, count = study_module.measure, 0
 
     def interrupted(*arguments: object, **named: object) -> Measured:
@@ -98,16 +107,22 @@ def test_a_few_settings_and_what_an_interruption_leaves(
     monkeypatch.setattr(study_module, "measure", real)
     assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
-    assert len(read(out / "tradeoff.csv")) == 11
+    assert len(read(out / "tradeoff.csv")) == 3 + methods
+    assert len(read(out / "flows.csv")) == flows
     assert {row["memory_MB"] for row in read(out / "flows.csv")} == {"50"}
 
 
 def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bare = tmp_path / "bare.toml"
-    bare.write_text(TINY, encoding="utf-8")
+    texts = {
+        "bare": TINY,
+        "endless": TINY.replace("sites = 2", "sites = inf") + FAMILY.replace("[1, 2]", '"first"'),
+        "model": '[model]\nfile = "pendulum.py"\nname = "pendulum"\n' + FAMILY,
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "out"
     for words, part in (
-        ([str(bare)], "bare.toml: asks for no family"),
+        *(([str(tmp_path / f"{name}.toml")], f"{name}.toml: asks for no family") for name in texts),
         ([str(scene), "--repeats", "0"], "--repeats 0"),
         ([str(tmp_path / "none.toml")], "none.toml"),
     ):

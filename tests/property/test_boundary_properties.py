@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from hypothesis import assume, example, given, settings
+from effort import examples
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
 
-few = settings(max_examples=25, deadline=None, derandomize=True)
+few = examples(25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -77,10 +78,10 @@ def test_forced_linear_orbits_have_the_multipliers_of_their_matrix(n: int, seed:
     at = np.linspace(0.0, period, 9)
     response = np.linalg.solve(1j * w * np.eye(n) - matrix, force)
     np.testing.assert_allclose(orbit.evaluate(at), np.real(response * np.exp(1j * w * at)[:, None]), atol=1e-6)
-    found = orbit.multipliers().monodromy
+    found = orbit.floquet().monodromy
     scale = max(1.0, float(np.linalg.norm(expm(matrix * period), 2)))
     np.testing.assert_allclose(found, expm(matrix * period), atol=1e-7 * scale)
-    np.testing.assert_allclose(orbit.multipliers("cvodes").monodromy, found, atol=1e-5 * scale)
+    np.testing.assert_allclose(orbit.floquet("cvodes").monodromy, found, atol=1e-5 * scale)
 
 
 @few

@@ -7,7 +7,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from hypothesis import given, settings
+from effort import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from casadi_skin.models.ode import OdeModel
 
 Array = NDArray[np.float64]
 
-quick = settings(max_examples=40, deadline=None)
+quick = examples(100)
 
 couplings = st.floats(0.01, 3.0) | st.floats(-3.0, -0.01)
 chains = st.builds(

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from effort import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from casadi_skin import Chain
-from casadi_skin.dynamics import METHODS, evolve
+from casadi_skin.dynamics import evolve
+from casadi_skin.methods import INTEGRATORS
 from casadi_skin.theory.linear import Array
 
-QUICK = settings(max_examples=25, deadline=None, database=None, derandomize=True)
+QUICK = examples(25, database=None, derandomize=True)
 
 sites = st.integers(1, 6)
 gammas = st.floats(-0.8, 0.8)
 couplings = st.floats(0.0, 2.0)  # hardening: nothing escapes
-methods = st.sampled_from(METHODS)
+methods = st.sampled_from(tuple(INTEGRATORS))
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -33,17 +33,18 @@ def error(
     return Quantity(name, true, estimate, 1.0, tolerance, true, estimate, excused)
 
 
-def test_estimates_of_random_cases_are_honest(tmp_path: Path) -> None:
-    study = ErrorCalibration(tmp_path, CASES, SEED)
+@pytest.mark.parametrize("count", [4, pytest.param(CASES, marks=pytest.mark.slow)])
+def test_estimates_of_random_cases_are_honest(tmp_path: Path, count: int) -> None:
+    study = ErrorCalibration(tmp_path, count, SEED)
     study.run()
     assert study.faults == []
-    assert [outcome.reason for outcome in study.outcomes] == [""] * CASES
+    assert [outcome.reason for outcome in study.outcomes] == [""] * count
     assert all(q.true <= 2.0 * q.estimate for q in study.errors())
-    assert len(study.errors("Omega")) == len(study.errors("profile")) == CASES
+    assert len(study.errors("Omega")) == len(study.errors("profile")) == count
     assert len(study.errors("multipliers")) == sum(outcome.case.sites > 1 for outcome in study.outcomes)
     written = rows(tmp_path / "honesty.csv")
     assert list(written[0]) == list(COLUMNS)
-    assert [int(row["index"]) for row in written] == list(range(CASES))
+    assert [int(row["index"]) for row in written] == list(range(count))
     for row, outcome in zip(written, study.outcomes, strict=True):
         assert float(row["Omega_true"]) == outcome.quantities[0].true
         assert float(row["tolerance"]) == outcome.case.tolerance
@@ -113,6 +114,7 @@ def test_what_tallies_hold_against_estimates() -> None:
     assert len(Tally.of("all", [error(float("nan"), 1e-8)]).faults) == 3
 
 
+@pytest.mark.usefixtures("pictures")
 def test_estimates_that_are_too_small_are_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -124,6 +126,7 @@ def test_estimates_that_are_too_small_are_found_out(
     assert any("far off" in row["Omega_verdict"] for row in rows(tmp_path / "out" / "honesty.csv"))
 
 
+@pytest.mark.usefixtures("pictures")
 def test_a_case_that_fails_is_a_row_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +146,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason(
     assert "1 of 1 cases could not be judged" in told
 
 
+@pytest.mark.usefixtures("pictures")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

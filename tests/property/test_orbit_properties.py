@@ -6,7 +6,8 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from hypothesis import assume, example, given, settings
+from effort import examples
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -16,8 +17,8 @@ from casadi_skin.theory import multiple_scales
 
 Array = NDArray[np.float64]
 
-few = settings(max_examples=12, deadline=None)
-fewer = settings(max_examples=6, deadline=None)
+few = examples(20)
+fewer = examples(10)
 
 
 @st.composite
@@ -66,7 +67,7 @@ def stiffness_matrix(chain: Chain) -> Array:
 
 def integrated(orbit: Orbit, t: Array) -> tuple[Array, Array]:
     """Displacements and velocities, shape (time, site) each, from the profile at rest by DOP853."""
-    chain, n, D = orbit.chain, orbit.chain.sites, stiffness_matrix(orbit.chain)
+    chain, n, D = orbit.model, orbit.model.sites, stiffness_matrix(orbit.model)
 
     def field(_: float, x: Array) -> Array:
         return np.concatenate([x[n:], -D @ x[:n] - chain.g * x[:n] ** 3])
@@ -185,7 +186,7 @@ def test_orbits_are_symmetric_in_time_odd_over_half_a_period_and_periodic(
     orbit = orbit_at(*family, tolerance=1e-8)
     t = np.random.default_rng(seed).uniform(-3, 3, 20) * orbit.period
     y, atol = orbit.evaluate(t), 1e-12 * np.abs(orbit.profile).max()
-    assert y.shape == (20, orbit.chain.sites)
+    assert y.shape == (20, orbit.model.sites)
     np.testing.assert_allclose(orbit.evaluate(-t), y, rtol=0, atol=atol)
     np.testing.assert_allclose(orbit.evaluate(t + orbit.period / 2), -y, rtol=0, atol=10 * atol)
     np.testing.assert_allclose(orbit.evaluate(t - 2 * orbit.period), y, rtol=0, atol=10 * atol)

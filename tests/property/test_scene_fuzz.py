@@ -7,19 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from effort import examples
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
 from casadi_skin.cli import main
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_scene
 
-QUICK = settings(
-    max_examples=120,
-    deadline=None,
-    database=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow],
-)
+QUICK = examples(200, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 VALID: dict[str, Any] = {
     "title": "Softening end breather",
     "chain": {"sites": 24, "alpha": 1.0, "gamma": 0.25, "g": -1.0},

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Layer:
         x = np.unique(np.concatenate([np.linspace(self.start, 1.0, 1001), *near]))
         return np.asarray(x[(x >= self.start) & (x <= 1.0)])
 
-    def error(self, solution: BoundarySolution, eps: float) -> float:
+    def error(self, solution: Solution, eps: float) -> float:
         """Largest error of u, relative to its largest value."""
         x = self.grid(eps)
         exact = self.exact(x, eps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import re
 import shutil
 import subprocess
@@ -47,8 +48,8 @@ class Library:
 
     def __init__(self, directory: Path, name: str) -> None:
         sources = [str(path) for path in directory.glob("*.c") if path.name != "main.c" and "_ipopt" not in path.name]
-        path = directory / f"lib{name}.so"
-        subprocess.run(["gcc", "-std=c99", "-O2", "-shared", "-fPIC", *sources, "-lm", "-o", str(path)], check=True)
+        path, compiler = directory / f"lib{name}.so", os.environ.get("CC", "gcc")
+        subprocess.run([compiler, "-std=c99", "-O2", "-shared", "-fPIC", *sources, "-lm", "-o", str(path)], check=True)
         self._library, self._name = ctypes.CDLL(str(path)), name
         header = (directory / f"{name}.h").read_text()
         self._constants = {key: int(value) for key, value in re.findall(rf"{name.upper()}_(\w+) = (\d+)", header)}

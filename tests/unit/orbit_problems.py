@@ -8,8 +8,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.butcher import gauss_table, radau_table
+from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.solvers.corrector import Corrector
@@ -40,6 +43,19 @@ def predator_and_prey(**changes: Any) -> OdeModel:
     conserved = x[0] - ca.log(x[0]) + x[1] - p * ca.log(x[1])
     declared: dict[str, Any] = {"normalisation": x[0] - 2, "hamiltonian": conserved, "checked": False}
     return OdeModel("predator and prey", x, field, p, **(declared | changes))
+
+
+# Collocation ----------------------------------------------------------------------------------------------------------
+
+
+def gauss_problem(model: OdeModel, intervals: int, symmetry: SymmetryClass, degree: int = 5) -> CollocationProblem:
+    """Gauss-Legendre collocation of an orbit."""
+    return CollocationProblem(model, intervals, symmetry, gauss_table(degree))
+
+
+def radau_problem(model: OdeModel, intervals: int, symmetry: SymmetryClass, degree: int = 5) -> CollocationProblem:
+    """Radau IIA collocation of an orbit."""
+    return CollocationProblem(model, intervals, symmetry, radau_table(degree))
 
 
 # Orbits ---------------------------------------------------------------------------------------------------------------

@@ -18,15 +18,15 @@ def orbit() -> Orbit:
 
 
 def test_a_film_has_its_frames_moves_and_repeats(orbit: Orbit, tmp_path: Path) -> None:
-    path = animate(orbit, tmp_path / "mode.gif", frames=8)
+    path = animate(orbit, tmp_path / "mode.gif", frames=4)
     with Image.open(path) as film:
-        assert film.n_frames == 8
+        assert film.n_frames == 4
         assert film.info["loop"] == 0
         pictures = []
-        for frame in range(8):
+        for frame in range(4):
             film.seek(frame)
             pictures.append(np.array(film.convert("L"), dtype=float))
-    assert np.abs(pictures[0] - pictures[4]).max() > 100  # half a period later all displacements are reversed
+    assert np.abs(pictures[0] - pictures[2]).max() > 100  # half a period later all displacements are reversed
     assert [p.name for p in tmp_path.iterdir()] == ["mode.gif"]
 
 

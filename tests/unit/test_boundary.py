@@ -14,9 +14,9 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 
 def second_order(name: str, rhs: Any, *parameters: ca.SX, time: ca.SX | None = None) -> tuple[OdeModel, ca.SX, ca.SX]:
@@ -43,7 +43,7 @@ def bratu_angles(lam: float) -> list[float]:
 # Known answers --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> None:
     """Bratu (1914). With z = theta/4 lambda = 8 z^2 / cosh^2 z, stationary where z tanh z = 1: 3.513830719."""
     mpmath = pytest.importorskip("mpmath")
@@ -63,7 +63,7 @@ def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> Non
             assert error < 1e-9
 
 
-@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("eps", [1e-2, *(pytest.param(eps, marks=pytest.mark.slow) for eps in (1e-4, 1e-6))])
 @pytest.mark.parametrize("name", [name for name in LAYERS if not name.startswith("20")])
 def test_layers_are_met_at_the_tolerance_asked(name: str, eps: float) -> None:
     case = LAYERS[name]
@@ -76,7 +76,14 @@ def test_layers_are_met_at_the_tolerance_asked(name: str, eps: float) -> None:
 
 
 @pytest.mark.parametrize("degree", [2, 4, 6])
-@pytest.mark.parametrize("name", ["1, two layers", "6, shock at a turning point", "20, nonlinear corner"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "1, two layers",
+        pytest.param("6, shock at a turning point", marks=pytest.mark.slow),
+        pytest.param("20, nonlinear corner", marks=pytest.mark.slow),
+    ],
+)
 def test_estimates_are_honest(name: str, degree: int) -> None:
     """True errors below the estimate, and not far below where nothing but the mesh limits them."""
     case, eps = LAYERS[name], 1e-2
@@ -114,6 +121,7 @@ def test_the_zero_solution_is_one() -> None:
     assert solution.error <= 1e-10
 
 
+@pytest.mark.slow
 def test_a_nonlinear_corner_is_followed_to_a_millionth() -> None:
     """No guess leads there directly; u = 1 + eps log cosh((x - 0.745) / eps) on the way and at the end."""
     case, eps = LAYERS["20, nonlinear corner"], ca.SX.sym("eps")
@@ -195,12 +203,12 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.orbits.solve import Method, Sizes, build_levels, packed
+    from casadi_skin.orbits.solve import packed, space_of
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)
-    method = Method(1e-12, transcription, degree, "newton")
-    levels = build_levels(problem, method, Sizes(np.ones(2), np.ones(0)))
+    options = {"tolerance": 1e-12, "transcription": transcription, "degree": degree, "corrector": "newton"}
+    levels = space_of(problem, [0.0, 0.0], options).levels
     errors = []
     for intervals in (5, 8, 12):
         equations = levels.problem(intervals)
@@ -285,7 +293,7 @@ def test_a_solution_as_guess_brings_its_mesh() -> None:
 
 def test_a_solution_reads_like_a_table() -> None:
     solution = bratu().solve([0.0, 0.0])
-    assert isinstance(solution, BoundarySolution)
+    assert isinstance(solution, Solution)
     assert solution.interval == (0.0, 1.0)
     assert solution["lambda"] == 1.0
     np.testing.assert_array_equal(solution["u"], solution.states[:, 0])
@@ -314,7 +322,7 @@ def test_other_values_of_parameters_leave_the_statement_alone() -> None:
 # Other kinds of models ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("opaque", [False, True])
+@pytest.mark.parametrize("opaque", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bool) -> None:
     x, lam = ca.MX.sym("x", 2), ca.MX.sym("lam")
     rhs = ca.vertcat(x[1], -lam * ca.exp(x[0]))

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import BoundarySolution
+from casadi_skin.orbits.solution import Solution
 
 
 def buckling() -> BoundaryValueProblem:
@@ -19,7 +19,7 @@ def buckling() -> BoundaryValueProblem:
 
 
 @pytest.fixture(scope="module")
-def cubic() -> BoundarySolution:
+def cubic() -> Solution:
     """x' = 0 with (x^3 - 3 x - a)(start) = 0: an S with folds at a = 2 and a = -2."""
     x, a = ca.SX.sym("x"), ca.SX.sym("a")
     model = OdeModel("cubic", x, ca.SX(0.0), a)
@@ -27,10 +27,10 @@ def cubic() -> BoundarySolution:
     return BoundaryValueProblem(model, [s**3 - 3 * s - a], parameters={"a": -4.0}).solve([-2.2], tolerance=1e-10)
 
 
-def test_an_s_is_followed_round_both_folds(cubic: BoundarySolution) -> None:
+def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0, 1.0])
     assert branch.complete
-    assert branch.reason == ""
+    assert branch.reason == "reached the end asked for"
     np.testing.assert_allclose([f.parameters["a"] for f in branch.folds], [2.0, -2.0], atol=1e-9)
     np.testing.assert_allclose([f.states[0, 0] for f in branch.folds], [-1.0, 1.0], atol=1e-4)
     three = [branch.at(0.0, which).states[0, 0] for which in range(3)]
@@ -41,13 +41,30 @@ def test_an_s_is_followed_round_both_folds(cubic: BoundarySolution) -> None:
     assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_values_that_were_not_asked_for_are_refused(cubic: BoundarySolution) -> None:
+def test_passages_that_are_not_there_are_refused(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, at=[0.0])
-    with pytest.raises(ValueError, match=r"at: given 0.0, passage 3; the branch has 3 solutions there"):
+    with pytest.raises(
+        ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"
+    ):
         branch.at(0.0, 3)
+    with pytest.raises(ValueError, match=r"at: given a = 4.5, which = 0; .* passes a 0 times"):
+        branch.at(4.5)
 
 
-def test_a_branch_ends_where_it_is_told_to(cubic: BoundarySolution) -> None:
+def test_values_that_were_not_asked_for_are_solved_when_they_are(cubic: Solution) -> None:
+    """Roots of x^3 - 3 x = a beside a point of the branch, between its points, and next to its folds."""
+    branch = cubic.follow("a", 4.0, at=[0.0])
+    beside = branch.solutions[3].parameters["a"]
+    for a in (-3.3, beside, beside * (1 + 1e-15), beside * (1 + 1e-11), 0.37, -0.37, 1.9999, -1.9999, 3.9):
+        roots = [x.real for x in np.roots([1, 0, -3, -a]) if abs(x.imag) < 1e-12]
+        found = [branch.at(a, which) for which in range(len(roots))]
+        np.testing.assert_allclose(sorted(s.states[0, 0] for s in found), sorted(roots), atol=1e-9)
+        assert [s.parameters["a"] for s in found] == [a] * len(roots)
+        with pytest.raises(ValueError, match=f"passes a {len(roots)} times"):
+            branch.at(a, len(roots))
+
+
+def test_a_branch_ends_where_it_is_told_to(cubic: Solution) -> None:
     seen: list[float] = []
     branch = cubic.follow("a", 4.0, until=lambda s: s.states[0, 0] > 0.5, progress=lambda s: seen.append(s["a"]))  # type: ignore[arg-type]
     assert branch.complete
@@ -55,7 +72,7 @@ def test_a_branch_ends_where_it_is_told_to(cubic: BoundarySolution) -> None:
     assert seen == list(branch.values)
 
 
-def test_too_few_points_are_told(cubic: BoundarySolution) -> None:
+def test_too_few_points_are_told(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, max_points=4)
     assert not branch.complete
     assert len(branch) <= 5
@@ -73,13 +90,13 @@ def test_a_branch_that_comes_back_says_so() -> None:
     assert len(branch.folds) == 1
 
 
-def test_followed_towards_smaller_values(cubic: BoundarySolution) -> None:
+def test_followed_towards_smaller_values(cubic: Solution) -> None:
     branch = cubic.follow("a", -5.0, at=[-4.5])
     x = branch.at(-4.5).states[0, 0]
     assert abs(x**3 - 3 * x + 4.5) < 1e-9
 
 
-def test_branches_follow_branches(cubic: BoundarySolution) -> None:
+def test_branches_follow_branches(cubic: Solution) -> None:
     middle = cubic.follow("a", -3.0).solutions[-1]
     assert middle.follow("a", 4.0).solutions[-1].states[0, 0] == pytest.approx(2.195823345445647, abs=1e-9)  # x^3-3x=4
 

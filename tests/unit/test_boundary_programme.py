@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
-from casadi_skin.orbits.optimum import OptimalSolution
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solution import Solution
 
 X, V, A, B, T = (ca.SX.sym(name) for name in ("x", "v", "a", "b", "t"))
 
@@ -27,9 +27,9 @@ def cart(**changes: Any) -> BoundaryValueProblem:
     return BoundaryValueProblem(model, conditions, **(stated | changes))
 
 
-def solved(problem: BoundaryValueProblem, **options: Any) -> OptimalSolution:
+def solved(problem: BoundaryValueProblem, **options: Any) -> Solution:
     solution = problem.solve([0.0, 0.0], **options)
-    assert isinstance(solution, OptimalSolution)
+    assert solution.optimum is not None
     assert solution.optimum.optimality.kkt < 1e-9
     assert solution.optimum.optimality.violation < 1e-10
     return solution

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.bvp.statement import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solve import BoundaryError
+from casadi_skin.orbits.refined import BoundaryError
 
 U, V, K = ca.SX.sym("u"), ca.SX.sym("v"), ca.SX.sym("stiffness")
 STRING = OdeModel("string", ca.vertcat(U, V), ca.vertcat(V, -K * U), K)
@@ -136,13 +136,13 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"parameter": "stifness", "end": 2.0}, "parameter: given 'stifness'; did you mean stiffness?"),
-        ({"parameter": "stiffness", "end": 1.0}, "end: given 1.0, where the branch starts; accepted: another value"),
-        ({"parameter": "stiffness", "end": np.inf}, "end: given inf; accepted: a finite number"),
-        ({"parameter": "stiffness", "end": 2.0, "at": [3.0]}, "at: given 3; accepted: values from 1 to 2"),
-        ({"parameter": "stiffness", "end": 2.0, "at": ["a"]}, "at: given 'a'; accepted: a list of finite numbers"),
-        ({"parameter": "stiffness", "end": 2.0, "max_points": 0}, "max_points: given 0; accepted: a whole number >= 2"),
-        ({"parameter": "stiffness", "end": 2.0, "max_step": -1.0}, "max_step: given -1.0; accepted: a number > 0"),
+        ({"parameter": "stifness", "to": 2.0}, "parameter: given 'stifness'; did you mean stiffness?"),
+        ({"parameter": "stiffness", "to": 1.0}, "to: given 1.0, where the branch starts; accepted: another value"),
+        ({"parameter": "stiffness", "to": np.inf}, "to: given inf; accepted: a finite number"),
+        ({"parameter": "stiffness", "to": 2.0, "at": [3.0]}, "at: given 3; accepted: values from 1 to 2"),
+        ({"parameter": "stiffness", "to": 2.0, "at": ["a"]}, "at: given 'a'; accepted: a list of finite numbers"),
+        ({"parameter": "stiffness", "to": 2.0, "max_points": 0}, "max_points: given 0; accepted: a whole number >= 2"),
+        ({"parameter": "stiffness", "to": 2.0, "max_step": -1.0}, "max_step: given -1.0; accepted: a number > 0"),
     ],
 )
 def test_branches_that_cannot_be_are_refused(arguments: dict[str, Any], words: str) -> None:
@@ -178,7 +178,7 @@ def test_an_infeasible_string_names_both_ends(corrector: str) -> None:
     assert "leave v (most at t = 0) undetermined" in message
 
 
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 @pytest.mark.parametrize(("second", "text"), [(START - 1, "u(start)-1"), (2 * START, "2.*u(start)")])
 def test_a_condition_given_twice_is_named(corrector: str, second: ca.SX, text: str) -> None:
     message = failing(lambda: stated(conditions=[START, second]).solve([1.0, 0.0], corrector=corrector))
@@ -186,7 +186,7 @@ def test_a_condition_given_twice_is_named(corrector: str, second: ca.SX, text: s
     assert "v (most at t = " in message
 
 
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 def test_a_level_that_nothing_fixes_is_named(corrector: str) -> None:
     """u'' = 0 with u'(0) = u'(1) = 0: any constant is a solution."""
     conditions = [STRING.start(V), STRING.end(V)]
@@ -208,11 +208,12 @@ def test_a_condition_without_real_solution_is_named() -> None:
     assert "condition 1 (sq(u(start))+1) leaves" in message
 
 
-def test_beyond_a_fold_the_variable_and_the_place_are_named() -> None:
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
+def test_beyond_a_fold_the_variable_and_the_place_are_named(corrector: str) -> None:
     lam = ca.SX.sym("lambda")
     model = OdeModel("Bratu", ca.vertcat(U, V), ca.vertcat(V, -lam * ca.exp(U)), lam)
     problem = BoundaryValueProblem(model, [model.start(U), model.end(U)], parameters={"lambda": 4.0})
-    message = failing(lambda: problem.solve([0.0, 0.0]))
+    message = failing(lambda: problem.solve([0.0, 0.0], corrector=corrector))
     assert message.startswith("Bratu: no solution near the guess: ")
     assert "at the equation of v at t = " in message
     assert "with lambda = 4" in message

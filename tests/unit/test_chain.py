@@ -343,7 +343,7 @@ def test_one_way_coupling_is_a_jordan_block_whose_gauge_keeps_the_edge_alone(gam
 # Large chains -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gamma", [0.9, -0.9])
+@pytest.mark.parametrize("gamma", [0.9, pytest.param(-0.9, marks=pytest.mark.slow)])
 def test_a_long_strongly_nonreciprocal_chain_builds_without_overflow_or_nan(gamma: float) -> None:
     """rho_1 would be 10^-1918; warnings are errors in this suite."""
     sites = 3000

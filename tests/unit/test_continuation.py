@@ -15,9 +15,9 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.hermite import LocalCurve, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
@@ -59,7 +59,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
 
 def worst_relative_error(branch: Branch) -> float:
     """Of a family of one site, against the Duffing oscillator at every point's S."""
-    exact = np.array([exact_frequency(branch.tools.request.chain, S) for S in branch.S])
+    exact = np.array([exact_frequency(branch.space.model, S) for S in branch.S])
     return float(np.max(np.abs(branch.Omega / exact - 1.0)))
 
 
@@ -68,7 +68,7 @@ def worst_relative_error(branch: Branch) -> float:
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-11])
 @pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (0.5, 3.0), (-1.0, 2.5), (-2.0, 1.2)])
-@pytest.mark.parametrize("method", ["trigonometric", "gauss"])
+@pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
 def test_one_site_has_the_exact_frequency_along_the_whole_family(
     g: float, amplitude_max: float, tolerance: float, method: str
 ) -> None:
@@ -80,7 +80,7 @@ def test_one_site_has_the_exact_frequency_along_the_whole_family(
     assert worst_relative_error(branch) <= tolerance
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-11])
+@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (-1.0, 2.5)])
 def test_one_site_at_requested_amplitudes_is_within_the_estimated_error_of_the_exact_frequency(
     g: float, amplitude_max: float, tolerance: float
@@ -125,7 +125,7 @@ def test_end_breathers_have_the_reference_frequencies(mode: int, g: float, expec
     [
         (1e-4, "trigonometric"),
         (1e-8, "trigonometric"),
-        (1e-4, "gauss"),
+        pytest.param(1e-4, "gauss", marks=pytest.mark.slow),
         pytest.param(1e-8, "gauss", marks=pytest.mark.slow),
     ],
 )
@@ -153,9 +153,9 @@ def walked_with(
     chain: Chain, mode: int, amplitude_max: float, **changes: float
 ) -> tuple[ArclengthContinuation, list[Point]]:
     """A walk with changed settings and its points."""
-    tools = FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
+    tools = Family(family_request(chain, mode, amplitude_max, tolerance=1e-6, corrector="newton"))
     point_solver = PointSolver(tools.levels, replace(tools.request.continuation_settings(), **changes))  # type: ignore[arg-type]
-    start = point_solver.start(tools.layout.mode, tools.core.linear_frequency(mode))
+    start = point_solver.start(tools.coordinates.mode, tools.coordinates.core.linear_frequency(mode))
     walk = ArclengthContinuation(point_solver, (start,))
     return walk, list(walk)
 
@@ -174,7 +174,7 @@ def test_the_guard_alone_keeps_a_walk_of_far_too_long_steps_on_its_family() -> N
     assert abs(points[-1].Omega - right) > 0.1
 
 
-@pytest.mark.parametrize(("mode", "g"), [(1, -1.0), (60, 1.0)])
+@pytest.mark.parametrize(("mode", "g"), [pytest.param(1, -1.0, marks=pytest.mark.slow), (60, 1.0)])
 def test_the_length_of_the_chain_hardly_matters_to_a_localised_orbit(mode: int, g: float) -> None:
     expected = SOFTENING_END if g < 0 else HARDENING_END
     branch = followed(Chain(60, 1.0, 0.25, g), mode, 3.0, 1e-10)
@@ -184,7 +184,7 @@ def test_the_length_of_the_chain_hardly_matters_to_a_localised_orbit(mode: int, 
 # Points asked for ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["newton", "ipopt"])
+@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("g", [-1.0, 0.7, 3.0])
 def test_points_lie_exactly_at_the_amplitudes_asked_for(g: float, corrector: str) -> None:
     """Equal as floating-point numbers, though the walk's parameter is g S."""
@@ -300,6 +300,7 @@ def test_the_largest_displacement_is_positive_also_where_it_moves_to_another_sit
 # Ends ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("harmonics")
 @pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
 def test_a_family_that_cannot_reach_the_amplitude_says_so(tolerance: float) -> None:
     """One softening site: its well is as deep as S = omega^2/|g| = 3, where the period is infinite."""
@@ -344,7 +345,7 @@ def test_a_walk_whose_guard_lets_nothing_pass_ends_by_name(guard: str) -> None:
 
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     """Two resolutions only: what a stronger nonlinearity needs is not there."""
-    tools = FamilyTools(FamilyRequest(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
+    tools = Family(family_request(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10, corrector="newton"))
     tools.levels.resolutions = (4, 6)
     walk = ArclengthContinuation(tools.point_solver, (tools.start,))
     points = list(walk)
@@ -353,8 +354,8 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
 
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, (0.3, 0.9), 1e-8, corrector="newton"))
-    whole = [o for o in FamilyContinuation(tools) if isinstance(o, Orbit)]
+    tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, at=(0.3, 0.9), tolerance=1e-8, corrector="newton"))
+    whole = [o for o in Following(tools) if isinstance(o, Orbit)]
     for kept in (1, 7, 20):
         # Broken off after a point walked: one that was asked for is not yet followed by its successor.
         known = whole[:kept]
@@ -362,7 +363,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = FamilyContinuation(FamilyTools(tools.request), orbits=known)
+        again = Following(Family(tools.request), solutions=known)
         list(again)
         branch = again.branch()
         assert branch.complete
@@ -371,7 +372,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 
 
 def test_what_was_computed_before_an_interruption_is_kept() -> None:
-    walk = FamilyContinuation(FamilyTools(FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
+    walk = Following(Family(family_request(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
     for k, _ in enumerate(walk):
         if k == 4:
             break
@@ -454,7 +455,7 @@ COMBINATIONS = [
 
 
 @pytest.mark.parametrize(("chain", "mode", "amplitude_max"), COMBINATIONS)
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("tolerance", [1e-6, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-3, 1e-9))])
 def test_the_estimated_error_covers_the_true_one(
     chain: Chain, mode: int, amplitude_max: float, tolerance: float
 ) -> None:
@@ -480,7 +481,7 @@ def test_the_estimated_error_covers_the_true_one(
         assert np.abs(difference).max() <= tolerance * largest
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-8])
+@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-8, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL])
 def test_the_estimated_error_of_gauss_collocation_covers_the_true_one(kind: SymmetryClass, tolerance: float) -> None:
     chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
@@ -494,7 +495,7 @@ def test_the_estimated_error_of_gauss_collocation_covers_the_true_one(kind: Symm
         assert orbit.Omega_error <= tolerance * orbit.Omega
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("tolerance", [1e-4, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-6, 1e-8))])
 def test_the_estimated_error_covers_the_true_one_at_points_walked(tolerance: float) -> None:
     """A point of the table is (S, Omega): the error of Omega is meant at that S."""
     chain = Chain(24, 1.0, 0.25, -1.0)

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from orbit_problems import gauss_problem
 
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -32,7 +32,7 @@ def problem_of(chain: Chain, kind: str) -> OrbitProblem:
     if kind == "trigonometric":
         return TrigonometricProblem(chain.gauge_model(), 8)
     symmetry = SymmetryClass[kind.split()[1].upper()]
-    return GaussProblem(chain.gauge_model(), round(8 * symmetry.value), symmetry, degree=4)
+    return gauss_problem(chain.gauge_model(), round(8 * symmetry.value), symmetry, degree=4)
 
 
 def linear_mode(problem: OrbitProblem, chain: Chain, mode: int) -> Array:

@@ -77,7 +77,7 @@ def test_a_wrong_result_is_a_fault() -> None:
     point, index = orbit.point, orbit.point.problem.Omega_index
     z = point.z.copy()
     z[index] *= 1.0 + 1e-9
-    wrong = Orbit(orbit.tools, replace(point, z=z), asked_S=1.0)
+    wrong = Orbit(orbit.space, replace(point, z=z), exact={"S": 1.0})
     outcome = measure(Case("theme", "name", "asked", "check", partial(against_digits, wrong, setup)))
     assert outcome.verdict == "fault"
     assert outcome.fault == "9.0 digits agree, 12.0 are promised"

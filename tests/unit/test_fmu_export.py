@@ -84,7 +84,14 @@ def test_fmpy_finds_no_fault_in_the_whole_chain_and_its_other_files(chain_fmu: P
             etree.XMLSchema(etree.parse(str(schema))).assertValid(terminals)
 
 
-@pytest.mark.parametrize("name", ["van der Pol (forced)", "need", "Größe", "", "a__b", "int", "x" * 300])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "need",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("van der Pol (forced)", "Größe", "", "a__b", "int")),
+        pytest.param("x" * 300, marks=pytest.mark.slow),
+    ],
+)
 def test_any_name_gives_an_fmu(name: str, tmp_path: Path) -> None:
     """The interface has functions need_derivatives and need_outputs of its own; CasADi takes no two underscores."""
     x, k = ca.SX.sym("x", 2), ca.SX.sym("double")
@@ -93,7 +100,7 @@ def test_any_name_gives_an_fmu(name: str, tmp_path: Path) -> None:
     assert fmpy.read_model_description(str(path)).modelName == name
 
 
-@pytest.mark.parametrize("gamma", [-1.0, 1.0])
+@pytest.mark.parametrize("gamma", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
     path = export_fmu(Chain(4, 1.0, gamma, 1.0), tmp_path / "chain.fmu", S=0.5)
     assert validate_fmu(str(path)) == []
@@ -266,10 +273,10 @@ def test_directional_derivatives_are_exact_in_any_order_of_calls(chain_fmu: Path
                 np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(jacobian[rows]).max())
 
 
-def test_adjoint_derivatives_are_the_transpose(tmp_path: Path) -> None:
-    path = export_fmu(CHAIN, tmp_path / "chain.fmu", start=START)
+@pytest.mark.parametrize("chain_fmu", ["3.0"], indirect=True)
+def test_adjoint_derivatives_are_the_transpose(chain_fmu: Path, tmp_path: Path) -> None:
     jacobian = symbolic(np.array([*START, 0, 0, 0, 0, 0]), np.array([0.8, 0.3, 1.0]))
-    with running(path, tmp_path / "unpacked") as fmu:
+    with running(chain_fmu, tmp_path / "unpacked") as fmu:
         fmu.initialise()
         references = [[fmu.reference[n] for n in names] for names in (UNKNOWNS, KNOWNS)]
         for row in range(len(UNKNOWNS)):

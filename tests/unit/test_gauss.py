@@ -11,10 +11,18 @@ import mpmath as mp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from orbit_problems import asymmetric_oscillator, dense_jacobian, differences, moved, predator_and_prey, solved
+from orbit_problems import (
+    asymmetric_oscillator,
+    dense_jacobian,
+    differences,
+    gauss_problem,
+    moved,
+    predator_and_prey,
+    solved,
+)
 from scipy.integrate import quad, solve_ivp
 
-from casadi_skin.bvp.gauss import GaussProblem, gauss_table
+from casadi_skin.bvp.butcher import gauss_table
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
@@ -58,7 +66,7 @@ def test_table_agrees_with_forty_digits(degree: int) -> None:
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 @pytest.mark.parametrize("sites", [1, 2, 5])
 def test_jacobian_agrees_with_finite_differences_in_every_column(sites: int, symmetry: SymmetryClass) -> None:
-    problem = GaussProblem(Chain(sites, 0.8, 0.3, 1.0).gauge_model(), 2, symmetry, degree=2)
+    problem = gauss_problem(Chain(sites, 0.8, 0.3, 1.0).gauge_model(), 2, symmetry, degree=2)
     z = np.random.default_rng(sites).normal(size=problem.size)
     z[problem.Omega_index] = 1.3
     found, expected = dense_jacobian(problem, z), differences(problem, z)
@@ -70,7 +78,7 @@ def test_jacobian_agrees_with_finite_differences_in_every_column(sites: int, sym
 @pytest.mark.parametrize("model", [asymmetric_oscillator(), predator_and_prey()], ids=lambda m: m.name)
 @pytest.mark.parametrize("degree", [1, 3])
 def test_jacobian_agrees_with_finite_differences_for_models_written_by_hand(model: OdeModel, degree: int) -> None:
-    problem = GaussProblem(model, 3, symmetry_class(model), degree)
+    problem = gauss_problem(model, 3, symmetry_class(model), degree)
     z = np.random.default_rng(0).uniform(0.5, 1.5, size=problem.size)
     expected = differences(problem, z)
     np.testing.assert_allclose(dense_jacobian(problem, z), expected, atol=1e-9 * np.abs(expected).max())
@@ -78,7 +86,7 @@ def test_jacobian_agrees_with_finite_differences_for_models_written_by_hand(mode
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 def test_unknowns_are_counted_one_more_than_equations(symmetry: SymmetryClass) -> None:
-    problem = GaussProblem(Chain(3, 1.0, 0.2, 1.0).gauge_model(), 4, symmetry, degree=3)
+    problem = gauss_problem(Chain(3, 1.0, 0.2, 1.0).gauge_model(), 4, symmetry, degree=3)
     assert problem.states == 6 * (4 * 4 + 1)
     assert problem.size == problem.states + (3 if symmetry is FULL else 2)
     assert problem.evaluate(np.ones(problem.size))[0].size == problem.size - 1
@@ -94,7 +102,7 @@ def test_frequency_of_a_duffing_oscillator_converges_with_order_twice_the_degree
     first = {1: 8, 2: 4, 3: 2}[degree] * round(4 * symmetry.value)
     errors = []
     for intervals in (first, 2 * first, 4 * first):
-        problem = GaussProblem(chain.gauge_model(), intervals, symmetry, degree)
+        problem = gauss_problem(chain.gauge_model(), intervals, symmetry, degree)
         z = solved(problem, chain, 1, S, steps=2)
         errors.append(abs(z[problem.Omega_index] - exact))
     assert errors[-1] > 1e-13  # truncation, not round-off, is what is seen
@@ -111,7 +119,7 @@ def test_a_softening_chain_converges_with_order_twice_the_degree(degree: int) ->
     exact = solved(fine, chain, 1, kappa)[fine.Omega_index]
     errors = []
     for intervals in (3, 6):
-        problem = GaussProblem(chain.gauge_model(), intervals, QUARTER, degree)
+        problem = gauss_problem(chain.gauge_model(), intervals, QUARTER, degree)
         errors.append(abs(solved(problem, chain, 1, kappa)[problem.Omega_index] - exact))
     assert errors[-1] > 1e-13
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * degree, abs=0.7)
@@ -125,7 +133,7 @@ def test_the_three_classes_and_odd_cosines_find_the_same_orbit(sites: int, mode:
     theta = np.random.default_rng(sites).uniform(-25, 25, 60)
     q = reference.sample(z, theta)
     for symmetry in SymmetryClass:
-        problem = GaussProblem(chain.gauge_model(), round(16 * symmetry.value), symmetry, degree=6)
+        problem = gauss_problem(chain.gauge_model(), round(16 * symmetry.value), symmetry, degree=6)
         other = solved(problem, chain, mode, kappa)
         assert other[problem.Omega_index] == pytest.approx(z[reference.Omega_index], rel=3e-13)
         # Between mesh points the collocation polynomial is of degree d + 1 only.
@@ -134,7 +142,7 @@ def test_the_three_classes_and_odd_cosines_find_the_same_orbit(sites: int, mode:
 
 def test_the_unfolding_parameter_comes_back_as_zero() -> None:
     chain = Chain(3, 1.0, 0.3, -1.0)
-    problem = GaussProblem(chain.gauge_model(), 8, FULL, degree=4)
+    problem = gauss_problem(chain.gauge_model(), 8, FULL, degree=4)
     z = solved(problem, chain, 1, -1.0)
     assert abs(z[problem.damping_index]) < 1e-13
     assert problem.damping_index == problem.size - 1
@@ -150,7 +158,7 @@ def test_half_a_period_of_an_asymmetric_oscillator_agrees_with_its_energy_integr
     other = sorted(np.roots([p / 3, 0.5, 0.0, -E]).real)[0]
     middle, half = (0.5 + turn) / 2, (0.5 - turn) / 2
     half_period = quad(lambda u: 1 / np.sqrt(2 * p / 3 * (middle + half * np.sin(u) - other)), -np.pi / 2, np.pi / 2)[0]
-    problem = GaussProblem(asymmetric_oscillator(), 8, HALF, degree=5)
+    problem = gauss_problem(asymmetric_oscillator(), 8, HALF, degree=5)
     z = moved(problem, problem.pack(np.array([0.5]), 1.0, 0.0), p, 4)
     assert z[problem.Omega_index] == pytest.approx(np.pi / half_period, rel=1e-12)
     np.testing.assert_allclose(problem.sample(z, np.array([0.0, np.pi]))[:, 0], [0.5, turn], atol=1e-12)
@@ -161,7 +169,7 @@ def test_an_orbit_that_is_not_odd_is_not_sampled_as_if_it_were() -> None:
     model, p = asymmetric_oscillator(), 0.6
     theta = np.sort(np.random.default_rng(3).uniform(0.0, 20.0, 50))
     for symmetry in (HALF, FULL):
-        problem = GaussProblem(model, round(32 * symmetry.value), symmetry, degree=6)
+        problem = gauss_problem(model, round(32 * symmetry.value), symmetry, degree=6)
         z = moved(problem, problem.pack(np.array([0.5]), 1.0, 0.0), p, 4)
         t = theta / z[problem.Omega_index]
         path = solve_ivp(
@@ -175,7 +183,7 @@ def test_an_orbit_that_is_not_odd_is_not_sampled_as_if_it_were() -> None:
 
 def test_a_conservative_model_of_first_order_without_reversal_is_solved_on_the_full_period() -> None:
     """Predator and prey with x_max = 2: the orbit, its period and its states against DOP853."""
-    problem = GaussProblem(predator_and_prey(), 24, FULL, degree=6)
+    problem = gauss_problem(predator_and_prey(), 24, FULL, degree=6)
     # A guess from a small orbit about (1, p): x - 1 = e cos(theta), y - p = e sqrt(p) sin(theta).
     theta = problem._phases()
     guess = np.stack([1 + 0.9 * np.cos(theta), 1 + 0.9 * np.sin(theta)], axis=1)
@@ -195,7 +203,7 @@ def test_a_conservative_model_of_first_order_without_reversal_is_solved_on_the_f
 
 def test_a_first_order_model_without_a_declared_energy_is_refused_or_regular() -> None:
     try:
-        problem = GaussProblem(predator_and_prey(hamiltonian=None), 4, FULL, degree=2)
+        problem = gauss_problem(predator_and_prey(hamiltonian=None), 4, FULL, degree=2)
     except ValueError as refusal:
         assert "hamiltonian" in str(refusal)  # noqa: PT017
         return
@@ -207,9 +215,9 @@ def test_a_first_order_model_without_a_declared_energy_is_refused_or_regular() -
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 def test_a_finer_mesh_continues_the_same_polynomials(symmetry: SymmetryClass) -> None:
-    problem = GaussProblem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, symmetry, degree=3)
-    finer = GaussProblem(problem.model, 6, symmetry, degree=3)
-    other = GaussProblem(problem.model, 4, symmetry, degree=3)
+    problem = gauss_problem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, symmetry, degree=3)
+    finer = gauss_problem(problem.model, 6, symmetry, degree=3)
+    other = gauss_problem(problem.model, 4, symmetry, degree=3)
     z = np.random.default_rng(1).normal(size=problem.size)
     part = symmetry.value * 2 * np.pi
     theta = np.random.default_rng(2).uniform(0, part, 30)
@@ -226,7 +234,7 @@ def test_a_finer_mesh_continues_the_same_polynomials(symmetry: SymmetryClass) ->
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 def test_sampling_at_mesh_and_stage_phases_returns_the_unknowns(symmetry: SymmetryClass) -> None:
-    problem = GaussProblem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, symmetry, degree=3)
+    problem = gauss_problem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, symmetry, degree=3)
     z = np.random.default_rng(1).normal(size=problem.size)
     nodes = gauss_table(3).nodes
     fractions = np.concatenate([[k / 3, *((k + nodes) / 3)] for k in range(3)])
@@ -235,7 +243,7 @@ def test_sampling_at_mesh_and_stage_phases_returns_the_unknowns(symmetry: Symmet
 
 
 def test_samples_of_a_quarter_are_unfolded_by_both_symmetries() -> None:
-    problem = GaussProblem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, QUARTER, degree=3)
+    problem = gauss_problem(Chain(2, 1.0, 0.3, 1.0).gauge_model(), 3, QUARTER, degree=3)
     z = np.random.default_rng(1).normal(size=problem.size)
     theta = np.random.default_rng(2).uniform(-30, 30, 50)
     q = problem.sample(z, theta)
@@ -265,14 +273,14 @@ def test_classes_whose_symmetries_are_not_declared_are_refused(
 ) -> None:
     model = replace(Chain(2, 1.0, 0.3, 1.0).gauge_model(), **changes)
     with pytest.raises(ValueError, match=f"the {symmetry.name.lower()}-period class needs symmetries"):
-        GaussProblem(model, 4, symmetry)
+        gauss_problem(model, 4, symmetry)
 
 
 @pytest.mark.parametrize("reversal", [(1, 1, 1, -1), (-1, -1, -1, 1), (1, 1, 1, 1)])
 def test_a_reversal_that_fixes_the_wrong_number_of_components_is_refused(reversal: tuple[int, ...]) -> None:
     model = replace(Chain(2, 1.0, 0.3, 1.0).gauge_model(), reversal=reversal)
     with pytest.raises(ValueError, match=r"the reversal fixes .* of 4 components"):
-        GaussProblem(model, 4, HALF)
+        gauss_problem(model, 4, HALF)
 
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
@@ -281,4 +289,4 @@ def test_a_model_with_no_normalisation_or_another_number_of_parameters_is_refuse
     two = ca.vertcat(model.parameters, ca.SX.sym("other"))
     for changes in ({"normalisation": None}, {"parameters": two}):
         with pytest.raises(ValueError, match="one free parameter and a normalisation"):
-            GaussProblem(replace(model, **changes), 4, symmetry)
+            gauss_problem(replace(model, **changes), 4, symmetry)

@@ -18,7 +18,7 @@ def stable_orbit(sites: int, gamma: float, flow: str = "splitting") -> Orbit:
 
 def physical_flow(orbit: Orbit, times: Array) -> list[Array]:
     """Transition matrices of z'' = -(D + 3 g y^2) z in physical coordinates, by DOP853."""
-    n, D, g = orbit.chain.sites, orbit.chain.dynamical_matrix(), orbit.chain.g
+    n, D, g = orbit.model.sites, orbit.model.dynamical_matrix(), orbit.model.g
 
     def rate(t: float, x: Array) -> Array:
         X = x.reshape(2 * n, 2 * n)

@@ -13,8 +13,8 @@ from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.style import save
 from casadi_skin.lattice.log_profile import _continued
-from casadi_skin.results.netcdf import EMPTY, write_netcdf
-from casadi_skin.results.tables import write_csv
+from casadi_skin.results.dataset import EMPTY, write_csv, write_netcdf
+from casadi_skin.results.quantities import dataset_of
 from casadi_skin.theory.multiple_scales import frequency_slope
 
 Array = NDArray[np.float64]
@@ -26,12 +26,12 @@ def breather(sites: int, gamma: float, g: float, **options: str) -> Orbit:
 
 
 def far_to_near(orbit: Orbit, values: Array) -> Array:
-    return values if orbit.chain.gamma >= 0 else values[::-1]
+    return values if orbit.model.gamma >= 0 else values[::-1]
 
 
 def tail(orbit: Orbit) -> Array:
     """log10 of the fundamental of the linear tail but for a constant, from the far end on, by 2 s cosh(kappa)."""
-    chain, n = orbit.chain, np.arange(1, orbit.chain.sites + 1)
+    chain, n = orbit.model, np.arange(1, orbit.model.sites + 1)
     kappa = np.arccosh(abs(orbit.Omega**2 - 2.0 - chain.alpha) / (2.0 * chain.coupling))
     growth = kappa * n + np.log1p(-np.exp(-2.0 * kappa * n))
     return np.asarray((far_to_near(orbit, chain.log_rho) + growth) / np.log(10.0))
@@ -41,9 +41,9 @@ def tail(orbit: Orbit) -> Array:
     ("sites", "gamma", "g", "options", "smallest"),
     [
         (200, 0.99, 1.0, {}, -372.4237),
-        (200, -0.99, -1.0, {}, -374.3432),
-        (200, -0.99, 1.0, {"walker": "arclength"}, -372.4237),
         (200, 1.0 - 1e-9, 1.0, {}, -1765.4168),
+        pytest.param(200, -0.99, -1.0, {}, -374.3432, marks=pytest.mark.slow),
+        pytest.param(200, -0.99, 1.0, {"walker": "arclength"}, -372.4237, marks=pytest.mark.slow),
         pytest.param(1000, 0.25, 1.0, {}, -181.6282, marks=pytest.mark.slow),
         pytest.param(1000, 0.25, 1.0, {"walker": "arclength"}, -181.6282, marks=pytest.mark.slow),
         pytest.param(1000, 0.99, 1.0, {}, -1869.5259, marks=pytest.mark.slow),
@@ -81,20 +81,23 @@ def test_closed_form_of_the_tail_in_and_beside_the_band() -> None:
     np.testing.assert_allclose(signs * np.exp(logs), waves.sum(axis=0)[1:-1], rtol=1e-10, atol=1e-13)
 
 
-def test_shift_at_the_smallest_amplitude() -> None:
-    for sites, gamma in ((24, 0.99), (200, 0.7), (200, -0.25)):
-        for mode in (1, sites):
-            chain = Chain(sites, 1.0, gamma, 1.0)
-            for walker in ("series", "arclength"):
-                branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
-                slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
-                found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
-                assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
+@pytest.mark.parametrize(
+    ("sites", "gamma"),
+    [(24, 0.99), pytest.param(200, 0.7, marks=pytest.mark.slow), pytest.param(200, -0.25, marks=pytest.mark.slow)],
+)
+def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
+    for mode in (1, sites):
+        chain = Chain(sites, 1.0, gamma, 1.0)
+        for walker in ("series", "arclength"):
+            branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
+            slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
+            found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
+            assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
 
 
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
     branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         assert file.variables["log10_profile"][-1].min() < -1000.0
         assert set(np.unique(file.variables["profile_sign"][:])) == {-1, 1}
@@ -106,7 +109,7 @@ def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
 
 def test_sites_at_rest_are_empty(tmp_path: Path) -> None:
     branch = follow_family(Chain(3, 1.0, 1.0, 1.0), 3, 0.5, corrector="newton")
-    write_netcdf(tmp_path / "family.nc", [branch], "", "", False)
+    write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         logs = file.variables["log10_profile"]
         assert np.all(logs[:, :2] == EMPTY)
@@ -122,7 +125,7 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     assert not (tmp_path / "family.csv").exists()
 
 
-@pytest.mark.parametrize("corrector", ["newton", "ipopt"])
+@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
     for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
         found = [
@@ -132,7 +135,7 @@ def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
         np.testing.assert_allclose(found, found[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1e-8, 1e6])
+@pytest.mark.parametrize("alpha", [0.0, pytest.param(1e-8, marks=pytest.mark.slow), 1e6])
 def test_soft_and_stiff_sites(alpha: float) -> None:
     for mode in (1, 24):
         branch = follow_family(Chain(24, alpha, 0.25, 1.0), mode, 0.5, at=(1e-14,), corrector="newton")

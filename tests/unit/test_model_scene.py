@@ -12,10 +12,12 @@ import pytest
 
 from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.results.branch import BranchPoint, extremes
-from casadi_skin.runs.model_request import bind
-from casadi_skin.runs.model_solution import cycle, first_solution
-from casadi_skin.scene import ModelScene, Scene, SceneError, parse_any_scene, parse_scene, scene_schema
+from casadi_skin.models.saved import save_model
+from casadi_skin.results.extremes import extremes
+from casadi_skin.results.quantities import Place
+from casadi_skin.runs.binding import bind
+from casadi_skin.runs.first_solution import cycle, first_solution
+from casadi_skin.scene import Scene, SceneError, parse_scene, scene_schema
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'
 MODELS = """
@@ -54,8 +56,26 @@ def guess(t):
 
 def guess_of_three(t):
     return [t, t, t]
+
+q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+
+def pair(coupling=0.1, reversal=(1, 1, -1, -1)):
+    potential = ca.sumsqr(q) / 2 + coupling * (q[0] - q[1]) ** 2 / 2 + mu * ca.sum1(q**4) / 4
+    return OdeModel(
+        "pair", q, -ca.gradient(potential, q), mu, 2, v, nominal=(1.0,), reversal=reversal, half_period=(-1,) * 4,
+        hamiltonian=ca.sumsqr(v) / 2 + potential,
+    )
+
+def equal():
+    return pair(0.0)
+
+def irreversible():
+    return pair(reversal=None)
 """
+CHAIN = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
+FAMILY = "[family]\nmode = {mode}\namplitude_max = 1.0\n"
 ORBIT = "[orbit]\nstart = [2.0, 0.0]\nperiod = 6.6\n"
+CHAIN_ORBIT = "[orbit]\nstart = [0.0, 0.5, 0.0, 0.0]\nperiod = 3.0\nselect = { y_2 = 0.5 }\nsymmetric = true\n"
 SYMMETRIC = "[orbit]\nstart = [1.0, 0.0]\nperiod = 6.7\nselect = { x = 1.0 }\nsymmetric = true\n"
 
 
@@ -64,22 +84,23 @@ def scene_of(name: str, rest: str = "", parameters: str = "") -> str:
     return MODEL.format(name=name) + given + rest
 
 
+def family_of(name: str, mode: str, rest: str = "", parameters: str = "") -> str:
+    return scene_of(name, FAMILY.format(mode=mode) + rest, parameters)
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "models.py").write_text(MODELS, encoding="utf-8")
     return tmp_path
 
 
-def parsed(text: str) -> ModelScene:
-    scene = parse_any_scene(text, "scene.toml")
-    assert isinstance(scene, ModelScene)
-    return scene
+def parsed(text: str) -> Scene:
+    return parse_scene(text, "scene.toml")
 
 
 def _read(text: str, folder: Path | None) -> None:
-    scene = parse_any_scene(text, "scene.toml")
+    scene = parsed(text)
     assert folder is not None
-    assert isinstance(scene, ModelScene)
     bind(scene, folder / "scene.toml")
 
 
@@ -103,26 +124,28 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
     assert scene.orbit.start == (2.0, 0.0)
     assert (scene.solution, scene.continuation, scene.stability) == (None, None, None)
     assert scene.accuracy.relative_tolerance == 1e-8
-    chain = parse_any_scene("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n")
-    assert isinstance(chain, Scene)
+    chain = parsed("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n")
+    assert (chain.sites, scene.sites) == (3, None)
+    assert (chain.model, scene.chain) == (None, None)
     assert not chain.same_request(scene)
     assert not scene.same_request(chain)
     assert scene.same_request(parsed('title = "another"\n' + scene_of("van_der_pol", ORBIT, "mu = 1.0")))
-    with pytest.raises(SceneError, match="where a scene of a chain is read"):
-        parse_scene(scene_of("van_der_pol"))
+    named = '[method]\ntranscription = "gauss"\nflow = "collocation"\n'
+    assert scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named, "mu = 1")))
+    assert not scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named.replace("gauss", "radau"), "mu = 1")))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
-        ("[orbit]\nstart = [1]\n", "[orbit]: given without [model]; accepted: beside [model]"),
+        ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table "),
         ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain] or [model] in one scene"),
-        ("[model]\n[family]\n", "[family]: given beside [model]; accepted: beside [chain]"),
+        (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites, "),
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
-        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [model], [orbit], "),
+        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [chain], [model], "),
         ("[model]\nfiles = 'a.py'\n", "[model] files: unknown key; did you mean 'file'? (accepted: file, name, "),
-        ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by OdeModel.save"),
+        ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by save_model"),
         ('[model]\nfile = "a.py"\n', "[model] name: missing; accepted: with a Python file the name of the model in it"),
         ('[model]\nfile = "a.txt"\n', '[model] file: given "a.txt"; accepted: a name that ends in .py or .json'),
         ('[model]\nfile = "a.json"\nname = "b"\n', '[model] name: given "b" with file = "a.json"; accepted: none: '),
@@ -137,30 +160,64 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         (scene_of("a", ORBIT + "select = { x = 1, y = 2 }"), "[orbit] select: given {x = 1, y = 2}; accepted: "),
         (scene_of("a", SYMMETRIC + "section = { y = 0 }"), "[orbit] section: given with symmetric = true; accepted: "),
         (scene_of("a", ORBIT + "[solution]\nguess = [0]\n"), "[solution]: given beside [orbit]; accepted: [orbit] or "),
-        (scene_of("a", "[stability]\n"), "[stability]: given without [orbit]; accepted: beside an [orbit], whose "),
-        (scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"), "[continuation]: given without what it follows; "),
+        (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a "),
+        (
+            scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"),
+            "[continuation]: given without [orbit] or [solution]; accepted: beside an [orbit] or a [solution], from ",
+        ),
         (
             scene_of("a", ORBIT + "[continuation]\nparameter = 'b'\nto = 3\nat = [2, 2]\n"),
             "[continuation] at: given 2.0 as item 2 again; accepted: each number once",
         ),
-        (scene_of("a", "[method]\ntranscription = 'trigonometric'\n"), "[method] transcription: given "),
+        (scene_of("a", ORBIT + "[method]\ntranscription = 'trigonometric'\n"), "[method] transcription: given "),
+        (
+            scene_of("a", ORBIT + "[method]\nflow = 'splitting'\n"),
+            '[method] flow: given "splitting" without [family]; ',
+        ),
+        (scene_of("a", ORBIT + "[method]\nwalker = 'arclength'\n"), '[method] walker: given "arclength"; accepted: be'),
+        (scene_of("a", ORBIT + "[method]\ntail = 'full'\n"), '[method] tail: given "full"; accepted: beside [family]'),
+        (family_of("a", "1", ORBIT), "[orbit]: given beside [family]; accepted: [family] or [orbit] in one scene"),
+        (family_of("a", "1", "[method]\nintervals = 5\n"), "[method] intervals: given 5; accepted: beside [orbit] or "),
+        (family_of("a", "1", "[method]\nflow = 'collocation'\n"), '[method] flow: given "collocation" with [family]; '),
+        (family_of("a", "[1, 1]"), "[family] mode: given 1 more than once; accepted: each mode once"),
+        (family_of("a", "0"), "[family] mode: given 0; accepted: whole numbers from 1, first, last"),
+        (
+            family_of("a", "['first', 'last']", "[dynamics]\nS = 0.5\nperiods = 1\n"),
+            '[dynamics] mode: missing; accepted: one of the modes of [family], ["first", "last"]',
+        ),
+        (
+            scene_of("a", ORBIT + "[dynamics]\nS = 0.5\nperiods = 1\n"),
+            "[dynamics] S: given 0.5; accepted: beside a [family]",
+        ),
+        (
+            CHAIN + CHAIN_ORBIT.replace("symmetric = true", ""),
+            "[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families",
+        ),
+        (
+            CHAIN.replace("= 2", "= inf") + CHAIN_ORBIT,
+            "[orbit]: given with sites = inf; accepted: with a whole number ",
+        ),
+        (
+            CHAIN + "[solution]\nguess = [0]\n",
+            "[solution]: given beside [chain]; accepted: beside [model], whose file ",
+        ),
     ],
 )
 def test_faults_that_show_without_the_model(text: str, message: str) -> None:
     assert fault_of(text).startswith(message)
 
 
-def test_the_schema_has_both_kinds_of_scene() -> None:
+def test_the_schema_has_one_scene_of_a_chain_or_a_model() -> None:
     schema = json.loads(json.dumps(scene_schema()))
-    assert schema["anyOf"] == [{"$ref": "#/$defs/Scene"}, {"$ref": "#/$defs/ModelScene"}]
-    assert schema["$defs"]["ModelScene"]["required"] == ["model"]
+    assert schema["$ref"] == "#/$defs/Scene"
+    assert schema["$defs"]["Scene"]["anyOf"] == [{"required": ["chain"]}, {"required": ["model"]}]
     assert not schema["$defs"]["OrbitTable"]["additionalProperties"]
 
 
 def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
     code = (
-        "import sys; from casadi_skin.scene import parse_any_scene; "
-        f"parse_any_scene({scene_of('a', ORBIT)!r}); "
+        "import sys; from casadi_skin.scene import parse_scene; "
+        f"parse_scene({scene_of('a', ORBIT)!r}); "
         "assert not {'casadi', 'numpy', 'scipy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -244,6 +301,63 @@ def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
             scene_of("makes", ORBIT + "[continuation]\nparameter = 'mu'\nto = 3\nat = [2, 4]\n", "mu = 1"),
             "[continuation] at: given 4.0 as item 2; accepted: numbers from 1.0 to 3.0",
         ),
+        (
+            CHAIN + CHAIN_ORBIT + "[continuation]\nparameter = 'gama'\nto = 2\n",
+            '[continuation] parameter: given "gama"; did you mean "gamma"? (accepted: alpha, gamma, g, select)',
+        ),
+        (
+            CHAIN + CHAIN_ORBIT + "[continuation]\nparameter = 'gamma'\nto = 2\n",
+            "[continuation] to: given 2.0 for gamma; accepted: numbers from -1 to 1",
+        ),
+        (
+            CHAIN + CHAIN_ORBIT.replace("y_2", "y_3"),
+            '[orbit] select: given "y_3"; did you mean "y_2"? (accepted: y_1, ',
+        ),
+        (
+            family_of("irreversible", "1"),
+            "[family]: given pair; accepted for families: a model with a declared reversal ",
+        ),
+        (family_of("pendulum", "1"), "[family]: given pendulum; accepted for families: a model of second order, with "),
+        (
+            family_of("equal", "1"),
+            "[family] mode: modes 1, 2 of pair have the same frequency: no family belongs to one ",
+        ),
+        (family_of("pair", "3"), "[family] mode: given 3; accepted: 1..2, first, last"),
+        (family_of("pair", "['last', 2]"), "[family] mode: given mode 2 more than once; accepted: each mode once"),
+        (
+            family_of("pair", "1", "[method]\ntail = 'full'\n"),
+            "[method] tail: given 'full'; accepted: with a chain alone",
+        ),
+        (
+            family_of("pair", "1", "[method]\ndegree = 4\n"),
+            "[method] degree: given 4; accepted: with gauss or radau only",
+        ),
+        (family_of("pair", "1", "", "m = 1"), '[model] parameters: given "m"; did you mean "mu"? (accepted: mu)'),
+        (
+            family_of("pair", "1", "period_max = 6.2\n"),
+            "[family] period_max: given 6.2; accepted: a finite number > 6.28318530718 (the period of linear mode 1)",
+        ),
+        (
+            family_of("pair", "['first', 'last']", "[dynamics]\nS = 0.5\nperiods = 1\nmode = 3\n"),
+            "[dynamics] mode: given 3; accepted: one of the modes of [family], [1, 2]",
+        ),
+        (
+            family_of("pair", "1", "[dynamics]\nS = 0.5\nperiods = 1\nsize = 1\nsite = 3\n"),
+            "[dynamics] site: given 3; accepted: whole numbers from 1 to 2 (q_0, q_1)",
+        ),
+        (
+            family_of("pair", "1", "[dynamics]\nS = 0.5\nperiods = 1\nsize = 1\nvector = [1]\n"),
+            "[dynamics] vector: given a list of 1; accepted: 2 displacements, or these and 2 velocities",
+        ),
+        (
+            scene_of("makes", ORBIT + "[dynamics]\nperiods = 1\nsize = 1\nvector = [1]\n", "mu = 1"),
+            "[dynamics] vector: given a list of 1; accepted: 2 numbers",
+        ),
+        (
+            scene_of("makes", "[spectrum]\n", "mu = 1"),
+            "[spectrum]: given van der Pol; accepted for families: a model of ",
+        ),
+        (scene_of("bounded", "[spectrum]\n"), "[spectrum]: given with bounded, a BoundaryValueProblem; accepted: "),
     ],
 )
 def test_faults_that_the_model_shows(text: str, message: str, folder: Path) -> None:
@@ -325,7 +439,7 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
 
 def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
     made = bind(parsed(scene_of("makes", ORBIT, "mu = 1")), folder / "scene.toml").model
-    made.save(folder / "saved.json")
+    save_model(made, folder / "saved.json")
     text = '[model]\nfile = "saved.json"\nparameters = { mu = 1.0 }\n' + ORBIT
     request = bind(parsed(text), folder / "scene.toml")
     assert isinstance(request.model, OdeModel)
@@ -339,6 +453,6 @@ def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
 def test_a_solution_from_a_guess_in_the_file(folder: Path) -> None:
     request = bind(parsed(scene_of("bounded", "[solution]\nguess = 'guess'\n")), folder / "scene.toml")
     solution = first_solution(request)
-    point = BranchPoint(solution, None)
+    point = Place(solution, 0)
     assert point.extremes[1][0] == pytest.approx(0.14053921440047, abs=1e-9)  # at the middle, by symmetry
     assert point.extremes[1][1] == pytest.approx(solution.evaluate(0.0)[0, 1])  # of u' at the start

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import FrozenInstanceError, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.saved import read_model, save_model
 
 Make = Callable[..., OdeModel]
 
@@ -359,7 +363,7 @@ def test_the_ends_of_an_interval_have_their_own_symbols() -> None:
         ({"hamiltonian": ca.SX(1)}, "forced: a hamiltonian in a model that is forced"),
         ({"half_period": (1, -1)}, "forced: the declared half_period is not a symmetry"),
         ({"reversal": (1, -1)}, "forced: the declared reversal is not a symmetry"),
-        ({"shown": (1.0,)}, "forced: shown needs 2 factors, given 1"),
+        ({"output_scale": (1.0,)}, "forced: output_scale needs 2 factors, given 1"),
     ],
 )
 def test_declarations_that_do_not_fit_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
@@ -409,7 +413,7 @@ def mx_model() -> OdeModel:
 @pytest.mark.parametrize("make", [pendulums, predator, van_der_pol, forced, mx_model])
 def test_what_is_read_is_what_was_saved(make: Make, tmp_path: Path) -> None:
     model = make()
-    again = OdeModel.read(model.save(tmp_path / "model.json"))
+    again = read_model(save_model(model, tmp_path / "model.json"))
     for label in ("name", "order", "size", "state_names", "parameter_names", "reversal", "half_period", "nominal"):
         assert getattr(again, label) == getattr(model, label)
     assert (again.forced, list(again.outputs)) == (model.forced, list(model.outputs))
@@ -441,21 +445,21 @@ def test_other_files_are_refused_in_one_line(text: str, words: str, tmp_path: Pa
     path = tmp_path / "model.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=words) as error:
-        OdeModel.read(path)
+        read_model(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_and_a_picture_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot be read as a saved model"):
-        OdeModel.read(tmp_path / "nothing.json")
+        read_model(tmp_path / "nothing.json")
     (tmp_path / "picture.png").write_bytes(bytes(range(256)))
     with pytest.raises(ValueError, match="cannot be read as a saved model"):
-        OdeModel.read(tmp_path / "picture.png")
+        read_model(tmp_path / "picture.png")
 
 
 def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
-    path = forced().save(tmp_path / "model.json")
+    path = save_model(forced(), tmp_path / "model.json")
     text = path.read_text(encoding="utf-8")
     broken = [text.replace('"results": [', '"results": ["more", '), text.replace('"name": "forced",', ""),
               text.replace('"nominal": [', '"nominal": [1.0, ')]  # fmt: skip
@@ -463,8 +467,30 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
         assert damaged != text
         path.write_text(damaged, encoding="utf-8")
         with pytest.raises(ValueError, match=r"model.json|forced|nominal") as error:
-            OdeModel.read(path)
+            read_model(path)
         assert "\n" not in str(error.value)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Labelled(OdeModel):
+    """A model with more to say than other processes need."""
+
+    label: str
+
+
+def test_a_subclass_is_pickled_as_the_model_that_it_is() -> None:
+    again = pickle.loads(pickle.dumps(Labelled(name="line", state=(x := ca.SX.sym("x")), rhs=-2 * x, label="no more")))
+    assert type(again) is OdeModel
+    assert float(again.vector_field(0.0, 3.0, [])) == -6.0
+
+
+def test_a_model_is_pickled_where_nothing_else_was_imported() -> None:
+    program = (
+        "import pickle, casadi as ca; from casadi_skin import OdeModel; x = ca.SX.sym('x'); "
+        "print(pickle.loads(pickle.dumps(OdeModel('line', x, -2 * x))).vector_field(0.0, 3.0, []))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["-6"]
 
 
 # MX -----------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Chain
-from casadi_skin.models.polynomial import Monomials, NotPolynomialError, polynomial_terms
+from casadi_skin.models.polynomial import Monomials, NotPolynomialError, homogeneous_parts, polynomial_terms
 
 
 def value(terms: tuple[Monomials, ...], x: NDArray[np.float64], p: float, size: int) -> NDArray[np.float64]:
@@ -65,3 +65,45 @@ def test_a_sum_of_many_terms_takes_time_in_proportion() -> None:
     (constant, squares) = polynomial_terms(model.normalisation, model.state, model.parameters)
     assert constant.coefficients == pytest.approx([-1.0])
     assert squares.rows.size == 3000
+
+
+# Homogeneous parts ----------------------------------------------------------------------------------------------------
+
+
+def test_homogeneous_parts_scale_by_their_degree_and_sum_up_to_the_whole() -> None:
+    x = ca.SX.sym("x", 3)
+    expression = ca.vertcat(
+        (x[0] - 2 * x[1]) ** 3 + x[2] / 4 - 7,
+        (1 + x[0]) ** 4 - x[1] * x[2],
+        x[0] * x[1] * x[2] * ca.dot(x, x) / 2,
+    )
+    parts = homogeneous_parts(expression, x)
+    assert set(parts) == {0, 1, 2, 3, 4, 5}
+    point = np.array([0.3, -1.1, 0.7])
+
+    def at(part: ca.SX, here: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array(ca.Function("f", [x], [ca.densify(part)])(here)).ravel()
+
+    np.testing.assert_allclose(sum(at(p, point) for p in parts.values()), at(expression, point), rtol=1e-14)
+    for degree, part in parts.items():
+        assert part.shape == (3, 1)
+        np.testing.assert_allclose(at(part, 2 * point), 2.0**degree * at(part, point), rtol=1e-14)
+    np.testing.assert_allclose(at(parts[3], point), [(0.3 + 2.2) ** 3, 4 * 0.3**3, 0.0], rtol=1e-14)
+
+
+def test_homogeneous_parts_of_a_lattice_are_not_multiplied_out() -> None:
+    """Cubes of differences of a thousand sites: as many operations in each part as in the whole, but for a factor."""
+    x = ca.SX.sym("x", 1000)
+    d = ca.vertcat(x, 0) - ca.vertcat(0, x)
+    whole = ca.vertcat(d[1:] - d[:-1] + d[1:] ** 3 - d[:-1] ** 3 - x)
+    parts = homogeneous_parts(whole, x)
+    assert set(parts) == {1, 3}
+    operations = [ca.Function("f", [x], [p]).n_instructions() for p in (whole, *parts.values())]
+    assert max(operations[1:]) < 3 * operations[0]
+
+
+@pytest.mark.parametrize("make", [lambda x: ca.sin(x), lambda x: 1 / x, lambda x: x**0.5, lambda x: ca.fabs(x)])
+def test_what_has_no_homogeneous_parts_is_refused(make) -> None:  # type: ignore[no-untyped-def]
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(NotPolynomialError, match=r"is in the expression$"):
+        homogeneous_parts(make(x), x)

@@ -10,9 +10,9 @@ import pytest
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_frequency
 
 
@@ -32,7 +32,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
 HARDEST_AMID = (Chain(2, 0.808, 0.65, -1.0), 1, 3.3)
 
 
-@pytest.mark.parametrize("method", ["trigonometric", "gauss"])
+@pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
 def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method: str) -> None:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8, method=method)
@@ -60,7 +60,7 @@ def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypat
 
 def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> None:
     branch = followed(Chain(6, 1.0, 0.4, -1.0), 1, 2.0, 1e-12)
-    levels = branch.tools.levels
+    levels = branch.space.levels
     ratios = []
     for orbit in branch.orbits[len(branch) // 2 :: 3]:
         point, coarser = orbit.point, levels.problem(6)
@@ -79,45 +79,51 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
     resolutions = [o.point.problem.resolution for o in branch.orbits]
     # just before the last step down
     kept = 1 + max(k for k in range(len(resolutions) - 1) if resolutions[k + 1] < resolutions[k])
-    again = FamilyContinuation(FamilyTools(branch.tools.request), orbits=branch.orbits[:kept])
+    again = Following(Family(branch.space.request), solutions=branch.orbits[:kept])
     list(again)
     np.testing.assert_array_equal(again.branch().S, branch.S)
     np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
 
 
 def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
-    request = FamilyRequest(Chain(3, 1.0, 0.3, 1.0), 3, 1.0, (), 1e-4, "gauss", "newton", degree=2)
-    tools = FamilyTools(request)
+    request = family_request(
+        Chain(3, 1.0, 0.3, 1.0), 3, 1.0, tolerance=1e-4, transcription="gauss", corrector="newton", degree=2
+    )
+    tools = Family(request)
     start = tools.start
     assert start.problem.resolution > tools.levels.resolutions[0]
     step = tools.levels.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
     assert abs(step[start.problem.Omega_index]) < 1e-4 * start.Omega
-    assert FamilyTools(replace(request, transcription="trigonometric", degree=None)).start.problem.resolution == 4
+    cosines = replace(request, method=replace(request.method, transcription="trigonometric", degree=None))
+    assert Family(cosines).start.problem.resolution == 4
 
 
 # Round-off ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (-1.0, 2.9), (0.5, 3.0)])
-@pytest.mark.parametrize("method", ["trigonometric", "gauss", "radau"])
+@pytest.mark.parametrize(
+    ("g", "amplitude_max"),
+    [(1.0, 50.0), pytest.param(-1.0, 2.9, marks=pytest.mark.slow), pytest.param(0.5, 3.0, marks=pytest.mark.slow)],
+)
+@pytest.mark.parametrize("method", ["trigonometric", "gauss", pytest.param("radau", marks=pytest.mark.slow)])
 def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_of_round_off(
     g: float, amplitude_max: float, method: str
 ) -> None:
     branch = followed(Chain(1, 1.0, 0.0, g), 1, amplitude_max, 1e-13, method=method)
     assert branch.complete
     for orbit in branch.orbits:
-        exact = exact_frequency(branch.tools.request.chain, orbit.S)
+        exact = exact_frequency(branch.space.model, orbit.S)
         assert abs(orbit.Omega - exact) <= 1.2 * orbit.Omega_error + 1e-15 * exact
         assert orbit.Omega_error >= 2e-15 * orbit.Omega
         assert orbit.at_round_off == (orbit.point.error.relative(orbit.Omega) > 1e-13)
 
 
-@pytest.mark.parametrize("sites", [2, 10, 40])
+@pytest.mark.parametrize("sites", [2, 10, pytest.param(40, marks=pytest.mark.slow)])
 def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites: int) -> None:
     """The same orbit on many resolutions: they differ by round-off only, and by less than the estimates say."""
     chain = Chain(sites, 0.9, 0.25, -1.0)
     branch = followed(chain, 1, 0.8, 1e-12)
-    levels, point = branch.tools.levels, branch.orbits[-1].point
+    levels, point = branch.space.levels, branch.orbits[-1].point
     found, estimates = [], []
     for harmonics in (14, 16, 20, 24, 28, 32, 40):
         problem = levels.problem(harmonics)

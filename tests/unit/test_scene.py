@@ -27,7 +27,10 @@ from casadi_skin.scene import (
 
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
-NAMES = ("chain", "spectrum", "family", "stability", "dynamics", "search", "export", "accuracy", "method")
+NAMES = (
+    *("chain", "model", "spectrum", "family", "orbit", "solution", "continuation", "stability", "dynamics"),
+    *("search", "export", "accuracy", "method"),
+)
 TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
 
 
@@ -67,7 +70,8 @@ def test_a_chain_alone_asks_for_nothing_else() -> None:
     assert (scene.title, scene.spectrum, scene.family, scene.stability) == (None, None, None, None)
     assert scene.dynamics is None
     assert scene.accuracy.relative_tolerance == 1e-8
-    assert scene.method == MethodTable(transcription="trigonometric", corrector="ipopt", walker=None, flow="splitting")
+    assert (scene.model, scene.orbit, scene.solution, scene.continuation) == (None, None, None, None)
+    assert scene.method == MethodTable(transcription=None, corrector="ipopt", walker=None, flow=None)
 
 
 def test_the_scene_of_the_manual() -> None:
@@ -187,7 +191,7 @@ def test_same_request_ignores_the_title_alone() -> None:
             "at_Omega, at_period, period_max, max_points, film)",
         ),
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
-        ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g"),
+        ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
         ("[chain]\nsites = 3\nalpha = 1\ng = 1", "[chain] gamma: missing; accepted: a number >= -1 and <= 1"),
         (CHAIN + "[family]\nmode = 1", "[family] amplitude_max: missing; accepted: a finite number > 0"),
         ("chain = 3", "[chain]: given 3 (a whole number); accepted: one table [chain]"),
@@ -326,7 +330,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             "[stability]",
-            "[stability]: given without [family]; accepted: beside a [family], whose stability it asks for",
+            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], whose "
+            "stability it asks for",
         ),
         (
             '[accuracy]\npreset = "standart"',
@@ -360,7 +365,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             '[method]\nflow = "cvode"',
-            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes", "gauss", "rk4")',
+            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes", "gauss", "rk4" for '
+            'families (left out: splitting); "collocation", "cvodes" for orbits (left out: collocation))',
         ),
         (
             '[method]\ncorrector = "Ipopt"',
@@ -368,20 +374,20 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             '[method]\ntranscription = "x"',
-            '[method] transcription: given "x"; accepted: "trigonometric", "gauss", "radau", "shooting"',
+            '[method] transcription: given "x"; accepted: "trigonometric", "gauss", "radau", "shooting" (left out: '
+            "trigonometric for families whose model is odd and reversible, else gauss)",
         ),
         (
             '[method]\ntranscription = "radau"\ndegree = 13',
-            "[method] degree: given 13; accepted: a whole number >= 2 and <= 12, with one of gauss, radau "
-            "(left out: 5 to 12 by the tolerance)",
+            "[method] degree: given 13; accepted: a whole number >= 1 (families: 2) and <= 12, with one of gauss, "
+            "radau (left out: families 5 to 12 by the tolerance, others 6)",
         ),
         (
-            '[method]\ntranscription = "gauss"\ndegree = 1',
-            "[method] degree: given 1; accepted: a whole number >= 2 and <= 12, with one of gauss, radau "
-            "(left out: 5 to 12 by the tolerance)",
+            FAMILY + '[method]\ntranscription = "gauss"\ndegree = 1',
+            "[method] degree: given 1; accepted: with a [family] a whole number >= 2 and <= 12",
         ),
         (
-            "[method]\ndegree = 4",
+            FAMILY + "[method]\ndegree = 4",
             '[method] degree: given 4 with transcription = "trigonometric"; '
             'accepted: with transcription = "gauss" or "radau" only',
         ),
@@ -461,9 +467,9 @@ def test_wrong_dynamics(changes: dict[str, str], message: str) -> None:
     assert fault_of(CHAIN + family(mode="[1, 2]") + dynamics(**({"mode": "1"} | changes))) == message
 
 
-def test_dynamics_needs_a_family() -> None:
-    message = "[dynamics]: given without [family]; accepted: beside a [family], one of whose orbits it follows in time"
-    assert fault_of(CHAIN + dynamics()) == message
+def test_dynamics_needs_a_family_or_an_orbit() -> None:
+    accepted = "beside a [family] or an [orbit], which it follows in time"
+    assert fault_of(CHAIN + dynamics()) == f"[dynamics]: given without [family] or [orbit]; accepted: {accepted}"
 
 
 @pytest.mark.parametrize("kick", [{"site": "23"}, {"seed": "1"}, {"vector": str([0] * 22 + [1] * 2)}])
@@ -615,7 +621,7 @@ def test_a_file_that_is_not_utf8(tmp_path: Path) -> None:
 
 def test_the_schema_says_what_the_messages_say() -> None:
     tables = json.loads(json.dumps(scene_schema()))["$defs"]
-    assert tables["Scene"]["required"] == ["chain"]
+    assert tables["Scene"]["anyOf"] == [{"required": ["chain"]}, {"required": ["model"]}]
     assert not tables["FamilyTable"]["additionalProperties"]
     sites = tables["ChainTable"]["properties"]["sites"]
     whole, infinite = sites["anyOf"]

@@ -12,26 +12,32 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
+from casadi_skin.optimise.chain_family import ChainFamily
+from casadi_skin.optimise.family_nlp import FamilyNlp
+from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.observables import Observables
-from casadi_skin.optimise.optimality import kkt
+from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.pareto import pareto_front
-from casadi_skin.optimise.request import SearchRequest, search_request
+from casadi_skin.optimise.processes import SearchProgress
 from casadi_skin.optimise.result import SearchResult, SearchStatus
-from casadi_skin.optimise.running import SearchProgress
-from casadi_skin.optimise.search_nlp import programme
-from casadi_skin.optimise.starts import Ending, family_orbits, packed, sample_starts
+from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.theory.duffing import duffing_frequency
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
 
-def request_of(chain: Chain = SHORT, **changes: Any) -> SearchRequest:
-    given: dict[str, Any] = {
-        "mode": None, "S": 1.0, "objective": "Omega", "maximise": False, "free": ("gamma",), "bounds": {},
-        "constraints": (), "tolerance": 1e-9,
-    }  # fmt: skip
-    return search_request(chain, **(given | changes))
+def stated(chain: Chain = SHORT, **changes: Any) -> FamilySearch:
+    given: dict[str, Any] = {"S": 1.0, "objective": "Omega", "free": ("gamma",), "tolerance": 1e-9}
+    return FamilySearch.of(ChainFamily.of(chain, None), **(given | changes))
+
+
+def first_point(problem: FamilySearch, harmonics: int) -> tuple[FamilyNlp, np.ndarray]:
+    """The programme on a number of harmonics, and the first start's orbit."""
+    nlp, start = FamilyNlp(problem, harmonics), problem.starts(1, 0)[0]
+    members = problem.members(start.free)
+    assert members is not None
+    return nlp, nlp.packed(start.free, members)
 
 
 def search(chain: Chain = SHORT, **changes: Any) -> SearchResult:
@@ -42,16 +48,23 @@ def search(chain: Chain = SHORT, **changes: Any) -> SearchResult:
 # The equations and the named quantities ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gamma", [0.3, -0.3, 0.0])
-@pytest.mark.parametrize("g", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("g", "gamma"),
+    [
+        (1.0, 0.3),
+        (-1.0, -0.3),
+        (1.0, 0.0),
+        *(pytest.param(g, gamma, marks=pytest.mark.slow) for g, gamma in ((1.0, -0.3), (-1.0, 0.3), (-1.0, 0.0))),
+    ],
+)
 def test_quantities_of_an_orbit_are_those_of_its_family(gamma: float, g: float) -> None:
     chain = Chain(6, 1.0, gamma, g)
-    request = request_of(chain, objective="Omega_slope", free=("S",), S=0.5)
-    nlp, start = programme(request, 12), sample_starts(request, 1, 0)[0]
-    x = packed(nlp, start, family_orbits(request, start.free))
-    (values,) = nlp.values(x, tuple(NAMED))
+    problem = stated(chain, objective="Omega_slope", free=("S",), S=0.5)
+    nlp, x = first_point(problem, 12)
+    (values,) = nlp.values(x)
+    assert set(values) == {*NAMED, "alpha_n"}
     h = 0.01
-    branch = follow_family(chain, request.mode, 0.5 + h, at=[0.5 - h, 0.5, 0.5 + h], tolerance=1e-11)
+    branch = follow_family(chain, problem.family.mode, 0.5 + h, at=[0.5 - h, 0.5, 0.5 + h], tolerance=1e-11)
     left, orbit, right = (branch.at(S=S) for S in (0.5 - h, 0.5, 0.5 + h))
     y = orbit.profile
     expected = {
@@ -65,15 +78,12 @@ def test_quantities_of_an_orbit_are_those_of_its_family(gamma: float, g: float) 
     assert abs(values["Omega_slope"] - (right.Omega - left.Omega) / (2 * h)) < 1e-4
     assert abs(values["energy_slope"] - (right.energy - left.energy) / (2 * h)) < 1e-3
     # An orbit that is solved has residual zero, and its tangent as well.
-    assert np.max(np.abs(nlp.residual(x)[: nlp.equations])) < 1e-8
+    assert np.max(np.abs(nlp.residual(x)[nlp.limits.equations])) < 1e-8
 
 
 def test_derivatives_are_exact() -> None:
-    request = request_of(
-        objective="energy_slope", free=("S", "gamma", "alpha", "g"), constraints=[("above_band", 0, 0)]
-    )
-    nlp, start = programme(request, 6), sample_starts(request, 1, 0)[0]
-    x, rng = packed(nlp, start, family_orbits(request, start.free)), np.random.default_rng(0)
+    problem = stated(objective="energy_slope", free=("S", "gamma", "alpha", "g"), constraints=[("above_band", 0, 0)])
+    (nlp, x), rng = first_point(problem, 6), np.random.default_rng(0)
     lam, way = rng.normal(size=nlp.residual(x).size), rng.normal(size=nlp.size)
     h = 1e-6
     ahead, behind = x + h * way, x - h * way
@@ -105,6 +115,7 @@ def slope_of(gamma: float) -> float:
     return float((8 * (c - b) - (d - a)) / 0.12)
 
 
+@pytest.mark.slow
 def test_least_slope_is_that_of_plain_families() -> None:
     result = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=3)
     plain = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-6})
@@ -120,28 +131,28 @@ def test_every_optimum_is_solved_again_as_a_plain_orbit() -> None:
     assert result.status is SearchStatus.ON_BOUND
     assert "gamma <= 0.6" in best.active
     assert best.kkt.largest < 1e-9
-    check = best.orbit.check
+    check = best.check
     assert check.converged
     assert abs(check.Omega_difference) < 1e-8
     assert check.residual < 1e-12
     assert check.family_difference is not None
     assert abs(check.family_difference) < 1e-8
     assert best.on_family
-    y = best.orbit.evaluate([0.0, best.orbit.values["period"] / 2])
+    y = best.orbit.evaluate([0.0, best.period / 2])
     np.testing.assert_allclose(y[0], best.orbit.profile)
     np.testing.assert_allclose(y[1], -best.orbit.profile, atol=1e-12)
     assert abs(np.sum(best.orbit.profile**2) - best.S) < 1e-10
 
 
 def test_wrong_multipliers_are_no_optimum() -> None:
-    request = request_of(objective="participation", bounds={"gamma": (0.1, 0.6)})
-    nlp, start = programme(request, 8), sample_starts(request, 1, 0)[0]
-    solution = nlp.solve(packed(nlp, start, family_orbits(request, start.free)))
-    assert kkt(nlp, solution).largest < 1e-9
+    nlp, x = first_point(stated(objective="participation", bounds={"gamma": (0.1, 0.6)}), 8)
+    solution = nlp.solve(x)
+    assert optimality(nlp, solution).kkt.largest < 1e-9
     solution.lam_g[0] += 1.0
-    assert kkt(nlp, solution).stationarity > 1e-3
+    assert optimality(nlp, solution).kkt.stationarity > 1e-3
 
 
+@pytest.mark.slow
 def test_mirrored_chains_have_the_same_optimum() -> None:
     right = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=1).best
     left = search(
@@ -178,9 +189,16 @@ def test_uneven_chain_meets_its_target() -> None:
         assert np.max(np.abs(acceleration - force)) < 1e-6
 
 
-def test_pareto_front_has_no_dominated_point() -> None:
+@pytest.mark.parametrize("points", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_pareto_front_has_no_dominated_point(points: int) -> None:
     front = pareto_front(
-        SHORT, "participation", "log_amplification", points=4, free=("gamma",), bounds={"gamma": (0.1, 0.6)}, starts=1
+        SHORT,
+        "participation",
+        "log_amplification",
+        points=points,
+        free=("gamma",),
+        bounds={"gamma": (0.1, 0.6)},
+        starts=1,
     )
     assert front.complete
     assert np.all(np.diff(front.values[:, 1]) > 0)
@@ -212,6 +230,7 @@ def test_an_unbounded_search_says_so() -> None:
     assert "S = " in result.reason
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_progress_tells_and_an_interruption_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     import os
     import signal
@@ -232,15 +251,15 @@ def test_progress_tells_and_an_interruption_keeps_the_best(monkeypatch: pytest.M
 
 
 def test_starts_are_the_same_for_the_same_seed_and_lie_in_the_bounds() -> None:
-    request = request_of(free=("gamma", "S"), bounds={"gamma": (0.1, 0.6)}, S=2.0)
-    starts = sample_starts(request, 20, 3)
-    assert starts == sample_starts(request, 20, 3)
-    assert starts != sample_starts(request, 20, 4)
+    problem = stated(free=("gamma", "S"), bounds={"gamma": (0.1, 0.6)}, S=2.0)
+    starts = problem.starts(20, 3)
+    assert starts == problem.starts(20, 3)
+    assert starts != problem.starts(20, 4)
     assert starts[0].free == (0.3, 2.0)
     values = np.array([start.free for start in starts])
     assert np.all((values[:, 0] > 0.1) & (values[:, 0] < 0.6))
     assert np.all(values[:, 1] > 0)
-    assert pickle.loads(pickle.dumps(request)) == request
+    assert pickle.loads(pickle.dumps(problem)) == problem
 
 
 @pytest.mark.slow
@@ -314,7 +333,8 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     def refuse(*_: object) -> None:
         raise AssertionError("something was solved")
 
-    monkeypatch.setattr("casadi_skin.optimise.search.Search.run", refuse)
+    monkeypatch.setattr("casadi_skin.optimise.processes.Runner.run", refuse)
+    monkeypatch.setattr("casadi_skin.optimise.family_search.FamilySearch.members", refuse)
     with pytest.raises(kind, match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1
@@ -322,7 +342,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
 
 def test_other_models_and_threads_are_refused() -> None:
     with pytest.raises(TypeError, match="chain_or_model: given 3; accepted: a Chain or an OdeModel"):
-        search_orbit(3, objective="S", free=("S",))  # type: ignore[call-overload]
+        search_orbit(3, objective="S", free=("S",))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="infinite"):
         search_orbit(Chain(np.inf, 1.0, 0.3, 1.0), objective="S", free=("S",))  # type: ignore[arg-type]
     with ThreadPoolExecutor(1) as threads, pytest.raises(TypeError, match="between threads"):

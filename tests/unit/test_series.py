@@ -13,9 +13,9 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_frequency
 
 SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # N = 24, j = 1, g = -1
@@ -24,13 +24,13 @@ SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.76595890
 FOLDED = [
     (Chain(6, 2.342, 0.33, 1.0), 3, 10.0),
     (Chain(4, 1.219, 0.57, 1.0), 3, 10.0),
-    (Chain(2, 1.224, 0.86, -1.0), 1, 3.2),
+    pytest.param(Chain(2, 1.224, 0.86, -1.0), 1, 3.2, marks=pytest.mark.slow),
 ]
 
 
-def tools_of(chain: Chain, mode: int, amplitude_max: float, tolerance: float = 1e-9, **more: object) -> FamilyTools:
+def tools_of(chain: Chain, mode: int, amplitude_max: float, tolerance: float = 1e-9, **more: object) -> Family:
     settings = {"corrector": "newton", "walker": "series"} | more
-    return FamilyTools(FamilyRequest(chain, mode, amplitude_max, tolerance=tolerance, **settings))  # type: ignore[arg-type]
+    return Family(family_request(chain, mode, amplitude_max, tolerance=tolerance, **settings))  # type: ignore[arg-type]
 
 
 @cache
@@ -41,15 +41,17 @@ def followed(chain: Chain, mode: int, amplitude_max: float, tolerance: float, at
 # The series ---------------------------------------------------------------------------------------------------------
 
 
-def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tuple[FamilyTools, np.ndarray]:
+def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tuple[Family, np.ndarray]:
     """Coefficients of a family at its linear mode, in kappa = g S itself."""
     tools = tools_of(chain, mode, 3.0)
-    problem = TrigonometricProblem(tools.model, harmonics)
-    z = problem.pack(tools.layout.mode, chain.linear_frequency(mode), 0.0)
+    problem = TrigonometricProblem(tools.coordinates.scaled, harmonics)
+    z = problem.pack(tools.coordinates.mode, chain.linear_frequency(mode), 0.0)
     solve = tools.levels.solver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     unit = np.zeros(problem.size)
     unit[-1] = 1.0
-    return tools, TaylorRecursion(problem, PolynomialForm.of(tools.model), orders).series(z, solve(unit), solve)
+    return tools, TaylorRecursion(problem, PolynomialForm.of(tools.coordinates.scaled), orders).series(
+        z, solve(unit), solve
+    )
 
 
 def test_one_site_has_the_series_of_the_exact_frequency() -> None:
@@ -66,7 +68,7 @@ def test_one_site_has_the_series_of_the_exact_frequency() -> None:
 def test_the_equations_hold_to_the_order_of_the_series(chain: Chain, mode: int) -> None:
     """The residual at tau falls with tau^(orders + 1): a wrong coefficient of any order would show."""
     tools, coefficients = series_at_start(chain, mode, 8, 7)
-    problem = TrigonometricProblem(tools.model, 8)
+    problem = TrigonometricProblem(tools.coordinates.scaled, 8)
     residuals = [np.abs(problem.evaluate(Stretch(coefficients, 1.0).at(tau))[0]).max() for tau in (0.8, 0.4, 0.2)]
     orders = np.log2(np.array(residuals[:-1]) / residuals[1:])
     assert orders == pytest.approx([8.0, 8.0], abs=0.25)
@@ -112,7 +114,7 @@ def test_crossings_of_a_polynomial_that_turns() -> None:
 # The walk -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 def test_the_softening_end_breather_has_the_reference_frequencies(corrector: str) -> None:
     chain, at = Chain(24, 1.0, 0.25, -1.0), tuple(SOFTENING_END)
     branch = follow_family(chain, 1, 3.0, at=at, tolerance=1e-11, corrector=corrector, walker="series")
@@ -179,11 +181,11 @@ def test_few_stretches_cover_the_family() -> None:
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
     tools = tools_of(Chain(8, 1.0, 0.3, -1.0), 1, 2.5)
-    whole = [o for o in FamilyContinuation(tools) if isinstance(o, Orbit)]
+    whole = [o for o in Following(tools) if isinstance(o, Orbit)]
     walked = [i for i, o in enumerate(whole) if o.point.walked]
     assert len(walked) >= 3
     for cut in walked[:3]:
-        again = FamilyContinuation(FamilyTools(tools.request), orbits=whole[: cut + 1])
+        again = Following(Family(tools.request), solutions=whole[: cut + 1])
         rest = [o for o in again if isinstance(o, Orbit)]
         assert [o.S for o in rest] == [o.S for o in whole[cut + 1 :]]
         assert [o.Omega for o in rest] == [o.Omega for o in whole[cut + 1 :]]
@@ -192,7 +194,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     tools = tools_of(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10)
     tools.levels.resolutions = (4, 6)
-    walk = tools.walk((tools.start,))
+    walk = tools.continuation((tools.start,))
     points = list(walk)
     assert walk.end is End.RESOLUTION
     assert 0 < len(points) < 60

@@ -19,23 +19,23 @@ from orbit_problems import (
     corrector_of,
     dense_jacobian,
     differences,
+    gauss_problem,
     moved,
     predator_and_prey,
     solved,
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.follow import FamilyContinuation, follow_family
+from casadi_skin.orbits.family import DIGITS, Family
+from casadi_skin.orbits.follow import Following, follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import DIGITS, FamilyTools
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
 from casadi_skin.solvers.levels import Levels
@@ -54,7 +54,7 @@ QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.F
     "model",
     [
         Chain(1, 0.8, 0.0, 1.0).gauge_model(),
-        Chain(3, 0.8, 0.3, 1.0).gauge_model(),
+        pytest.param(Chain(3, 0.8, 0.3, 1.0).gauge_model(), marks=pytest.mark.slow),
         asymmetric_oscillator(half_period=(-1, -1)),  # of no use but for the shape of the equations
         predator_and_prey(reversal=(1, -1), half_period=(-1, -1)),
     ],
@@ -115,9 +115,9 @@ def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
 # Orbits ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("symmetry", SymmetryClass)
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
+@pytest.mark.parametrize(("g", "S"), [pytest.param(1.0, 5.0, marks=pytest.mark.slow), (-1.0, 1.2)])
 def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryClass, kind: str) -> None:
     chain = Chain(1, 1.0, 0.0, g)
     problem = ShootingProblem(chain.gauge_model(), 13, symmetry)
@@ -131,7 +131,7 @@ def test_a_duffing_oscillator_is_exact(g: float, S: float, symmetry: SymmetryCla
     np.testing.assert_allclose(problem.sample(z, theta)[:, 0], exact, atol=2e-9)  # thirty radians amplify the frequency
 
 
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), (-1.0, 1.2)])
+@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), pytest.param(-1.0, 1.2, marks=pytest.mark.slow)])
 def test_more_digits_are_more_accurate(g: float, S: float) -> None:
     chain, exact = Chain(1, 1.0, 0.0, g), duffing_frequency(3.0, g, np.sqrt(S))
     errors = []
@@ -144,7 +144,7 @@ def test_more_digits_are_more_accurate(g: float, S: float) -> None:
 
 
 @pytest.mark.parametrize("symmetry", SymmetryClass)
-@pytest.mark.parametrize(("sites", "mode", "kappa"), [(4, 1, -1.5), (4, 3, 2.0)])
+@pytest.mark.parametrize(("sites", "mode", "kappa"), [(4, 1, -1.5), pytest.param(4, 3, 2.0, marks=pytest.mark.slow)])
 def test_every_class_finds_the_orbit_of_odd_cosines(
     sites: int, mode: int, kappa: float, symmetry: SymmetryClass
 ) -> None:
@@ -175,7 +175,7 @@ def test_an_orbit_that_is_not_odd_is_found_on_half_and_full_period() -> None:
 
 def test_a_model_of_first_order_without_reversal_is_found_on_the_full_period() -> None:
     model = predator_and_prey()
-    problem, reference = ShootingProblem(model, 13, FULL), GaussProblem(model, 24, FULL, degree=6)
+    problem, reference = ShootingProblem(model, 13, FULL), gauss_problem(model, 24, FULL, degree=6)
     guesses = []
     for p in (problem, reference):
         theta = 2 * np.pi * np.arange(17) / 16 if isinstance(p, ShootingProblem) else reference._phases()
@@ -213,15 +213,15 @@ def test_samples_at_the_segments_starts_are_the_unknowns_and_paths_join_them(sym
 
 def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> list[tuple[float, float]]:
     """Estimated and true error of an orbit, relative, by digits; truth from odd cosines."""
-    tools = FamilyTools(FamilyRequest(chain, mode, S, tolerance=1e-13, corrector="newton"))
+    tools = Family(family_request(chain, mode, S, tolerance=1e-13, corrector="newton"))
     orbit = follow_family(chain, mode, S, at=(S,), tolerance=1e-13, corrector="newton").orbits[-1]
-    exact, model = orbit.point, tools.model
+    exact, model = orbit.point, tools.coordinates.scaled
     levels = Levels(lambda d: ShootingProblem(model, d, QUARTER), corrector_of, digits)
     found = []
     for d in digits[:-1]:
         problem = levels.problem(d)
         assert isinstance(problem, ShootingProblem)
-        guess = problem.pack(orbit._gauge(np.zeros(1))[0], orbit.Omega, exact.parameter)
+        guess = problem.pack(exact.problem.sample(exact.z, np.zeros(1))[0], orbit.Omega, exact.parameter)
         correction = levels.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
         if not correction.converged:
             continue
@@ -276,7 +276,7 @@ def escaping(chain: Chain) -> tuple[ShootingProblem, Array]:
     return problem, z
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
 def test_a_flow_that_fails_is_a_failed_correction_and_nothing_is_printed(
     kind: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -318,6 +318,7 @@ def test_a_path_that_cannot_be_followed_is_named() -> None:
         problem.sample(z, np.array([1.0]))
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interruption_within_cvodes_is_heard() -> None:
     problem = ShootingProblem(Chain(8, 1.0, 0.3, -1.0).gauge_model(), 13, QUARTER)
     z = problem.pack(np.full(8, 0.3), 1.2, -1.0)
@@ -369,7 +370,7 @@ def test_digits_and_segments_out_of_range_are_refused(digits: int, segments: int
 # Families -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CORRECTORS)
+@pytest.mark.parametrize("kind", [pytest.param("newton", marks=pytest.mark.slow), "ipopt"])
 def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -> None:
     chain, at = Chain(3, 1.0, 0.25, -1.0), (0.5, 1.5)
     found = follow_family(chain, 1, 1.5, at=at, transcription="shooting", corrector=kind)
@@ -385,14 +386,15 @@ def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -
         assert orbit.point.error.relative(orbit.Omega) <= 1e-8
 
 
+@pytest.mark.slow
 def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     folds = []
     for name in ("shooting", "trigonometric"):
-        request = FamilyRequest(
+        request = family_request(
             Chain(4, 1.0, 0.2, -1.0), 1, 8.0, tolerance=1e-6, transcription=name, corrector="newton"
         )
         S: list[float] = []
-        for result in FamilyContinuation(FamilyTools(request)):
+        for result in Following(Family(request)):
             assert isinstance(result, Orbit)
             S.append(result.S)
             turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
@@ -424,24 +426,26 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
 
 
 def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
     assert tools.levels.resolutions == DIGITS
     assert DIGITS[-3:] == (12, 14, 15)
-    newton = FamilyTools(replace(tools.request, corrector="newton", tolerance=1e-10)).levels
+    newton = Family(
+        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
+    ).levels
     assert newton.resolutions == (12, 14, 15)
-    corrector = newton.corrector(ShootingProblem(tools.model, 9, QUARTER))
+    corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
     assert isinstance(corrector, NewtonCorrector)
     assert corrector.tolerance == pytest.approx(1e-8)
 
 
-@pytest.mark.parametrize("symmetry", [HALF, FULL])
+@pytest.mark.parametrize("symmetry", [HALF, pytest.param(FULL, marks=pytest.mark.slow)])
 def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryClass) -> None:
     chain = Chain(2, 1.0, 0.3, 1.0)
     branches = [
         follow_family(chain, 2, 1.0, at=(1.0,), transcription="shooting", corrector="newton", symmetry=kind)
         for kind in (None, symmetry)
     ]
-    assert symmetry_class(branches[0].tools.model) is QUARTER
+    assert symmetry_class(branches[0].space.coordinates.scaled) is QUARTER
     assert isinstance(branches[1].start.problem, ShootingProblem)
     assert branches[1].start.problem.symmetry is symmetry
     assert branches[1].at(1.0).Omega == pytest.approx(branches[0].at(1.0).Omega, rel=1e-8)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.integrators import IntegrationError
+from casadi_skin.integrators.trajectory import IntegrationError
 
 X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
 VAN_DER_POL = OdeModel("van der Pol", ca.vertcat(X, Y), ca.vertcat(Y, MU * (1 - X**2) * Y - X), MU, nominal=(1.0,))

@@ -98,6 +98,7 @@ def test_one_site_and_hardly_any_samples(samples: int) -> None:
     assert np.asarray(mesh(spacetime_figure(run, profile=True, energy=True)).get_array()).shape == (1, samples)
 
 
+@pytest.mark.slow
 def test_the_bytes_depend_on_the_data_alone_and_the_settings_are_left_alone(tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     written = []

@@ -10,21 +10,23 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from orbit_problems import gauss_problem
 from scipy.integrate import solve_ivp
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
-from casadi_skin.bvp.gauss import GaussProblem
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import End
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.integrators.srkn import srkn_coefficients
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.multipliers import Floquet, floquet
-from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
+from casadi_skin.stability.multipliers import floquet
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,7 +53,7 @@ def with_changes(chain: Chain, mode: int, amplitude_max: float, tolerance: float
 
 def gauge_transition(orbit: Orbit, fraction: float) -> Array:
     """Transition matrix of the scaled gauge equations, typed out, by DOP853 over a fraction of the period."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     r = (1 + chain.gamma) / (1 - chain.gamma)
     distance = (n - np.arange(1, n + 1)) if chain.gamma >= 0 else np.arange(n)
     w = r ** (-np.sign(chain.gamma) * distance) if chain.gamma else np.ones(n)
@@ -72,7 +74,7 @@ def gauge_transition(orbit: Orbit, fraction: float) -> Array:
 
 def physical_monodromy(orbit: Orbit) -> Array:
     """Monodromy matrix of Eq. (1) of arXiv:2512.17483 in physical coordinates, by DOP853 over the whole period."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     A = (
         np.diag(np.full(n, -(2 + chain.alpha)))
         + (1 + chain.gamma) * np.eye(n, k=-1)
@@ -118,7 +120,7 @@ def test_the_splitting_is_symmetric_and_consistent() -> None:
 
 def split(orbit: Orbit, steps: int) -> Array:
     state = OrbitState(orbit.point.problem, orbit.point.z)
-    return np.asarray(SplittingFlow(orbit.tools.model, 1e-8).matrices(steps, [state])[0])
+    return np.asarray(SplittingFlow(orbit.space.coordinates.scaled, 1e-8).matrices(steps, [state])[0])
 
 
 @pytest.mark.parametrize(
@@ -191,7 +193,7 @@ def test_flow_maps_are_within_their_estimated_errors_of_an_independent_integrati
     chain: Chain, mode: int, S: float, tolerance: float, kind: type[SplittingFlow] | type[CvodesFlow]
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    flow: FlowMap = kind(orbit.tools.model, tolerance)
+    flow: FlowMap = kind(orbit.space.coordinates.scaled, tolerance)
     transition = flow.transition(orbit.point.problem, orbit.point.z)
     exact = gauge_transition(orbit, 0.25)
     error = float(np.linalg.norm(transition.matrix - exact))
@@ -206,7 +208,7 @@ def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_man
     chain: Chain, mode: int, S: float, tolerance: float
 ) -> None:
     orbit = followed(chain, mode, S, 1e-12).at(S)
-    transition = SplittingFlow(orbit.tools.model, tolerance).transition(orbit.point.problem, orbit.point.z)
+    transition = SplittingFlow(orbit.space.coordinates.scaled, tolerance).transition(orbit.point.problem, orbit.point.z)
     assert transition.error <= tolerance + 1e-12
     assert np.linalg.norm(transition.matrix - split(orbit, 256)) <= transition.error + 1e-13
 
@@ -215,7 +217,7 @@ def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_man
 def test_splitting_and_cvodes_agree(chain: Chain, mode: int, S: float) -> None:
     branch = followed(chain, mode, S, 1e-9)
     other = followed(chain, mode, S, 1e-9, flow="cvodes")
-    assert isinstance(other.tools.flow, CvodesFlow)
+    assert isinstance(other.space.flow, CvodesFlow)
     split_, swum = branch.at(S).floquet(), other.at(S).floquet()
     assert np.all(np.abs(split_.mu - swum.mu) <= split_.mu_error + swum.mu_error + 1e-9)
     assert split_.stable == swum.stable
@@ -232,7 +234,10 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
         orbit = followed(chain, mode, S, 1e-12).at(S)
         problem, z = orbit.point.problem, orbit.point.z
         exact = orbit.floquet()
-        found = floquet(kind(orbit.tools.model, tolerance).transition(problem, z), orbit._transition()[1])
+        found = floquet(
+            kind(orbit.space.coordinates.scaled, tolerance).transition(problem, z),
+            orbit.space.transition(orbit.point)[1],
+        )
         assert np.all(np.abs(found.mu - exact.mu) <= found.mu_error + exact.mu_error + 1e-12)
         assert found.mu_error.max() <= 100 * max(tolerance, 1e-7)
 
@@ -241,7 +246,7 @@ def test_the_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: p
     monkeypatch.setattr(SplittingFlow, "step_numbers", (3, 4, 6))
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     with pytest.raises(FlowError, match=r"with 6 steps; asked: 1\.0e-11"):
-        SplittingFlow(orbit.tools.model, 1e-11).transition(orbit.point.problem, orbit.point.z)
+        SplittingFlow(orbit.space.coordinates.scaled, 1e-11).transition(orbit.point.problem, orbit.point.z)
     branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 5.0, tolerance=1e-11, corrector="newton", stability=True)
     assert branch.end is End.FLOW
     assert not branch.complete
@@ -253,7 +258,7 @@ def test_the_estimate_of_the_splitting_covers_the_error_where_the_stiffness_vani
     """One softening site at g S = -1 with alpha = 1: df/dq = -3 + 3 = 0 at phase zero."""
     for S in (0.999, 1.0, 1.001):
         orbit = followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, 1e-12).at(S)
-        transition = SplittingFlow(orbit.tools.model, 1e-12).transition(orbit.point.problem, orbit.point.z)
+        transition = SplittingFlow(orbit.space.coordinates.scaled, 1e-12).transition(orbit.point.problem, orbit.point.z)
         assert np.linalg.norm(transition.matrix - split(orbit, 96)) <= transition.error + 1e-13
 
 
@@ -262,12 +267,12 @@ def test_half_a_period_gives_the_multipliers_of_a_quarter(sites: int) -> None:
     """The same chain with its half-period symmetry not declared, by both flow maps."""
     chain, S = Chain(sites, 1.0, 0.3, -1.0), 1.5
     orbit = followed(chain, 1, S, 1e-12).at(S)
-    model = replace(orbit.tools.model, half_period=None)
+    model = replace(orbit.space.coordinates.scaled, half_period=None)
     for flow in (SplittingFlow(model, 1e-10), CvodesFlow(model, 1e-10)):
         transition = flow.transition(orbit.point.problem, orbit.point.z)
         assert transition.fraction == 0.5
         np.testing.assert_allclose(transition.matrix, gauge_transition(orbit, 0.5), rtol=0, atol=1e-8)
-        half = floquet(transition, orbit._transition()[1])
+        half = floquet(transition, orbit.space.transition(orbit.point)[1])
         assert half.power == 1
         assert half.trivial_deviation < 1e-8
         assert half.stable == orbit.floquet().stable
@@ -282,7 +287,7 @@ def test_a_reversible_orbit_that_is_not_odd_has_the_multipliers_of_its_monodromy
     K = np.array([[2.0, -0.6], [-0.6, 3.1]])
     force = -ca.DM(K) @ q - p * ca.vertcat(q[0] ** 2 + q[0] * q[1], 0.5 * q[0] ** 2 - q[1] ** 2)
     model = OdeModel("quadratic", q, force, p, 2, v, reversal=(1, 1, -1, -1), normalisation=ca.dot(q, q) - 0.25)
-    problem = GaussProblem(model, 16, SymmetryClass.HALF, degree=6)
+    problem = gauss_problem(model, 16, SymmetryClass.HALF, degree=6)
     squares, modes = np.linalg.eigh(K)
     corrector, z = NewtonCorrector(problem), problem.pack(0.5 * modes[:, 1], float(np.sqrt(squares[1])), 0.0)
     for value in np.linspace(0.0, 0.8, 9):
@@ -452,7 +457,7 @@ def test_in_the_limit_of_no_amplitude_all_multipliers_are_linear_phases() -> Non
 @pytest.mark.parametrize("power", [1, 2])
 def test_multipliers_follow_from_mu_by_the_quadratic_they_satisfy(power: int) -> None:
     mu = np.array([-1.0, -0.999, -0.3, 0.0, 0.2, -1.4, -0.5 + 0.1j, -0.5 - 0.1j])
-    result = Floquet(mu.astype(complex), np.full(8, 1e-12), 0.0, power)
+    result = ReversibleFloquet(mu.astype(complex), np.full(8, 1e-12), 0.0, power)
     half = result.root**2
     np.testing.assert_allclose(half + 1 / half, 2 + 4 * mu, atol=1e-14)
     pairs = result.multipliers[2:].reshape(-1, 2)
@@ -467,11 +472,11 @@ def test_multipliers_follow_from_mu_by_the_quadratic_they_satisfy(power: int) ->
 def test_a_mu_outside_by_less_than_its_error_is_not_called_unstable() -> None:
     """On mu the trivial pair's neighbour -1 - 1e-13 is harmless; on the multipliers it would be 1 + 1e-6."""
     for mu in (-1.0 - 1e-13, 1e-13, -0.4 + 1e-13j):
-        result = Floquet(np.array([mu], complex), np.array([1e-12]), 0.0, 2)
+        result = ReversibleFloquet(np.array([mu], complex), np.array([1e-12]), 0.0, 2)
         assert result.stable
         assert result.max_abs_multiplier == 1.0
         np.testing.assert_allclose(np.abs(result.multipliers), 1.0, atol=1e-15)
-        assert not Floquet(np.array([mu], complex), np.array([1e-14]), 0.0, 2).stable
+        assert not ReversibleFloquet(np.array([mu], complex), np.array([1e-14]), 0.0, 2).stable
 
 
 def test_the_blocks_of_a_transition_are_positions_and_velocities() -> None:
@@ -485,7 +490,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
     z = orbit.point.z.copy()
     z[orbit.point.problem.Omega_index] *= 1 + 1e-5
-    wrong = floquet(orbit.tools.flow.transition(orbit.point.problem, z), orbit._transition()[1])
+    wrong = floquet(orbit.space.flow.transition(orbit.point.problem, z), orbit.space.transition(orbit.point)[1])
     assert orbit.floquet().trivial_deviation < 1e-11
     assert wrong.trivial_deviation > 1e-6
 
@@ -495,7 +500,7 @@ def test_the_trivial_deviation_shows_an_orbit_that_is_none() -> None:
 
 def energy(orbit: Orbit) -> float:
     """Hamiltonian of the gauge, typed out, from the physical displacements at t = 0."""
-    chain, n = orbit.chain, orbit.chain.sites
+    chain, n = orbit.model, orbit.model.sites
     r = (1 + chain.gamma) / (1 - chain.gamma)
     rho = r ** ((np.arange(1, n + 1) - n) / 2)
     eta = orbit.profile / rho
@@ -563,13 +568,13 @@ def test_complex_instabilities_are_born_where_two_mu_meet() -> None:
 
 
 def test_without_stability_nothing_of_it_is_built() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0))
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0))
     assert "flow" not in vars(tools)
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton")
-    assert "flow" not in vars(branch.tools)
+    assert "flow" not in vars(branch.space)
     assert (branch.changes, branch.with_stability) == ((), False)
     assert branch.stable.all()  # computed when asked
-    assert "flow" in vars(branch.tools)
+    assert "flow" in vars(branch.space)
 
 
 def test_points_without_events_have_no_changes() -> None:

@@ -15,8 +15,8 @@ from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
 from casadi_skin.lattice.threshold import threshold
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 
 GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
 AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)
@@ -119,13 +119,22 @@ def family(
     return follow_family(chain, mode, end, at=at, tolerance=tolerance, corrector="newton", tail=tail)
 
 
-@pytest.mark.parametrize("g", [1.0, -1.0])
-@pytest.mark.parametrize(("sites", "gamma"), [(70, 0.7), (70, -0.7), (140, 0.4)])
+@pytest.mark.parametrize(
+    ("sites", "gamma", "g"),
+    [
+        (70, -0.7, 1.0),
+        (70, 0.7, -1.0),
+        pytest.param(70, 0.7, 1.0, marks=pytest.mark.slow),
+        pytest.param(70, -0.7, -1.0, marks=pytest.mark.slow),
+        pytest.param(140, 0.4, 1.0, marks=pytest.mark.slow),
+        pytest.param(140, 0.4, -1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) -> None:
     end = 2.0 if abs(gamma) == 0.7 else 3.0  # 3 Omega reaches the band near S = 2.7 at gamma = 0.7
     tailed, whole = (family(sites, gamma, g, tail, end) for tail in ("eliminated", "full"))
     assert tailed.complete
-    assert tailed.tools.core.sites < 0.6 * sites
+    assert tailed.space.coordinates.core.sites < 0.6 * sites
     for S in (S for S in AMPLITUDES if end >= S):
         one, other = tailed.at(S), whole.at(S)
         assert abs(one.Omega - other.Omega) < 1e-11
@@ -146,16 +155,19 @@ def test_multipliers_are_those_of_all_sites() -> None:
     assert one.floquet_vectors().shape == (140, 140)
 
 
+@pytest.mark.slow
 def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     tailed, whole = (family(200, 0.25, -1.0, tail, 3.2, 1e-9) for tail in ("eliminated", "full"))
     assert abs(tailed.at(3.2).Omega - whole.at(3.2).Omega) < 1e-9
-    regimes = [orbit.regime for orbit in tailed.orbits]
-    assert whole.orbits[0].regime is whole.threshold is None
+    regimes = [tailed.space.coordinates.regime(orbit.point) for orbit in tailed.orbits]
+    assert whole.space.coordinates.regime(whole.orbits[0].point) is whole.threshold is None
     assert tailed.threshold == pytest.approx(0.366992903607, abs=1e-11)
     assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
 
 
-@pytest.mark.parametrize(("g", "known"), [(1.0, 2.3200364277694), (-1.0, 0.7659589000207)])
+@pytest.mark.parametrize(
+    ("g", "known"), [(1.0, 2.3200364277694), pytest.param(-1.0, 0.7659589000207, marks=pytest.mark.slow)]
+)
 def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
     million, infinite = (family(N, 0.25, g, None, 3.0, 1e-11) for N in (10**6, math.inf))
     assert million.complete
@@ -236,14 +248,14 @@ def test_thresholds_scale_with_g_and_do_not_know_sites_or_direction() -> None:
 )
 def test_what_has_no_linear_tail_is_refused(chain: Chain, mode: int | str, more: dict[str, str], words: str) -> None:
     with pytest.raises(ValueError, match=words.replace("|", r"\|")):
-        FamilyRequest(chain, chain.mode_number(mode), 1.0, **more)  # type: ignore[arg-type]
+        family_request(chain, chain.mode_number(mode), 1.0, **more)  # type: ignore[arg-type]
 
 
 def test_elimination_is_used_by_itself_where_it_pays() -> None:
-    assert FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).tailed
-    assert not FamilyRequest(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).tailed
-    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").tailed
-    assert not FamilyRequest(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).tailed
-    tools = FamilyTools(FamilyRequest(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
+    assert not family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0).coordinates.is_whole
+    assert family_request(Chain(200, 1.0, 0.25, 1.0), 200, 3.0).coordinates.is_whole
+    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").coordinates.is_whole
+    assert family_request(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).coordinates.is_whole
+    tools = Family(family_request(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
     with pytest.raises(ValueError, match="stability is that of all sites"):
         _ = tools.whole

@@ -20,10 +20,10 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.continuation.series import SeriesContinuation
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
-from casadi_skin.results.journal import EndRecord, orbit_record, restore
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.request import family_request
+from casadi_skin.results.journal import EndRecord, restore, solution_record
 from casadi_skin.solvers.bordered import Solve
 from casadi_skin.solvers.levels import ErrorEstimate, Levels
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -39,7 +39,7 @@ class Graph(OrbitProblem):
 
     symmetry = SymmetryClass.QUARTER
     states = 1
-    shown = None
+    output_scale = None
 
     def __init__(self, resolution: int) -> None:
         self.resolution = resolution
@@ -201,7 +201,7 @@ def test_what_a_branch_does_not_pass_is_named() -> None:
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at_Omega=[9.0], at_period=[100.0], corrector="newton")
     assert branch.end is End.REACHED
     assert not branch.complete
-    assert (branch.missed, branch.missed_Omega, branch.missed_period) == ((), (9.0,), (100.0,))
+    assert (branch.missed, dict(branch.misses)) == ((), {"Omega": (9.0,), "period": (100.0,)})
     assert "no orbit was found at Omega = 9: the family was followed from" in branch.reason
     assert "no orbit was found at period = 100: " in branch.reason
 
@@ -215,7 +215,7 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
 
     monkeypatch.setattr(NewtonCorrector, "correct", correct)
     branch = follow_family(Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton")
-    assert branch.missed_Omega == (wanted,)
+    assert branch.misses == {"Omega": (wanted,)}
     assert "no orbit was found at Omega = 1.48, which the family passes" in branch.reason
     assert [o.Omega for o in branch.orbits if o.point.requested] == [1.5]
     with pytest.raises(ArithmeticError, match=r"at: no orbit was found at Omega = 1\.48"):
@@ -256,7 +256,7 @@ def test_at_refuses_what_it_cannot_mean(given: dict[str, float], message: str) -
 )
 def test_requests_out_of_range_are_refused_by_name(given: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        FamilyRequest(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, **given)  # type: ignore[arg-type]
+        family_request(Chain(1, 1.0, 0.0, -1.0), 1, 2.0, **given)  # type: ignore[arg-type]
 
 
 # The limit on points ------------------------------------------------------------------------------------------------
@@ -265,7 +265,7 @@ WANDERING = Chain(5, 0.71, 0.3, -1.0)
 
 
 @WALKERS
-@pytest.mark.parametrize("limit", [1, 137])
+@pytest.mark.parametrize("limit", [1, pytest.param(137, marks=pytest.mark.slow)])
 def test_a_family_ends_after_its_points_and_tells_what_it_did(walker: str, limit: int) -> None:
     branch = follow_family(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=limit)
     assert len(branch) == limit
@@ -285,27 +285,29 @@ def test_a_family_of_exactly_as_many_points_is_complete() -> None:
 
 @WALKERS
 def test_points_before_an_interruption_count(walker: str) -> None:
-    request = FamilyRequest(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
-    whole = list(FamilyContinuation(FamilyTools(request)))
+    request = family_request(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
+    whole = list(Following(Family(request)))
     cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
-    again = FamilyContinuation(FamilyTools(request), orbits=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    again = Following(Family(request), solutions=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
     list(again)
-    assert len(again.orbits) == 60
+    assert len(again.solutions) == 60
     assert again.branch().end is End.POINTS
     assert again.branch().S[-1] == pytest.approx(whole[-1].S, rel=1e-9)
 
 
-@WALKERS
+@pytest.mark.parametrize("walker", [pytest.param("arclength", marks=pytest.mark.slow), "series"])
 def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:
     period = 2 * np.pi / 0.13
-    request = FamilyRequest(
+    request = family_request(
         Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
-    whole = [o for o in FamilyContinuation(FamilyTools(request)) if isinstance(o, Orbit)]
+    whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
-    walk = restore([orbit_record(o, False) for o in whole[: cut + 1]], FamilyTools(request), False, False)
-    assert isinstance(walk, FamilyContinuation)
+    walk = restore(
+        [solution_record("mode 1", o, False) for o in whole[: cut + 1]], "mode 1", Family(request), False, False
+    )
+    assert isinstance(walk, Following)
     list(walk)
     again = walk.branch()
     assert again.complete
@@ -315,8 +317,9 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
 
 
 def test_what_was_missed_is_kept_in_the_journal() -> None:
-    tools = FamilyTools(FamilyRequest(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
-    restored = restore([EndRecord(1, End.REACHED, "", (), (9.0,), (100.0,))], tools, False, False)
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
+    misses = {"Omega": (9.0,), "period": (100.0,)}
+    restored = restore([EndRecord("mode 1", End.REACHED, "", misses)], "mode 1", tools, False, False)
     assert isinstance(restored, Branch)
-    assert (restored.missed, restored.missed_Omega, restored.missed_period) == ((), (9.0,), (100.0,))
+    assert (restored.missed, restored.misses) == ((), misses)
     assert not restored.complete

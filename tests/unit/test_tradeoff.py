@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain
-from casadi_skin.results.tables import write_csv
+from casadi_skin.results.dataset import write_csv
 from casadi_skin.studies.exact_multipliers import paired
 from casadi_skin.studies.study import cell
-from casadi_skin.studies.work_precision.computing import Computation, default_walker, requested_orbits
+from casadi_skin.studies.work_precision.computing import Computation, requested_orbits
 from casadi_skin.studies.work_precision.measuring import measure, memory_of, peak_memory, timed
 from casadi_skin.studies.work_precision.reference import Errors, Reference
 from casadi_skin.studies.work_precision.settings import (
@@ -22,7 +22,7 @@ from casadi_skin.studies.work_precision.settings import (
     PARTS_OF_FAMILY,
     QUICK_TOLERANCES,
     TOLERANCES,
-    Family,
+    FamilyCase,
     Kind,
     Measured,
     Setting,
@@ -47,7 +47,7 @@ from casadi_skin.studies.work_precision.words import (
     table,
 )
 
-FAMILY = Family(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, (0.2, 0.4))
+FAMILY = FamilyCase(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, (0.2, 0.4))
 KNOWN = Errors(1e-15, 2e-15, 3e-15)
 
 
@@ -202,11 +202,11 @@ def test_settings_are_every_method_at_every_tolerance() -> None:
     assert len(orbit_settings(DEFAULT_FAMILY, TOLERANCES)) == 8 * 10
     assert not any("shooting" in s.method for s in orbit_settings(DEFAULT_FAMILY, TOLERANCES))
     assert len(flow_settings(FAMILY, QUICK_TOLERANCES)) == 4 * 3
-    assert default_walker(FAMILY) == "series"
+    assert FAMILY.request().method.walker == "series"
     presets = preset_settings(FAMILY, "series")
     assert [(s.name, s.tolerance) for s in presets] == [("draft", 1e-4), ("standard", 1e-8), ("reference", 1e-12)]
     assert {s.orbit_methods for s in presets} == {"trigonometric, series, ipopt"}
-    lonely = WorkPrecision(Path("."), Family(Chain(3, 1.0, 1.0, -1.0), 1, 0.4, (0.2,)), quick=True)
+    lonely = WorkPrecision(Path("."), FamilyCase(Chain(3, 1.0, 1.0, -1.0), 1, 0.4, (0.2,)), quick=True)
     assert not any(s.kind is Kind.FLOW for s in lonely.settings())
 
 
@@ -291,7 +291,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
     assert isnan(quick.memory_MB)
-    steep = Setting(Kind.ORBITS, replace(FAMILY, amplitude_max=1e3), 1e-2, walker="arclength", corrector="newton")
+    steep = Setting(Kind.ORBITS, replace(FAMILY, max_points=3), 1e-2, walker="arclength", corrector="newton")
     failed = measure(steep, reference, 1, with_memory=False)
     assert failed.failure
     assert "\n" not in failed.failure
@@ -299,7 +299,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
 
 
 def test_memory_is_that_of_another_process() -> None:
-    held = np.ones(30_000_000)
+    held = np.ones(15_000_000)
     ours, started = peak_memory(), memory_of(None)
     assert held.nbytes / 1e6 < ours
     assert 10 < started < ours

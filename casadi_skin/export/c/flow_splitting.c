@@ -6,11 +6,6 @@
 
 enum { N = @P_FLOW_STATES / 2, STAGES = 11 };
 
-static const double DRIFTS[6] = {0.123229775946271,  0.290553797799558, -0.127049212625417,
-                                 -0.246331761062075, 0.357208872795928, 0.0};
-static const double KICKS[6] = {0.0414649985182624, 0.198128671918067,   -0.0400061921041533,
-                                0.0752539843015807, -0.0115113874206879, 0.0};
-
 /* Velocities of two columns (positions, then velocities) after a kick, together: it takes less time. J is h df/dq by
  * rows. */
 static void kick_columns(const double *J, double *first, double *second)
@@ -54,15 +49,10 @@ static void drift(double h, double *x, double *Phi)
 
 int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)
 {
-    double a[STAGES], b[STAGES + 1], h = duration / steps, now;
+    const double *a = @p_flow_drifts, *b = @p_flow_kicks;
+    double h = duration / steps, now;
     int i, step, failed = steps < 1;
 
-    for (i = 0; i < 5; i++) {
-        a[i] = a[STAGES - 1 - i] = DRIFTS[i];
-        b[i] = b[STAGES - i] = KICKS[i];
-    }
-    a[5] = 1.0 - 2.0 * (a[0] + a[1] + a[2] + a[3] + a[4]);
-    b[5] = b[6] = 0.5 - (b[0] + b[1] + b[2] + b[3] + b[4]);
     if (Phi) {
         for (i = 0; i < 4 * N * N; i++) Phi[i] = 0.0;
         for (i = 0; i < 2 * N; i++) Phi[i * (2 * N + 1)] = 1.0;

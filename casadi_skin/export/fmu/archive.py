@@ -11,18 +11,15 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import shown
+from casadi_skin.arguments import short_repr
 from casadi_skin.export.compiler import build_library
+from casadi_skin.export.exported_model import Source
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
 from casadi_skin.export.fmu.documentation import icon, page
 from casadi_skin.export.fmu.equations import Equations, config_header
 from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem, initial_value_problem
 from casadi_skin.files import replacing
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
 
 Fmi = Literal["3.0", "2.0"]
 HEADERS = ("instance.h", "dop853.h")
@@ -30,7 +27,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the 
 
 
 def export_fmu(
-    what: Chain | OdeModel | Orbit | PeriodicOrbit,
+    what: Source,
     path: str | Path,
     fmi: Fmi = "3.0",
     *,
@@ -69,7 +66,7 @@ def export_fmu(
     """
     target = Path(path)
     if fmi not in SOURCES:
-        raise ValueError(f"fmi: given {shown(fmi)}; accepted: {', '.join(SOURCES)}")
+        raise ValueError(f"fmi: given {short_repr(fmi)}; accepted: {', '.join(SOURCES)}")
     if target.suffix != ".fmu":
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():

@@ -10,11 +10,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import number, numbers, shown
+from casadi_skin.arguments import number, numbers, short_repr
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.periodic_orbit import PeriodicOrbit
 from casadi_skin.theory.linear import Array
 
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
@@ -73,14 +72,13 @@ def initial_value_problem(
                 raise ValueError(f"{name}: given {given!r}; accepted: with a Chain, which starts from a linear mode")
     if isinstance(what, OdeModel):
         return _of_model(what, start, what.nominal, stop_time, tolerance)
-    if isinstance(what, PeriodicOrbit):
-        start = what.evaluate(0.0)[0] if start is None else start
-        stop_time = PERIODS * what.period if stop_time is None else stop_time
-        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop_time, tolerance)
     if isinstance(what, Orbit):
-        return _of_chain(what.chain, what.profile if start is None else start, what.period, stop_time, tolerance)
+        start, stop = what.profile if start is None else start, stop_time or PERIODS * what.period
+        if isinstance(what.model, Chain):
+            return _of_chain(what.model, start, what.period, stop, tolerance)
+        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop, tolerance)
     if not isinstance(what, Chain):
-        raise TypeError(f"what: given {shown(what)}; accepted: a Chain, an OdeModel or an orbit")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an OdeModel or an orbit")
     if what.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
@@ -193,7 +191,9 @@ def _of_model(
     names += [*model.parameter_names, *model.outputs, "time"]
     strange = [name for name in (model.name, *names) if not name.isprintable()]
     if strange:
-        raise ValueError(f"name: given {shown(strange[0])}; accepted: printable characters, for XML takes no others")
+        raise ValueError(
+            f"name: given {short_repr(strange[0])}; accepted: printable characters, for XML takes no others"
+        )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(

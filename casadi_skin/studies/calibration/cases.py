@@ -10,9 +10,9 @@ import numpy as np
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
-from casadi_skin.studies.exact_multipliers import Complex, exact_mu, paired
+from casadi_skin.studies.exact_multipliers import Complex, exact_mu, paired, reduced
 
 POINTS = 100  # of a family, at most: softening families may fold again and again
 NEAR = 0.1  # of the state and of Omega: farther away the reference is another orbit
@@ -161,11 +161,11 @@ def measure(case: Case) -> Outcome:
         _check_sharp(outcome.quantities[1], exact.left_out)
         if case.sites == 1:  # no multipliers but the trivial pair
             return outcome
-        floquet, (mu, uncertain) = orbit.floquet(), exact_mu(exact)
+        floquet, (mu, uncertain) = reduced(orbit), exact_mu(exact)
         quantity = _multiplier_quantity(case, floquet, mu)
         outcome = replace(outcome, quantities=(*outcome.quantities, quantity), stable=floquet.stable)
         _check_sharp(quantity, uncertain)
-        known = Floquet(mu.astype(complex), np.full(mu.size, STABLE_WITHIN), 0.0, floquet.power)
+        known = ReversibleFloquet(mu.astype(complex), np.full(mu.size, STABLE_WITHIN), 0.0, floquet.power)
         return replace(outcome, reference_stable=known.stable)
     except Exception as error:  # whatever it is, the case is counted and shown
         return replace(outcome, reason=f"{type(error).__name__}: {' '.join(str(error).split())}"[:200])
@@ -213,7 +213,7 @@ def _orbit_quantities(case: Case, orbit: Orbit, exact: ExactOrbit) -> tuple[Quan
     )
 
 
-def _multiplier_quantity(case: Case, floquet: Floquet, exact: Complex) -> Quantity:
+def _multiplier_quantity(case: Case, floquet: ReversibleFloquet, exact: Complex) -> Quantity:
     """Error of mu and, for an unstable orbit, of the largest modulus of a multiplier (see `Floquet.error`).
 
     The tolerance bounds that of mu alone, relative to max(1, |mu|).

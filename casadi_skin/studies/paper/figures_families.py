@@ -12,13 +12,15 @@ from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution
-from casadi_skin.figures.frequencies import draw_band, family_path, label_ends, stability_pieces
-from casadi_skin.figures.profiles import LINES, MARKERS, linear_mode
+from casadi_skin.figures.branch_lines import stability_pieces
+from casadi_skin.figures.frequencies import draw_band, family_path, label_ends
+from casadi_skin.figures.profiles import LINES, MARKERS
 from casadi_skin.figures.spacetime import draw_spacetime
 from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.results.tables import EVENT_COLUMNS, event_row, orbit_row
+from casadi_skin.results.quantities import csv_row, places_of, quantities_of
+from casadi_skin.runs.writing import EVENT_COLUMNS, event_rows
 from casadi_skin.studies.paper.paper_data import (
     ALPHA,
     AMPLITUDE_MAX,
@@ -54,10 +56,10 @@ def draw_space_time(figure: Figure, axes: Axes, evolution: Evolution) -> None:
 def families_table(families: dict[float, dict[int, Branch]]) -> Rows:
     """All points of families by g and mode, with the columns of family.csv."""
     rows = [
-        {"g": g, **orbit_row(orbit, i, True)}
+        {"g": g, **csv_row(quantities_of(branch), place)}
         for g, branches in families.items()
         for branch in branches.values()
-        for i, orbit in enumerate(branch.orbits)
+        for place in places_of(branch)
     ]
     return list(rows[0]), rows
 
@@ -65,10 +67,10 @@ def families_table(families: dict[float, dict[int, Branch]]) -> Rows:
 def changes_table(families: dict[float, dict[int, Branch]]) -> Rows:
     """Changes of stability of families by g and mode, with the columns of events.csv."""
     rows = [
-        {"g": g, **event_row(mode, change)}
+        {"g": g, **row}
         for g, branches in families.items()
-        for mode, branch in branches.items()
-        for change in branch.changes
+        for branch in branches.values()
+        for row in event_rows(branch)
     ]
     return ["g", *EVENT_COLUMNS], rows
 
@@ -80,7 +82,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     """Omega against S, stable solid and unstable dashed, over the grey band; one orbit marked."""
     branches = list(families.values())
     paths = [family_path(branch, False) for branch in branches]
-    draw_band(axes, marked.chain)
+    draw_band(axes, marked.model)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         for stable, piece in stability_pieces(branch, path, False):
             axes.plot(*piece.T, color=colour, lw=2.0, ls="-" if stable else DASHED, zorder=3)
@@ -100,7 +102,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
 
 def _draw_profile(axes: Axes, orbit: Orbit, mode_number: int) -> None:
     """The profile over the linear mode of the same norm."""
-    mode = linear_mode(orbit.chain, mode_number) * np.sqrt(orbit.S)
+    mode = orbit.model.linear_spectrum().mode(mode_number) * np.sqrt(orbit.S)
     n = np.arange(1, SITES + 1)
     sign = np.sign(mode @ orbit.profile)
     axes.axhline(0.0, color="0.45", lw=0.5, zorder=0)

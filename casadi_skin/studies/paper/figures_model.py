@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.figures.profiles import linear_mode
 from casadi_skin.figures.style import blank, finished, number_sites, style, title
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.studies.paper.figures_families import Drawn
@@ -150,7 +149,7 @@ def procedure_figure(data: PaperData) -> Drawn:
     squares, vectors = chain.diagonalise()
     j, omega = np.arange(1, SITES + 1), np.sqrt(squares)
     modes = {mode: vectors[:, mode - 1] / np.linalg.norm(vectors[:, mode - 1]) for mode in (1, SITES)}
-    modes = {mode: u * np.sign(u @ linear_mode(chain, mode)) for mode, u in modes.items()}
+    modes = {mode: u * np.sign(u @ chain.linear_spectrum().mode(mode)) for mode, u in modes.items()}
     with style():
         figure = blank(9.4, 3.8)
         panels = figure.subplot_mosaic("aabccc;aadccc", width_ratios=(1, 1, 1.15, 0.8, 0.8, 0.8))

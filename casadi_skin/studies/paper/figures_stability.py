@@ -15,7 +15,7 @@ from casadi_skin.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.multipliers import ComplexArray
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.studies.paper.figures_families import (
     Drawn,
     changes_table,
@@ -50,7 +50,7 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     S, moduli = [], []
     for orbit in branch.orbits:
         floquet = orbit.floquet()
-        outer = np.abs(floquet.root[~floquet.is_inside]) ** (2 * floquet.power)
+        outer = np.abs(floquet.others[floquet.outside])
         S += [orbit.S] * (2 * outer.size)
         moduli += [*outer, *1.0 / outer]
     on_circle = [0.0, *(change.S for change in branch.changes)]
@@ -116,7 +116,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
-        figure.suptitle(f"family $j = 1$; {title(orbits[0].chain)}")
+        figure.suptitle(f"family $j = 1$; {title(orbits[0].model)}")
         finished(figure, panels.values(), 5)
     families = {-1.0: {1: branch}}
     return figure, {
@@ -165,7 +165,7 @@ def kick_figure(data: PaperData) -> Drawn:
         axes.set(yscale="log", xlim=(0.0, KICK_TIME), xlabel="time $t$")
         axes.set_ylabel(r"gain $\Vert z(t)\Vert\,/\,\Vert z(0)\Vert$")
         letter(axes, "c", "transient growth of perturbations")
-        figure.suptitle(f"$j = 1$, $S = {number(orbit.S)}$; {title(orbit.chain)}")
+        figure.suptitle(f"$j = 1$, $S = {number(orbit.S)}$; {title(orbit.model)}")
         finished(figure, (axes,), 5)
     quarter = {"t": growth.t[shown], "optimal": optimal, "optimal_without_trivial_pair": bounded}
     return figure, {

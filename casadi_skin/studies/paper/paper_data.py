@@ -114,12 +114,14 @@ class PaperData:
     def hardening_orbit(self) -> Orbit:
         """The representative mode of figure 3(b): j = 24, g = +1, S = 0.2."""
         branch = self.hardening[24] if "hardening" in self.__dict__ else self._family(+1.0, 24)
-        return branch.at(S=REPRESENTATIVE_S)
+        orbit: Orbit = branch.at(S=REPRESENTATIVE_S)
+        return orbit
 
     @cached_property
     def softening_orbit(self) -> Orbit:
         """The representative mode of figure 3(e): j = 1, g = -1, S = 0.2."""
-        return self.end_breather.at(S=REPRESENTATIVE_S)
+        orbit: Orbit = self.end_breather.at(S=REPRESENTATIVE_S)
+        return orbit
 
     # Time evolution (figures 3 and 6) -------------------------------------------------------------------------------
 
@@ -164,4 +166,5 @@ class PaperData:
         """(Omega(S) - omega)/(omega S) at S = 0.01, the paper's finite difference, from the shift itself."""
         S = FINITE_DIFFERENCE_S
         branch = follow_family(chain, 1, S, at=(S,), tolerance=1e-8, corrector="newton")
-        return branch.at(S=S).Omega_shift / (S * chain.linear_frequency(1))
+        orbit: Orbit = branch.at(S=S)
+        return orbit.Omega_shift / (S * chain.linear_frequency(1))

@@ -16,7 +16,7 @@ from casadi_skin.orbits.harmonics import harmonic_shares
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.studies.calibration.cases import reference_of
 from casadi_skin.studies.exact import exact_linear_frequency, exact_orbit, many_digits
-from casadi_skin.studies.exact_multipliers import exact_mu, paired
+from casadi_skin.studies.exact_multipliers import exact_mu, paired, reduced
 from casadi_skin.studies.integration import physical_multipliers, return_error
 from casadi_skin.studies.stress.case import Finding, RefusedError, relative
 from casadi_skin.theory.duffing import duffing_frequency
@@ -59,7 +59,8 @@ class Setup:
         branch = self.family()
         if not branch.complete:
             raise RefusedError(branch.reason, against_digits(branch.orbits[-1], self))
-        return branch.at(S=self.S)
+        orbit: Orbit = branch.at(S=self.S)
+        return orbit
 
     def allowed(self, orbit: Orbit) -> float:
         """The tolerance, or, where the result says that round-off stands in the way, its estimated error."""
@@ -161,7 +162,7 @@ def against_long_double(orbit: Orbit, setup: Setup) -> Finding:
 
     An estimate above the tolerance says that the tolerance is not reached.
     """
-    known, (mu, _) = orbit.floquet(), exact_mu(reference_of(orbit))
+    known, (mu, _) = reduced(orbit), exact_mu(reference_of(orbit))
     size = np.maximum(1.0, np.abs(known.mu))
     off = np.abs(known.mu - paired(known.mu.astype(np.clongdouble), mu)).astype(float) / size
     estimates = known.mu_error / size

@@ -82,7 +82,9 @@ def compare(sites: int, gamma: float) -> Comparison | None:
 
 
 def _orbit(chain: Chain, mode: int) -> Orbit:
-    return follow_family(chain, mode, AMPLITUDE, at=(AMPLITUDE,), tolerance=1e-12, corrector="newton").at(S=AMPLITUDE)
+    branch = follow_family(chain, mode, AMPLITUDE, at=(AMPLITUDE,), tolerance=1e-12, corrector="newton")
+    orbit: Orbit = branch.at(S=AMPLITUDE)
+    return orbit
 
 
 def _frequency_error(D: Array, exact: Array) -> float:
@@ -101,7 +103,7 @@ def _off_the_circle(orbit: Orbit, gauge: bool) -> float:
 
 def _orbit_error(orbit: Orbit, mode: int, D: Array, gauge: bool) -> float:
     """Relative error of Omega of the orbit that Newton's method finds, in steps of S from the computed linear mode."""
-    chain, scale = orbit.chain, orbit.chain.rho if gauge else np.ones(orbit.chain.sites)
+    chain, scale = orbit.model, orbit.model.rho if gauge else np.ones(orbit.model.sites)
     values, vectors = np.linalg.eig(D)
     place = int(np.argsort(values.real)[mode - 1])
     shape, Omega = np.real(vectors[:, place]), math.sqrt(abs(values[place].real))

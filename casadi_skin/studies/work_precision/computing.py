@@ -7,50 +7,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import FamilyContinuation
-from casadi_skin.orbits.multipliers import accelerations
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
-from casadi_skin.stability.result import Floquet
-from casadi_skin.studies.work_precision.settings import Family, Setting
-
-
-def default_walker(family: Family) -> str:
-    """The walker of a family where none is asked for."""
-    return FamilyRequest(family.chain, family.mode, family.amplitude_max, family.at).way
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.studies.work_precision.settings import Setting
 
 
 class Computation:
     """A setting, whose problems are built when they are first used and then kept."""
 
     def __init__(self, setting: Setting) -> None:
-        family = setting.family
-        request = FamilyRequest(family.chain, family.mode, family.amplitude_max, family.at, **setting.methods)
-        self.tools = FamilyTools(request)
+        self.space = Family(setting.family.request(**setting.methods))
 
     def follow(self, stability: bool = False) -> Branch:
         """The family to its end."""
-        continuation = FamilyContinuation(self.tools, stability)
-        for _ in continuation:
-            pass
-        return continuation.branch()
+        return run_following(Following(self.space, stability), None)
 
-    def multipliers(self, orbits: Sequence[Orbit]) -> list[Floquet]:
+    def multipliers(self, orbits: Sequence[Orbit]) -> list[ReversibleFloquet]:
         """Stability of orbits of this family by the flow and to the tolerance of this setting.
 
         The errors of the orbits count for nothing. No mu at |gamma| = 1, where one site moves. Raises FlowError.
         """
-        if self.tools.core.sites == 1:
-            return [Floquet(np.zeros(0, complex), np.zeros(0), 0.0, 2) for _ in orbits]
         states = [OrbitState(orbit.point.problem, orbit.point.z) for orbit in orbits]
-        tolerance = self.tools.request.tolerance
-        return floquets(self.tools.flow, states, lambda found: accelerations(self.tools, found), tolerance)
+        return floquets(self.space.flow, states, self.space.accelerations, self.space.tolerance)
 
 
 def requested_orbits(branch: Branch) -> list[Orbit]:
@@ -58,8 +41,3 @@ def requested_orbits(branch: Branch) -> list[Orbit]:
     if not branch.complete:
         raise ArithmeticError(branch.reason)
     return [orbit for orbit in branch.orbits if orbit.point.requested]
-
-
-def unknowns(orbit: Orbit) -> int:
-    """The number of unknowns of an orbit."""
-    return orbit.point.problem.size

@@ -24,8 +24,9 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.result import Floquet
-from casadi_skin.studies.work_precision.computing import Computation, requested_orbits, unknowns
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.studies.exact_multipliers import reduced
+from casadi_skin.studies.work_precision.computing import Computation, requested_orbits
 from casadi_skin.studies.work_precision.reference import Errors, Reference
 from casadi_skin.studies.work_precision.settings import SMALLEST, Kind, Measured, Setting, bounded
 
@@ -72,9 +73,9 @@ def _measure_family(setting: Setting, reference: Reference, repeats: int) -> Mea
         return branch, requested_orbits(branch)  # a family that ends early is not followed again
 
     (branch, orbits), times = timed(follow, repeats)
-    found = [orbit.floquet() for orbit in orbits] if stability else reference.multipliers(orbits)
+    found = [reduced(orbit) for orbit in orbits] if stability else reference.multipliers(orbits)
     told = any(orbit.at_round_off for orbit in orbits) or (stability and any(_over(f, setting) for f in found))
-    size = max(map(unknowns, branch.orbits))
+    size = max(orbit.point.problem.size for orbit in branch.orbits)
     measured = Measured(setting, **times, unknowns=size, points=len(branch), told=told)  # type: ignore[arg-type]
     return _judged(measured, reference.errors_of(orbits, found), reference.agreement)
 
@@ -89,7 +90,7 @@ def _measure_flow(setting: Setting, reference: Reference, repeats: int) -> Measu
     return _judged(measured, errors, reference.agreement)
 
 
-def _over(found: Floquet, setting: Setting) -> bool:
+def _over(found: ReversibleFloquet, setting: Setting) -> bool:
     """Whether the estimated error of a mu is above the tolerance."""
     return bool(np.any(found.mu_error > setting.tolerance * np.maximum(1.0, np.abs(found.mu))))
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import LONG_DOUBLES, exact_orbit
 from casadi_skin.studies.exact_multipliers import exact_mu, paired
 from casadi_skin.studies.work_precision.computing import Computation, requested_orbits
-from casadi_skin.studies.work_precision.settings import Family, Kind, Setting
+from casadi_skin.studies.work_precision.settings import FamilyCase, Kind, Setting
 
 TIGHTEST = 1e-13
 PHASES = 65  # of a quarter of the period, at which profiles are compared
@@ -35,7 +35,7 @@ class Reference:
     tolerance. Raises ArithmeticError where the family does not reach them.
     """
 
-    def __init__(self, family: Family) -> None:
+    def __init__(self, family: FamilyCase) -> None:
         tightest = Setting(Kind.ORBITS, family, TIGHTEST, corrector="newton", flow="gauss")
         computation = Computation(tightest)
         self.multipliers = computation.multipliers
@@ -51,7 +51,7 @@ class Reference:
         """Largest differences between the reference and orbits and mu by collocation."""
         return _largest(self.differences)
 
-    def errors_of(self, orbits: Sequence[Orbit], floquets: Iterable[Floquet]) -> Errors:
+    def errors_of(self, orbits: Sequence[Orbit], floquets: Iterable[ReversibleFloquet]) -> Errors:
         """Largest true errors of orbits and of mu; raises ArithmeticError where they are not at the same S."""
         if [orbit.S for orbit in orbits] != [orbit.S for orbit in self.orbits]:
             raise ArithmeticError(
@@ -59,7 +59,7 @@ class Reference:
             )
         return _largest(self._errors(orbits, floquets))
 
-    def _errors(self, orbits: Iterable[Orbit], floquets: Iterable[Floquet]) -> Iterator[Errors]:
+    def _errors(self, orbits: Iterable[Orbit], floquets: Iterable[ReversibleFloquet]) -> Iterator[Errors]:
         for orbit, found, exact, mu in zip(orbits, floquets, self.exact, self.mu, strict=True):
             known = mu.size == found.mu.size > 0
             off = np.abs(paired(mu, found.mu) - mu) / np.maximum(1.0, np.abs(mu)) if known else np.nan

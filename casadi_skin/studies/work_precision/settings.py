@@ -9,7 +9,9 @@ from math import nan
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.scene import CORRECTORS, FLOWS, PRESET_TOLERANCES, TRANSCRIPTIONS, WALKERS
+from casadi_skin.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
+from casadi_skin.orbits.request import FamilyRequest, family_request
+from casadi_skin.scene import PRESET_TOLERANCES
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)
@@ -20,7 +22,7 @@ SMALLEST = 1e-16  # written for an error of exactly zero
 
 
 @dataclass(frozen=True)
-class Family:
+class FamilyCase:
     """A family from a linear mode to S = `amplitude_max`, whose errors are measured at the S of `at`."""
 
     chain: Chain
@@ -28,12 +30,16 @@ class Family:
     amplitude_max: float
     at: tuple[float, ...]
 
-    def with_points(self) -> Family:
+    def with_points(self) -> FamilyCase:
         """The family with its own points, or with equal parts of it where there are none."""
         if self.at:
             return self
         end = self.amplitude_max
         return replace(self, at=(*(end * k / PARTS_OF_FAMILY for k in range(1, PARTS_OF_FAMILY)), end))
+
+    def request(self, **methods: Any) -> FamilyRequest:
+        """The family as it is asked of the package, by the methods given."""
+        return family_request(self.chain, self.mode, self.amplitude_max, at=self.at, **methods)
 
     @property
     def shooting_left_out(self) -> bool:
@@ -54,7 +60,7 @@ class Setting:
     """Methods and a tolerance for a family; `name` is that of a preset."""
 
     kind: Kind
-    family: Family
+    family: FamilyCase
     tolerance: float = 1e-8
     transcription: str = "trigonometric"
     walker: str = "series"
@@ -155,25 +161,25 @@ def front_of(measured: Sequence[Measured], kind: Kind, known: float) -> list[Mea
     return [asked[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in asked], SAME_ERROR)]
 
 
-def orbit_settings(family: Family, tolerances: Iterable[float]) -> list[Setting]:
+def orbit_settings(family: FamilyCase, tolerances: Iterable[float]) -> list[Setting]:
     """Every method that finds orbits at every tolerance; shooting for short chains."""
     return [
         Setting(Kind.ORBITS, family, tolerance, transcription, walker, corrector)
         for transcription in TRANSCRIPTIONS
-        if not (transcription == "shooting" and family.shooting_left_out)
-        for walker in (WALKERS if transcription == "trigonometric" else WALKERS[:1])
-        for corrector in CORRECTORS[::-1]
+        if not (transcription == SHOOTING and family.shooting_left_out)
+        for walker in (CONTINUATIONS if transcription == TRIGONOMETRIC else ("arclength",))
+        for corrector in reversed(list(CORRECTORS))
         for tolerance in tolerances
     ]
 
 
-def flow_settings(family: Family, tolerances: Iterable[float]) -> list[Setting]:
+def flow_settings(family: FamilyCase, tolerances: Iterable[float]) -> list[Setting]:
     """Every flow map at every tolerance; none where a single site moves."""
     if family.chain.sites == 1 or abs(family.chain.gamma) == 1.0:
         return []
     return [Setting(Kind.FLOW, family, tolerance, flow=flow) for flow in FLOWS for tolerance in tolerances]
 
 
-def preset_settings(family: Family, walker: str) -> list[Setting]:
+def preset_settings(family: FamilyCase, walker: str) -> list[Setting]:
     """The presets with the default methods, of which `walker` is one."""
     return [Setting(Kind.PRESET, family, tol, walker=walker, name=name) for name, tol in PRESET_TOLERANCES.items()]

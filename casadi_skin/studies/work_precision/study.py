@@ -12,16 +12,15 @@ from matplotlib.figure import Figure
 
 from casadi_skin.figures.style import blank, colours, finished, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.scene import FLOWS, TRANSCRIPTIONS
+from casadi_skin.methods import FLOWS, TRANSCRIPTIONS
 from casadi_skin.studies.study import Study, letter
-from casadi_skin.studies.work_precision.computing import default_walker
 from casadi_skin.studies.work_precision.measuring import measure, memory_of
 from casadi_skin.studies.work_precision.reference import REFERENCE_COLUMNS, Errors, Reference
 from casadi_skin.studies.work_precision.settings import (
     COLUMNS,
     QUICK_TOLERANCES,
     TOLERANCES,
-    Family,
+    FamilyCase,
     Kind,
     Measured,
     Setting,
@@ -35,14 +34,14 @@ from casadi_skin.studies.work_precision.words import advices, preset_words, prom
 
 REPEATS = 5
 DEFAULT_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)  # no value next to a change of stability, where mu meet
-DEFAULT_FAMILY = Family(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, DEFAULT_AT)  # the softening end breather of the paper
+DEFAULT_FAMILY = FamilyCase(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, DEFAULT_AT)  # the softening end breather of the paper
 
 
 @dataclass
 class WorkPrecision(Study):
     """The study of one family: tradeoff.csv, flows.csv, reference.csv, recommendations.md and a picture."""
 
-    family: Family
+    family: FamilyCase
     quick: bool = False
     repeats: int = REPEATS
     measured: list[Measured] = field(default_factory=list)
@@ -53,7 +52,7 @@ class WorkPrecision(Study):
     def settings(self) -> list[Setting]:
         """The settings that are measured, in order; the presets first."""
         tolerances, family = QUICK_TOLERANCES if self.quick else TOLERANCES, self.family
-        presets = preset_settings(family, default_walker(family))
+        presets = preset_settings(family, str(family.request().method.walker))
         return [*presets, *orbit_settings(family, tolerances), *flow_settings(family, tolerances)]
 
     def run(self) -> None:
@@ -112,9 +111,9 @@ def look(measured: Measured) -> dict[str, Any]:
     """Marker, colour and line of a method: full markers are Newton's, open ones Ipopt's; series are dashed."""
     setting = measured.setting
     if setting.kind is Kind.FLOW:
-        place = FLOWS.index(setting.flow)
+        place = list(FLOWS).index(setting.flow)
         return {"marker": FLOW_MARKERS[place], "color": colours(len(FLOWS))[place], "ls": "-", "ms": 5.5}
-    place = TRANSCRIPTIONS.index(setting.transcription)
+    place = list(TRANSCRIPTIONS).index(setting.transcription)
     colour = colours(len(TRANSCRIPTIONS))[place]
     face = "white" if setting.corrector == "ipopt" else colour
     dashes: Any = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
@@ -163,7 +162,7 @@ def _finish(axes: Axes, known: float) -> None:
     axes.set_ylim(max(low, LOWEST), high * 2.0)
 
 
-def work_precision_figure(family: Family, measured: Sequence[Measured], known: Errors) -> Figure:
+def work_precision_figure(family: FamilyCase, measured: Sequence[Measured], known: Errors) -> Figure:
     """True error against time: orbits at the left, multipliers at the right.
 
     Errors up to those in `known`, by which the references differ, lie in a hatched band.

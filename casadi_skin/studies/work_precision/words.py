@@ -9,7 +9,7 @@ from casadi_skin.studies.work_precision.reference import TIGHTEST, Errors
 from casadi_skin.studies.work_precision.settings import (
     SHOOTING_SITES,
     SMALLEST,
-    Family,
+    FamilyCase,
     Kind,
     Measured,
     bounded,
@@ -186,7 +186,9 @@ def _error(value: float) -> str:
     return "" if value != value else f"{value:.1e}"
 
 
-def recommendations(family: Family, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int) -> str:
+def recommendations(
+    family: FamilyCase, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
+) -> str:
     """All of it as Markdown: what was measured, what to use, where the presets sit, and the table."""
     chain = family.chain
     tolerances = promised(measured)

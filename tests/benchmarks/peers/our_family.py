@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
-from casadi_skin.orbits.follow import FamilyContinuation
+from casadi_skin.orbits import family as computed
+from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.request import family_request
 
-# Name in the table: keywords of FamilyRequest. A new method is one line.
+# Name in the table: keywords of family_request. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
     f"this, {corrector}, {walker}": {"corrector": corrector, "walker": walker}
     for corrector in ("ipopt", "newton")
@@ -24,11 +24,11 @@ VARIANTS: dict[str, dict[str, str]] = {
 def our_walk(
     case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool
 ) -> Callable[[], tuple[Orbit, ...]]:
-    """A walk over the family; the tools, once built, serve every call."""
-    tools = FamilyTools(FamilyRequest(case.chain, 1, case.at[-1], case.at, tolerance, **keywords))  # type: ignore[arg-type]
+    """A walk over the family; what is built once serves every call."""
+    space = computed.Family(family_request(case.chain, 1, case.at[-1], at=case.at, tolerance=tolerance, **keywords))  # type: ignore[arg-type]
 
     def follow() -> tuple[Orbit, ...]:
-        walk = FamilyContinuation(tools, stability, events=False)
+        walk = Following(space, stability, events=False)
         for _ in walk:
             pass
         branch = walk.branch()

@@ -1,0 +1,105 @@
+"""What a run tells on standard output when it ends."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.results.quantities import places_of
+from casadi_skin.runs.writing import mode_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from casadi_skin.runs.run import Run
+
+
+def print_summary(run: Run) -> None:
+    """A table of the families, or of the points of another branch that a reader looks for; and where results are."""
+    if run.search is not None:
+        from casadi_skin.runs.search import summary_lines
+
+        print("\n".join([*summary_lines(run.search, run.request), f"results in {run.directory}"]))
+    for path in run.exported:
+        print(f"exported to {path}")
+    branches = [branch for branch in run.branches if len(branch)]
+    if not run.branches:
+        return
+    from rich.console import Console
+
+    if isinstance(run.branches[0].space, Family):
+        Console().print(_families(run))
+        _print_thresholds(run.branches)
+    elif branches:
+        Console().print(_points(run, branches[0]))
+    if run.evolution is not None:
+        print(f"dynamics: {run.evolution.status}")
+    count = "" if isinstance(run.branches[0].space, Family) else f"{_counted(branches)}; "
+    print(f"{count}results in {run.directory}")
+
+
+def _counted(branches: list[Branch]) -> str:
+    points = sum(len(branch) for branch in branches)
+    return f"{points} point{'' if points == 1 else 's'}"
+
+
+def _table(title: str | None, columns: list[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, box=None, header_style="bold", padding=(0, 1), title_justify="left")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
+
+
+def _families(run: Run) -> Table:
+    """A row a family."""
+    stability = run.request.scene.stability is not None
+    columns = ["mode", "points", "S", "Omega", "its error", *(["max |multiplier|", "changes"] if stability else [])]
+    table = _table(run.request.scene.title, [*columns, "seconds"])
+    for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
+        cells = [str(mode_of(branch)), str(len(branch))]
+        if not len(branch):
+            table.add_row(*cells)
+            continue
+        last = branch.orbits[-1]
+        cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
+        if branch.with_stability:
+            cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
+        table.add_row(*cells, f"{seconds:.2f}")
+    return table
+
+
+def _print_thresholds(branches: list[Branch]) -> None:
+    for branch in branches:
+        if branch.threshold is not None:
+            words = f"end breather of the infinite chain born at S_c = {branch.threshold:.10g}"
+            print(f"mode {mode_of(branch)}: {words}")
+
+
+def _points(run: Run, branch: Branch) -> Table:
+    """A row for the first and the last point, those asked for, and folds."""
+    first = branch.solutions[0]
+    orbit, names = isinstance(first, Orbit), first.space.state_names
+    columns = ["point", "", *([branch.parameter] if branch.parameter else []), *(["period"] if orbit else [])]
+    columns += [f"largest {names[0]}", "its error", *(["max |mult.|"] if branch.with_stability else [])]
+    table = _table(run.request.scene.title or run.request.ode.name, columns)
+    for place in places_of(branch):
+        solution, last = place.solution, place.index == len(branch) - 1
+        marks = {"start": place.index == 0, "asked for": place.requested, place.special: place.special, "end": last}
+        words = [word for word, holds in marks.items() if holds and word]
+        if not words:
+            continue
+        row = [str(place.index), ", ".join(words) if len(branch) > 1 else "alone"]
+        row += [f"{solution.parameters[branch.parameter]:.8g}"] if branch.parameter else []
+        row += [f"{solution.period:.10g}"] if isinstance(solution, Orbit) else []
+        row += [f"{place.extremes[1][0]:.8g}", f"{solution.error:.1e}"]
+        if branch.with_stability:
+            moduli = np.abs(place.floquet.others)
+            row.append(f"{moduli.max():.6g}" if moduli.size else "")
+        table.add_row(*row)
+    return table

@@ -1,0 +1,18 @@
+"""Time evolution of any model, from any start or near an orbit."""
+
+from casadi_skin.dynamics.distance import distance_from_orbit
+from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
+from casadi_skin.dynamics.evolution import Evolution, EvolutionError
+from casadi_skin.dynamics.evolve import evolve
+from casadi_skin.dynamics.perturbation import perturbed, simulate_orbit
+
+__all__ = [
+    "EquationsOfMotion",
+    "Evolution",
+    "EvolutionError",
+    "distance_from_orbit",
+    "equations_of_motion",
+    "evolve",
+    "perturbed",
+    "simulate_orbit",
+]

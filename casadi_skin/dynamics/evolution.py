@@ -1,0 +1,180 @@
+"""What a time evolution gives: states at the wanted times, how they were computed, and how well the energy was kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
+
+FEWEST = 40  # output times that a cycle is looked for in
+CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
+
+
+@dataclass(frozen=True, eq=False)
+class Evolution:
+    """States of a model in time; dimensionless, or in the units of the model.
+
+    Attributes:
+        equations: the equations of motion, with the model and the values of its parameters.
+        t: times, ascending, shape (time,).
+        states: in the coordinates of the model, shape (time, component): displacements, then velocities in a model of
+            second order.
+        method: name of the integrator.
+        tolerance: what it was asked for.
+        coordinates: "gauge" or "physical", those that were integrated in.
+        evaluations: of the forces, or of the right-hand side.
+        step: of a method with a fixed one.
+    """
+
+    equations: EquationsOfMotion
+    t: Array
+    states: Array
+    method: str
+    tolerance: float
+    coordinates: str
+    evaluations: int
+    step: float | None = None
+
+    @property
+    def model(self) -> Any:
+        """The model that moves, as it was given."""
+        return self.equations.model
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters of the model by name."""
+        return self.equations.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the components of the state."""
+        return self.equations.names
+
+    @property
+    def displacements(self) -> Array:
+        """Positions, shape (time, position); raises ValueError for a model of first order."""
+        return self.states[:, : self._positions("displacements")]
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities, shape (time, position); raises ValueError for a model of first order."""
+        return self.states[:, self._positions("velocities") :]
+
+    def _positions(self, name: str) -> int:
+        if not self.equations.positions:
+            raise ValueError(f"{name}: {self.equations.physical.name} is of first order; accepted: states")
+        return self.equations.positions
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """States at times between the first and the last, shape (time, component), by cubic Hermite interpolation."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        if np.any((times < self.t[0]) | (times > self.t[-1])):
+            raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {self.t[0]:g} to {self.t[-1]:g}")
+        return np.asarray(self._curve(times))
+
+    @cached_property
+    def _curve(self) -> Any:
+        """The states as a spline of scipy."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        field, values = self.equations.physical.vector_field, self.equations.values
+        rates = field.map(self.t.size)(self.t[None], self.states.T, np.tile(values[:, None], self.t.size))
+        return CubicHermiteSpline(self.t, self.states, np.array(rates).T)
+
+    def last_cycle(self) -> Cycle:
+        """The last stretch of time over which the state comes back to itself; raises ValueError where it does not."""
+        t, states = self.t, self.states
+        if t.size < FEWEST:
+            raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
+        half = states[t.size // 2 :]
+        spread = np.ptp(half, axis=0)
+        component = int(np.argmax(np.std(half, axis=0)))
+        level = float(np.mean(half[:, component]))
+        below = states[:, component] < level
+        up = np.flatnonzero(below[:-1] & ~below[1:])
+        for earlier in up[-2::-1]:
+            start, end = (self._crossing(i, component, level) for i in (earlier, up[-1]))
+            gap = np.abs(self.evaluate(start) - self.evaluate(end))[0]
+            if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
+                return Cycle(self, start, end - start)
+        raise ValueError(f"last_cycle: from t = {t[0]:g} to {t[-1]:g} the state does not come back to itself")
+
+    def _crossing(self, i: int, component: int, level: float) -> float:
+        """The time between two output times at which a component has a value."""
+        from scipy.optimize import brentq
+
+        curve = self._curve
+        return float(brentq(lambda t: curve(t)[component] - level, self.t[i], self.t[i + 1]))
+
+    # Energy -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the model declares a conserved quantity."""
+        return self.equations.conserves
+
+    @cached_property
+    def energy(self) -> Array:
+        """The conserved quantity that the model declares, shape (time,).
+
+        Of a chain that of its gauge, with rho = 1 at the edge that the modes lean to. Raises ValueError where none is
+        declared, and at |gamma| = 1 of a chain where sites off that edge move.
+        """
+        return self.equations.energy(self.states)
+
+    @property
+    def energy_drift(self) -> Array:
+        """H(t) - H(first t), which the equations keep at 0, relative to |H(first t)|, shape (time,).
+
+        In a model of second order it is relative to the largest kinetic energy where that is larger, as beside negative
+        potential energies. Raises ValueError where `energy` does.
+        """
+        energy, n = self.energy, self.equations.positions
+        size = abs(energy[0])
+        if n:
+            at_rest = np.hstack([self.states[:, :n], np.zeros((self.t.size, n))])
+            size = max(size, float(np.max(energy - self.equations.energy(at_rest))))
+        return np.asarray((energy - energy[0]) / (size or 1.0))
+
+    @property
+    def status(self) -> str:
+        """What was computed, how, and how well the energy was kept, in a sentence."""
+        words = f"{self.method} in {self.coordinates} coordinates, tolerance {self.tolerance:.3g}"
+        if self.step is not None:
+            words += f", step {self.step:.4g}"
+        words += f": t = {self.t[-1]:.6g} reached with {self.evaluations} evaluations"
+        if self.equations.physical.hamiltonian is not None or (self.has_energy and self.coordinates == GAUGE):
+            words += f", energy kept to {np.abs(self.energy_drift).max():.1e}"
+        return words
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """A stretch of a time evolution after which it repeats itself: a guess for `find_orbit`, period included."""
+
+    evolution: Evolution
+    start: float
+    period: float
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """States at times from the start of the cycle on, shape (time, component)."""
+        times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
+        return self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
+
+
+class EvolutionError(ArithmeticError):
+    """A time evolution that could not be followed to its end: the message tells how far and why in one line.
+
+    `evolution` is what was computed before, None where that is nothing.
+    """
+
+    def __init__(self, message: str, evolution: Evolution | None) -> None:
+        super().__init__(message)
+        self.evolution = evolution

@@ -1,0 +1,52 @@
+"""A model followed from any state and any time, stiff or not, for guesses of orbits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.integrators.cvodes import stiff_cvodes
+from casadi_skin.models.ode import OdeModel
+
+
+def simulate(
+    model: OdeModel,
+    start: ArrayLike,
+    t: ArrayLike,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    tolerance: float = 1e-9,
+) -> Evolution:
+    """Follow a model in time by CVODES with formulas for stiff equations (BDF).
+
+    Arguments:
+        model: any model; one of second order is followed in positions and velocities.
+        start: the state at the first of the times, shape (component,).
+        t: two or more times, ascending.
+        parameters: values by name, where they are not the model's nominal ones.
+        tolerance: relative to the largest component of the start.
+
+    Returns:
+        States at all times; its `last_cycle()` is a guess for `find_orbit`.
+
+    Raises:
+        ValueError: an argument does not fit the model.
+        IntegrationError: CVODES fails.
+    """
+    equations = EquationsOfMotion(model.first_order(), parameters)
+    x = np.array(numbers("start", np.ravel(start)))
+    if x.size != equations.size:
+        raise ValueError(f"start: given {x.size} states; accepted: {equations.size}, {', '.join(equations.names)}")
+    times = np.array(numbers("t", np.ravel(t)))
+    if times.size < 2 or np.any(np.diff(times) <= 0):
+        raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
+    if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
+        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
+    later = stiff_cvodes(equations.physical, equations.values, x, times[1:], tolerance, float(times[0]))
+    states = np.vstack([x[None], later.states])
+    return Evolution(equations, times, states, "cvodes", tolerance, PHYSICAL, later.evaluations)

@@ -1,0 +1,78 @@
+"""The one registry of interchangeable methods: their names, what they are in words, and where they are implemented.
+
+Scenes, messages and documentation read it. It loads no numerics: an implementation is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Implementation:
+    """A method as one line of the registry: the words that describe it, and its place as "module:name"."""
+
+    words: str
+    place: str
+
+    def load(self) -> Any:
+        """The class or function that implements the method, imported now."""
+        module, name = self.place.split(":")
+        return getattr(import_module(f"casadi_skin.{module}"), name)
+
+
+Registry = Mapping[str, Implementation]
+
+
+def _registry(**methods: tuple[str, str]) -> Registry:
+    return MappingProxyType({name: Implementation(*entry) for name, entry in methods.items()})
+
+
+TRIGONOMETRIC, SHOOTING = "trigonometric", "shooting"
+GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # what is chosen where nothing is asked for
+COLLOCATION_TABLES = _registry(
+    gauss=("Gauss-Legendre collocation on intervals", "bvp.butcher:gauss_table"),
+    radau=("Radau IIA collocation on intervals, for stiff equations", "bvp.butcher:radau_table"),
+)
+TRANSCRIPTIONS = _registry(
+    trigonometric=("odd cosines on a quarter of the period", "bvp.trigonometric:TrigonometricProblem"),
+    gauss=("Gauss-Legendre collocation on intervals", "bvp.orbit_collocation:CollocationProblem"),
+    radau=("Radau IIA collocation on intervals, for stiff equations", "bvp.orbit_collocation:CollocationProblem"),
+    shooting=("multiple shooting by SUNDIALS CVODES", "bvp.shooting:ShootingProblem"),
+)
+CORRECTORS = _registry(
+    ipopt=("Ipopt on the equations as a nonlinear program", "solvers.ipopt:IpoptCorrector"),
+    newton=("Newton's method with the bordered linear solver", "solvers.newton:NewtonCorrector"),
+)
+CONTINUATIONS = _registry(
+    arclength=("pseudo-arclength predictor and corrector", "continuation.arclength:ArclengthContinuation"),
+    series=("Taylor series of the branch", "continuation.series:SeriesContinuation"),
+)
+FLOWS = _registry(
+    splitting=("symplectic splitting, extrapolated", "stability.splitting:SplittingFlow"),
+    cvodes=("SUNDIALS CVODES with sensitivities", "stability.cvodes:CvodesFlow"),
+    gauss=("Gauss-Legendre collocation", "stability.gauss_flow:GaussFlow"),
+    rk4=("classical Runge-Kutta method, extrapolated", "stability.rk4:RungeKuttaFlow"),
+)
+FULL_PERIOD_FLOWS = _registry(
+    collocation=("interval maps of the linearised collocation equations", "stability.full_period:by_collocation"),
+    cvodes=("SUNDIALS CVODES with sensitivities", "stability.full_period:by_cvodes"),
+)
+INTEGRATORS = _registry(
+    cvodes=("SUNDIALS CVODES", "integrators.cvodes:cvodes"),
+    dop853=("Dormand-Prince of order 8", "integrators.dop853:dop853"),
+    symplectic=("symplectic splitting of order 6", "integrators.splitting:symplectic"),
+)
+TASKS = _registry(  # what an object's method does where the object stands below what is done
+    optimise=("the optimum of a boundary-value problem", "optimise.boundary_nlp:optimise"),
+    follow=("the branch through a solution", "orbits.follow:follow"),
+    to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
+    chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
+    chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
+    threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
+)
+TAILS = ("eliminated", "full")

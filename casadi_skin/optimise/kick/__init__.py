@@ -1,0 +1,1 @@
+"""The smallest kick that takes a breather away."""

@@ -1,0 +1,299 @@
+"""A search among the periodic orbits of any model near a guess, by collocation on meshes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, cast
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.arguments import short_repr
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.statement import Statement, check_expression, named_values
+from casadi_skin.bvp.symmetry import symmetry_class
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
+from casadi_skin.optimise.names import nearest_name
+from casadi_skin.optimise.result import Optimum, PlainCheck
+from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
+from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
+from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solve import accuracy_of
+
+SAMPLES = 401  # of the guess over a period
+PHASES = 200  # at which an optimum is compared with its plain orbit
+CONSERVED = "hamiltonian"
+SPECIAL = (PERIOD, "Omega")
+OWN = "search "  # with which names of the caller's expressions begin
+
+Quantity = str | Expression
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitSearch:
+    """A search for orbits near a guess: states at times over the unknown part of a period (see `SearchProblem`).
+
+    `objective`, at phase zero, `running`, whose mean over the period is added, and the conditions are names: of a
+    state, an output, a parameter, "hamiltonian", "period" or "Omega". Expressions of the caller, those that select the
+    orbit among them, have become outputs of the model; `named` has their names. `limits` has the bounds of states, free
+    parameters and the period. It can be pickled where its model can.
+    """
+
+    model: OdeModel
+    t: Array
+    states: Array
+    parameters: Mapping[str, float]
+    free: tuple[str, ...]
+    limits: Mapping[str, tuple[float, float]]
+    conditions: tuple[Condition, ...]
+    named: Mapping[str, str]
+    maximise: bool
+    options: Mapping[str, Any]  # of find_orbit, beyond expressions
+    accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
+    resolution_name: ClassVar[str] = "intervals"
+    wanted: ClassVar[str] = "near the guess"
+
+    @classmethod
+    def of(
+        cls,
+        model: OdeModel,
+        *,
+        guess: Guess,
+        free: Sequence[str],
+        period: float | None = None,
+        parameters: Mapping[str, float] | None = None,
+        objective: Quantity | None = None,
+        running: Quantity | None = None,
+        select: Expression | None = None,
+        section: Expression | None = None,
+        bounds: Mapping[str, Any] | None = None,
+        constraints: Sequence[Any] = (),
+        maximise: bool = False,
+        symmetric: bool = False,
+        cycles: int = 1,
+        **method: Any,
+    ) -> OrbitSearch:
+        """From the arguments of `search_orbit`; raises ValueError and TypeError for what cannot be meant."""
+        accuracy_of(method)  # raises for options that are not accepted
+        if objective is None and running is None:
+            raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
+        first = model.first_order()
+        values, names = named_values(first, parameters or {}), free_names(free, first.parameter_names)
+        quantities, outputs = _quantities(first), dict(first.outputs)
+        stated = {"objective": objective, "running": running, "select": select, "section": section}
+        named = {
+            label: _output(first, label, given, outputs, quantities)
+            for label, given in stated.items() if given is not None
+        }  # fmt: skip
+        kind = "an expression in states and parameters"
+        held = [
+            replace(c, quantity=_output(first, f"constraints, item {k}", c.quantity, outputs, quantities))
+            for k, c in enumerate(checked_conditions(constraints, (ca.SX, ca.MX), kind), start=1)
+        ]
+        fixed = [name for name in values if name not in names]
+        limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
+        own = (*first.state_names, *(() if first.forced else (PERIOD,)))
+        limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
+        length = period or getattr(guess, "period", None)
+        if first.forced:
+            length = cycles * first.forcing_period_at(list(values.values()))
+        if not length or not length > 0:
+            raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
+        part = symmetry_class(first).value if symmetric else 1.0
+        t = np.linspace(0.0, part * float(length), SAMPLES)
+        closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
+        return cls(
+            model=replace(first, outputs=outputs, checked=False),
+            t=t,
+            states=sampled(closed, guess, t),
+            parameters=values,
+            free=names,
+            limits=limits,
+            conditions=(*held, *(c for c in more if c.quantity not in own)),
+            named=named,
+            maximise=bool(maximise),
+            options={"symmetric": symmetric, "cycles": cycles},
+            accuracy=dict(method),
+        )
+
+    # What is asked --------------------------------------------------------------------------------------------------
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free numbers."""
+        return self.free
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return (PERIOD, *self.model.parameter_names)
+
+    def _expression(self, name: str) -> Expression:
+        """A state, an output, a parameter or the hamiltonian in the model's symbols."""
+        model = self.model
+        if name in model.state_names:
+            return model.full_state[model.state_names.index(name)]
+        if name in model.parameter_names:
+            return model.parameters[model.parameter_names.index(name)]
+        return model.hamiltonian if name == CONSERVED else model.outputs[name]
+
+    @property
+    def _part(self) -> float:
+        """The part of the period that is unknown."""
+        return symmetry_class(self.model).value if self.options["symmetric"] else 1.0
+
+    def _vanishing(self) -> dict[str, Expression]:
+        return {label: self._expression(self.named[label]) for label in ("select", "section") if label in self.named}
+
+    # Orbits and programmes ------------------------------------------------------------------------------------------
+
+    def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
+        values = [self.parameters[name] for name in self.free] if first is None else first
+        rows = sampled_starts(values, [self.limits[name] for name in self.free], count, seed)
+        return tuple(Start(k, row) for k, row in enumerate(rows, start=1))
+
+    def prepared(self, first: Start) -> OrbitSearch:
+        return self
+
+    def plain(self, free: Sequence[float] | Array, t: Array, states: Array, intervals: int | None = None) -> Orbit:
+        """The orbit near states at free numbers, without objective; raises BoundaryError where none is found."""
+        values = {**self.parameters, **dict(zip(self.free, map(float, free), strict=True))}
+        options = {**self._vanishing(), **self.options, **self.accuracy}
+        options |= {} if intervals is None else {"intervals": intervals}
+        period = None if self.model.forced else float(t[-1]) / self._part
+        return find_orbit(self.model, (t, states), period, parameters=values, **options)
+
+    def nlp_at(self, start: Start) -> tuple[BoundaryNlp, Array]:
+        stated = self._stated(self.plain(start.free, self.t, self.states))
+        return stated.nlp, stated.x
+
+    def _stated(self, plain: Orbit) -> _Stated:
+        """The programme on the mesh of a plain orbit, with that orbit as a point of it."""
+        statement = self._statement(plain)
+        space = replace(cast(BoundarySpace, plain.space), statement=statement, sizes=Sizes.of(statement, plain.states))
+        problem = space.levels.problem(plain.intervals).with_constants(plain.problem.constants)
+        assert isinstance(problem, BoundaryProblem)
+        conditions = [replace(c, quantity=self._at_phase_zero(statement, plain, c.quantity)) for c in self.conditions]
+        scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}
+        scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}
+        if not self.model.forced:
+            scales[PERIOD] = float(self.t[-1]) / self._part
+        more: dict[str, Any] = {"held": conditions, "free": scales, "maximise": self.maximise}
+        x = np.concatenate([plain.point.z[:-1], [plain.parameters[name] for name in self.free], [0.0]])
+        return _Stated(space, BoundaryNlp(problem, space.tolerance, **more), x, more)
+
+    def _statement(self, plain: Orbit) -> Statement:
+        """The plain orbit's problem with free parameters, bounds and what is optimised."""
+        statement = plain.statement
+        stated: dict[str, Any] = {}
+        if "objective" in self.named:
+            stated["objective"] = self._at_phase_zero(statement, plain, self.named["objective"])
+        if "running" in self.named:
+            model, end = statement.model, statement.interval[1]
+            along = self.model.function("running", self._expression(self.named["running"]))
+            count, time = int(self.model.parameters.numel()), model.time if self.model.forced else 0.0
+            stated["running"] = along(time, model.full_state, model.parameters[:count]) / end
+        free = (*statement.free, *self.free)
+        return replace(statement, parameters=plain.parameters, free=free, bounds=dict(self.limits), **stated)
+
+    def _at_phase_zero(self, statement: Statement, plain: Orbit, name: str) -> Expression:
+        """A quantity at phase zero, in the start's state and the parameters of the statement's model."""
+        model = statement.model
+        if name in SPECIAL:
+            period = type(model.state)(statement.interval[1]) / plain.symmetry.value
+            return period if name == PERIOD else 2.0 * math.pi / period
+        count = int(self.model.parameters.numel())
+        function = self.model.function("at_zero", self._expression(name))
+        return function(0.0, model.ends[0], model.parameters[:count])
+
+    # Optima ---------------------------------------------------------------------------------------------------------
+
+    def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
+        """The optimum on a mesh that meets the tolerance, beside the plain orbit at its parameters."""
+        solution, n = outcome.solution, self.model.full_size
+        assert solution is not None
+        states = solution.x[: n * outcome.times.size].reshape(-1, n)
+        try:
+            near = self.plain(outcome.free, outcome.times, states)
+            stated = self._stated(near)
+            first = stated.nlp.solved(stated.x, warm=True)
+            best = refined(stated.space, stated.nlp, first, flat=True, **stated.more)
+            orbit = Orbit(stated.space, best.point, optimum=best.optimum)
+            plain = self.plain([orbit.parameters[name] for name in self.free], orbit.t, orbit.states, orbit.intervals)
+        except BoundaryError:
+            return None
+        return self._optimum(best, orbit, plain, starts)
+
+    def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
+        sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
+        errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
+        return Optimum.of(
+            best.nlp, best.solution, best.optimality, self.free, orbits=(orbit,), checks=(compared(orbit, plain),),
+            quantities=(self._quantities(orbit),), errors=errors, resolution=orbit.intervals, starts=starts,
+        )  # fmt: skip
+
+    def _quantities(self, orbit: Orbit) -> dict[str, float]:
+        """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
+        model, names = self.model, list(_quantities(self.model))
+        parameters = {name: orbit.parameters[name] for name in model.parameter_names}
+        expressions = [self._expression(name) for name in names if name not in SPECIAL]
+        values = model.function("values", *expressions).call([0.0, orbit.evaluate(0.0)[0], list(parameters.values())])
+        at_zero = zip((name for name in names if name not in SPECIAL), map(float, values), strict=True)
+        own = {name: value for name, value in at_zero if not name.startswith(OWN)}
+        return {PERIOD: orbit.period, "Omega": 2.0 * math.pi / orbit.period} | own | parameters
+
+
+@dataclass(frozen=True, eq=False)
+class _Stated:
+    """A programme, the space of its solutions, a point of it, and what programmes on other meshes need."""
+
+    space: BoundarySpace
+    nlp: BoundaryNlp
+    x: Array
+    more: Mapping[str, Any]
+
+
+def _quantities(model: OdeModel) -> tuple[str, ...]:
+    """Names of what may be optimised or bounded."""
+    conserved = () if model.hamiltonian is None else (CONSERVED,)
+    return tuple(dict.fromkeys((*SPECIAL, *model.state_names, *model.parameter_names, *model.outputs, *conserved)))
+
+
+def _output(
+    model: OdeModel, label: str, given: Quantity, outputs: dict[str, Expression], quantities: Sequence[str]
+) -> str:
+    """The name of a quantity; an expression becomes an output. Raises ValueError and TypeError where it is neither."""
+    if isinstance(given, str):
+        known = [name for name in quantities if label != "running" or name not in SPECIAL]
+        if given not in known:
+            raise ValueError(f"{label}: given {short_repr(given)}; {nearest_name(given, known)}, or an expression")
+        return given
+    symbols = [model.full_state, model.parameters]
+    check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])
+    if given.numel() != 1:
+        raise ValueError(f"{label}: given shape {given.shape}; accepted: a scalar expression")
+    outputs[OWN + label] = given
+    return OWN + label
+
+
+def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
+    """An optimum beside the plain orbit at its parameters.
+
+    States are compared at the same phases, each component relative to its largest value and no less than a millionth of
+    the largest of all.
+    """
+    fractions = np.arange(PHASES) / PHASES
+    one, other = (o.evaluate(fractions * o.period) for o in (orbit, plain))
+    largest = np.max(np.abs(other), axis=0)
+    apart = float(np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest))))
+    turned = 2.0 * math.pi / plain.period - 2.0 * math.pi / orbit.period
+    difference = max(abs(orbit.period - plain.period) / plain.period, apart)
+    return PlainCheck(True, turned, difference, plain.residual, plain.intervals)

@@ -1,0 +1,128 @@
+"""Arguments of a search, checked before anything is solved: free names, bounds, conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from casadi_skin.arguments import number, short_repr
+from casadi_skin.optimise.names import nearest_name
+
+PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
+CONDITION = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """lower <= quantity <= upper; an equality where the two are equal."""
+
+    quantity: Any
+    lower: float
+    upper: float
+    name: str
+
+    @property
+    def equality(self) -> bool:
+        """Whether the two bounds are equal."""
+        return self.lower == self.upper
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """The value; raises ValueError where it is no whole number from `least` on."""
+    if isinstance(value, bool) or not hasattr(value, "__index__") or value < least:
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number >= {least}")
+    return int(value)
+
+
+def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
+    """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
+    names, accepted = (free,) if isinstance(free, str) else tuple(free), tuple(known)
+    for name in names:
+        if name not in accepted:
+            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(str(name), accepted)}")
+    if not names or len(set(names)) < len(names):
+        given = short_repr(list(names)) if names else "none"
+        raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
+    return names
+
+
+def pair(place: str, given: object) -> tuple[float, float]:
+    """Two bounds; raises TypeError and ValueError for what is no pair of ascending numbers."""
+    try:
+        ends = tuple(cast(Iterable[object], given))
+    except TypeError:
+        ends = ()
+    if len(ends) != 2 or isinstance(given, str):
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR}")
+    lower, upper = (
+        absent if value is None or value == absent else number(place, value, PAIR)
+        for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
+    )
+    if lower > upper:
+        raise ValueError(
+            f"{place}: given {short_repr(given)}; accepted: (lower, upper), a lower bound <= the upper one"
+        )
+    return lower, upper
+
+
+def checked_bounds(
+    bounds: Mapping[str, object] | None,
+    free: Mapping[str, tuple[float, float]],
+    fixed: Iterable[str],
+    quantities: Iterable[str],
+) -> tuple[dict[str, tuple[float, float]], tuple[Condition, ...]]:
+    """Limits of what is free, and conditions made of the bounds on quantities.
+
+    Arguments:
+        bounds: pairs by name.
+        free: ranges of what is free, where no bound is given.
+        fixed: parameters that are not free: they take no bounds.
+        quantities: other names that may have bounds.
+
+    Raises:
+        ValueError, TypeError: names and pairs that cannot be used.
+    """
+    if not isinstance(bounds, Mapping | None):
+        raise TypeError(f"bounds: given {short_repr(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
+    limits, conditions, held = dict(free), list[Condition](), tuple(fixed)
+    known = tuple(dict.fromkeys((*free, *held, *quantities)))
+    for name, given in (bounds or {}).items():
+        place = f"bounds[{name}]"
+        if name not in known:
+            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(str(name), known)}")
+        lower, upper = pair(place, given)
+        if name in free:
+            if lower == upper:
+                raise ValueError(f"{place}: given {short_repr(given)}; accepted: different bounds, or {name} not free")
+            least, most = free[name]
+            limits[name] = (lower if lower > -math.inf else least, upper if upper < math.inf else most)
+        elif name in held:
+            accepted = f"{', '.join(free)}, or quantities of the orbit"
+            raise ValueError(f"{place}: given a bound on {name}, which is not free; accepted: {accepted}")
+        else:
+            conditions.append(Condition(name, lower, upper, name))
+    return limits, tuple(conditions)
+
+
+def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], what: str) -> tuple[Condition, ...]:
+    """Conditions from a list of items, each a quantity that is to vanish or one with its bounds.
+
+    A quantity is a name or of one of `kinds`, which are called `what` where an item is refused.
+    """
+    accepted = CONDITION.format(what)
+    if isinstance(constraints, str | Mapping) or not isinstance(constraints, Iterable):
+        raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
+    found = []
+    for item, given in enumerate(constraints, start=1):
+        place, (quantity, lower, upper) = f"constraints, item {item}", (given, 0.0, 0.0)
+        if not isinstance(given, kinds):
+            if not isinstance(given, tuple | list) or len(given) != 3:
+                raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
+            quantity, (lower, upper) = given[0], pair(place, given[1:])
+        if not isinstance(quantity, (str, *kinds)):
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: {accepted}")
+        name = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "<lambda>")
+        found.append(Condition(quantity, lower, upper, name if name != "<lambda>" else f"constraint {item}"))
+    return tuple(found)

@@ -1,0 +1,219 @@
+"""What a search asks of a discretisation: starts, where they lead, and optima made final."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.optimise.iteration_callback import Monitor
+from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
+from casadi_skin.optimise.optimality import optimality
+from casadi_skin.optimise.result import Optimum
+
+CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
+FEASIBLE = 1e-9  # violation of a constraint, relative to its terms
+MARGIN = 0.02  # of a range, which starts keep from its ends
+
+
+class Ending(Enum):
+    """How one start ended."""
+
+    CONVERGED = "an optimum"
+    INFEASIBLE = "nothing near the start meets the constraints"
+    UNBOUNDED = "ran off without bound"
+    INTERRUPTED = "interrupted"
+    FAILED = "not converged in the iterations allowed"
+    NO_ORBIT = "no orbit to start from"
+    NO_OPTIMUM = "stationary, but no optimum"
+
+
+ENDINGS: Mapping[str, Ending] = {
+    STOPPED: Ending.INTERRUPTED,
+    "Diverging_Iterates": Ending.UNBOUNDED,
+    "Infeasible_Problem_Detected": Ending.INFEASIBLE,
+    "Restoration_Failed": Ending.INFEASIBLE,
+}
+
+
+@dataclass(frozen=True)
+class Start:
+    """A start: its number from 1, and the free numbers that it starts from."""
+
+    number: int
+    free: tuple[float, ...]
+    name: str = ""
+
+
+def _empty() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a start led to.
+
+    Attributes:
+        start: the start.
+        ending: how it ended.
+        words: the reason: Ipopt's return status, or why there was no orbit.
+        solution: where Ipopt ended; None where there was no orbit to start from.
+        free: the free numbers of the solution.
+        place: the same with frequencies, scaled: optima at a distance below 1e-4 are one.
+        times: of the states in the solution of a boundary-value problem; empty for odd cosines.
+        violation: the largest violation of a constraint relative to its terms.
+        worst: the constraint with the largest violation, and `gap` that violation in its own units.
+        deflated: whether the start kept away from optima that were known.
+    """
+
+    start: Start
+    ending: Ending
+    words: str
+    solution: Solution | None = None
+    free: Array = field(default_factory=_empty)
+    place: Array = field(default_factory=_empty)
+    times: Array = field(default_factory=_empty)
+    violation: float = np.inf
+    worst: str = ""
+    gap: float = np.inf
+    deflated: bool = False
+
+    @property
+    def last(self) -> tuple[int, float, float]:
+        """Iterations, objective and largest violation."""
+        return (0, np.inf, self.gap) if self.solution is None else (self.solution.iterations, self.objective, self.gap)
+
+    @property
+    def objective(self) -> float:
+        """Objective of the solution; infinite where there is none."""
+        return np.inf if self.solution is None else self.solution.objective
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every constraint is met."""
+        return self.violation <= FEASIBLE
+
+
+class SearchProblem(Protocol):
+    """A search as its engine sees it; `search` runs any of them. It can be pickled where its parts can.
+
+    Attributes:
+        model: the chain or the model.
+        maximise: whether the objective is maximised.
+        free_names: names of the free numbers, one each.
+        columns: names of the quantities that tables show.
+        resolution_name: what the resolution of an optimum counts.
+        wanted: where optima have to be, in words, such as on which family.
+    """
+
+    @property
+    def model(self) -> Any: ...
+    @property
+    def maximise(self) -> bool: ...
+    @property
+    def free_names(self) -> tuple[str, ...]: ...
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+    @property
+    def resolution_name(self) -> str: ...
+    @property
+    def wanted(self) -> str: ...
+
+    def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
+        """The starts of a seed; the first has the model's own parameters, or the free numbers `first`."""
+        ...
+
+    def prepared(self, first: Start) -> Self:
+        """This search with what all starts share, chosen for the first of them."""
+        ...
+
+    def nlp_at(self, start: Start) -> tuple[Nlp, Array]:
+        """The nonlinear programme of a start, and an orbit at its parameters as a point of it.
+
+        Raises ArithmeticError where there is no orbit.
+        """
+        ...
+
+    def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
+        """The optimum of an outcome at the tolerance, checked; None where finer discretisations do not confirm it."""
+        ...
+
+
+def solve_start(
+    problem: SearchProblem, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
+) -> Outcome:
+    """Where a start leads: an orbit there, then Ipopt.
+
+    What keeps away from `known` optima may end on the ball round one of them: it is solved again without, and then
+    leads to a new optimum or back to the known one.
+    """
+    try:
+        nlp, x = problem.nlp_at(start)
+    except ArithmeticError as error:
+        return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
+    solution = (nlp.away_from(known) if known else nlp).solve(x, monitor)
+    if known and solution.words != STOPPED:
+        solution = nlp.solve(solution.x, monitor)
+    return replace(judged(nlp, start, solution), deflated=bool(known))
+
+
+def nearest(problem: SearchProblem, start: Start) -> Outcome | None:
+    """The orbit that misses the conditions least, found from a start; None where none is found."""
+    try:
+        nlp, x = problem.nlp_at(start)
+    except ArithmeticError:
+        return None
+    solution = nlp.nearest(x)
+    return None if solution is None else replace(judged(nlp, start, solution), ending=Ending.INFEASIBLE)
+
+
+def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
+    """The outcome of a solution: an optimum where our own conditions of optimality say so."""
+    ending, x = ENDINGS.get(solution.words, Ending.FAILED), solution.x
+    if not np.all(np.isfinite(x)):
+        return Outcome(start, ending, solution.words, solution)
+    gaps, found = nlp.violations(x), optimality(nlp, solution)
+    worst, words = int(np.argmax(gaps)), solution.words
+    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt.largest, gaps[worst]) <= CONVERGED:
+        words = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else words)
+        ending = Ending.CONVERGED if words == solution.words else Ending.NO_OPTIMUM
+    return Outcome(
+        start=start,
+        ending=ending,
+        words=words,
+        solution=solution,
+        free=x[nlp.measured],
+        place=nlp.place_of(x),
+        times=nlp.times(x),
+        violation=found.kkt.violation,
+        worst=nlp.row_name(worst, x),
+        gap=float(gaps[worst]),
+    )
+
+
+def sampled_starts(
+    values: Sequence[float], limits: Sequence[tuple[float, float]], count: int, seed: int
+) -> list[tuple[float, ...]]:
+    """Free numbers of starts: the own values first, then a Halton sequence (Halton 1960; Owen 2017) in the limits.
+
+    Where a limit is missing the range is from half to twice the own value. All are moved within their ranges, which end
+    a little inside of the limits.
+    """
+    from scipy.stats import qmc
+
+    ranges = []
+    for value, (low, high) in zip(values, limits, strict=True):
+        span = sorted((0.5 * value, 2.0 * value)) if value != 0 else [-1.0, 1.0]
+        width = span[1] - span[0]
+        least = low if np.isfinite(low) and np.isfinite(high) else max(low, min(span[0], high - width))
+        most = high if np.isfinite(high) else max(span[1], least + width)
+        inside = MARGIN * (most - least)
+        ranges.append((least + inside, most - inside))
+    lows, highs = np.array(ranges).T
+    drawn = qmc.Halton(len(ranges), scramble=True, seed=np.random.default_rng(seed)).random(max(count - 1, 0))
+    rows = [np.clip(values, lows, highs), *(lows + drawn * (highs - lows))]
+    return [tuple(row.tolist()) for row in rows]

@@ -1,0 +1,284 @@
+"""Solutions of one boundary-value problem, orbits among them: equations by resolution, and how unknowns are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin import methods
+from casadi_skin.arguments import short_repr
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
+from casadi_skin.continuation.arclength import ArclengthContinuation
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.integrators.trajectory import IntegrationError
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.coordinates import numbered
+from casadi_skin.orbits.method import TWO_PI, Method
+from casadi_skin.orbits.refined import BoundaryError, refined
+from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.levels import Levels
+from casadi_skin.solvers.rounding import RoundedCorrector
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+
+INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
+ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+
+
+def boundary_method(options: Mapping[str, Any]) -> Method:
+    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
+    for name, accepted, first in (
+        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
+        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
+        ("walker", ("arclength",), "arclength"),
+    ):
+        options = {name: first, **options}
+        if options[name] not in accepted:
+            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
+    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method.check_degree(1)
+    return method
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What components of the state and free parameters are measured by at least."""
+
+    states: Array
+    scalars: Array
+
+    @classmethod
+    def of(cls, statement: Statement, guess: Array) -> Sizes:
+        """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
+        states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
+        values = np.array([statement.values[name] for name in statement.free])
+        return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for."""
+
+    given: OdeModel
+    model: OdeModel
+    symmetry: SymmetryClass
+
+
+@dataclass(frozen=True, eq=False)
+class BoundarySpace:
+    """Solutions of a statement (see `orbits.space.SolutionSpace`); where `walked` they are followed from a start.
+
+    Attributes:
+        statement: the problem; values of its parameters are those at the start of a branch.
+        tolerance: relative error of states and free parameters.
+        method: how, with every choice made.
+        sizes: what states and free parameters are measured by at least.
+        periodic: what makes the solutions orbits; None where they are none.
+        parameter: the parameter that is followed, from its value to `to`; empty where none is.
+        at: values of it at which solutions are wanted.
+        first: the start of the branch.
+        settings: of the continuation.
+    """
+
+    statement: Statement
+    tolerance: float
+    method: Method
+    sizes: Sizes
+    periodic: Periodic | None = None
+    parameter: str = ""
+    to: float = 1.0
+    at: tuple[float, ...] = ()
+    first: Point | None = None
+    settings: ContinuationSettings | None = None
+    start_is_limit: bool = field(default=False, init=False)
+    locates_folds: bool = field(default=True, init=False)
+
+    @property
+    def model(self) -> OdeModel:
+        """The model that the solutions belong to, of first order; of an orbit without what was added to close it."""
+        return self.statement.model if self.periodic is None else self.periodic.model
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
+        walking = self.parameter or None
+        formulation = self.statement.formulation(walking, self.to)
+        table = methods.COLLOCATION_TABLES[str(self.method.transcription)].load()(self.method.degree)
+        sizes = self.sizes
+
+        def build(intervals: int) -> Problem:
+            return BoundaryProblem(
+                self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
+            )
+
+        return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
+
+    def _corrector(self, problem: Problem) -> Corrector:
+        """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
+        tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
+        return RoundedCorrector(methods.CORRECTORS[self.method.corrector].load()(problem, tolerance, ITERATIONS))
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """What makes solutions at the tolerance."""
+        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
+
+    # The branch -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def start(self) -> Point:
+        """The first solution as a point of the branch; raises BoundaryError where it cannot be solved again."""
+        first = self.first
+        assert first is not None
+        assert isinstance(first.problem, BoundaryProblem)
+        problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
+        assert isinstance(problem, BoundaryProblem)
+        z = first.z.copy()
+        z[-1] = 0.0
+        correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
+        if not correction.converged:
+            raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
+        return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
+
+    def continuation(self, history: tuple[Point, ...]) -> Continuation:
+        """Pseudo-arclength continuation from the last points of it."""
+        return ArclengthContinuation(self.point_solver, history)
+
+    def target(self, name: str, value: float) -> Target:
+        """Where the parameter followed, or an unknown period or frequency, has a value."""
+        if name == self.parameter:
+            return Target(Scalar.PARAMETER, self._fraction(value))
+        if self.periodic is not None and PERIOD in self.statement.free and name in (PERIOD, "Omega"):
+            if not 0 < value < math.inf:
+                raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+            return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
+        known = [self.parameter, *(("Omega", PERIOD) if PERIOD in self.statement.free else ())]
+        raise ValueError(f"at: given {name}; accepted: {', '.join(known)}")
+
+    def _fraction(self, value: float) -> float:
+        start = self.statement.values[self.parameter]
+        return (value - start) / (self.to - start)
+
+    def asked(self) -> Mapping[str, Sequence[float]]:
+        return {self.parameter: self.at}
+
+    def value(self, name: str, point: Point) -> float:
+        if name == self.parameter:
+            asked = {self._fraction(value): value for value in (*self.at, self.to)}
+            u = point.parameter
+            return asked[u] if u in asked else float(self.parameters(point)[name])
+        period = self.parameters(point)[PERIOD]
+        return period if name == PERIOD else TWO_PI / period
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        problem = point.problem
+        assert isinstance(problem, BoundaryProblem)
+        words = problem.backwards(point.z)
+        return (End.NO_STEP if words else None), words
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.statement.model.state_names
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        problem = point.problem
+        assert isinstance(problem, BoundaryProblem)
+        return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """Start and end; of an orbit 0 and its period."""
+        start, end = self.statement.span(np.array(list(self.parameters(point).values())))
+        return (start, end) if self.periodic is None else (0.0, (end - start) / self.periodic.symmetry.value)
+
+    # Orbits ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def symmetry(self) -> SymmetryClass:
+        """Which part of the period was unknown."""
+        return self._orbit_of().symmetry
+
+    @property
+    def given(self) -> OdeModel:
+        """The model as it was given, of first or second order."""
+        return self._orbit_of().given
+
+    @property
+    def positions(self) -> int:
+        """Number of positions of the model as it was given; 0 for one of first order."""
+        return self.given.size if self.given.order == 2 else 0
+
+    def states_at(self, point: Point, theta: Array, sites: Indices | None) -> Array:
+        """States at phases, shape (len(theta), components)."""
+        periodic = self._orbit_of()
+        fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
+        states = signs * point.problem.sample(point.z, fractions)
+        return np.asarray(states[:, numbered(sites, states.shape[1])])
+
+    def energy(self, point: Point) -> float:
+        """The conserved quantity at phase zero; raises ValueError where none is declared."""
+        model = self._orbit_of().model
+        if model.hamiltonian is None:
+            raise ValueError(f"energy: {model.name} declares no hamiltonian")
+        values = self.parameters(point)
+        p = [values[name] for name in model.parameter_names]
+        start = self.states_at(point, np.zeros(1), None)[0]
+        return float(model.function("H", ca.densify(model.hamiltonian))(0.0, start, p))
+
+    @property
+    def stability_batch(self) -> int:
+        return 1
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        """Multipliers of orbits over the full period.
+
+        Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
+        """
+        name = by or str(self.method.flow)
+        if name not in methods.FULL_PERIOD_FLOWS:
+            raise ValueError(f"by: given {name!r}; accepted: {', '.join(methods.FULL_PERIOD_FLOWS)}")
+        try:
+            return [self._floquet(point, name) for point in points]
+        except IntegrationError as error:
+            raise FlowError(str(error)) from error
+
+    def _floquet(self, point: Point, by: str) -> Floquet:
+        periodic, compute = self._orbit_of(), methods.FULL_PERIOD_FLOWS[by].load()
+        if by == "collocation":
+            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, self.tolerance)
+            return found
+        start, values = self.states_at(point, np.zeros(1), None)[0], self.parameters(point)
+        p = np.array([values[name] for name in periodic.model.parameter_names])
+        by_sensitivities: Floquet = compute(
+            periodic.model, start, p, self.interval(point)[1], periodic.symmetry, self.tolerance
+        )
+        return by_sensitivities
+
+    def floquet_vectors(self, floquet: Floquet) -> ComplexArray:
+        """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
+        from scipy.optimize import linear_sum_assignment
+
+        values, vectors = np.linalg.eig(np.asarray(floquet.monodromy).astype(complex))
+        _, order = linear_sum_assignment(np.abs(floquet.multipliers[:, None] - values))
+        vectors = vectors[:, order]
+        return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+
+    def _orbit_of(self) -> Periodic:
+        if self.periodic is None:
+            raise ValueError("a solution of a boundary-value problem that is no orbit has no stability")
+        return self.periodic

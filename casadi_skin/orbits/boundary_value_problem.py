@@ -1,0 +1,18 @@
+"""Boundary-value problems as scripts state and solve them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.orbits.guesses import Guess
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.solve import solve
+
+
+class BoundaryValueProblem(Statement):
+    __doc__ = Statement.__doc__
+
+    def solve(self, guess: Guess, **options: Any) -> Solution:
+        """The solution near a guess, by `casadi_skin.orbits.solve.solve`, which tells of guesses and options."""
+        return solve(self, guess, **options)

@@ -1,0 +1,225 @@
+"""How the unknowns of a family belong to the orbits of its model: scaled positions, amplitude, linear mode.
+
+A family is solved in scaled positions q: the positions of the model are y = a D q, with the amplitude a = sqrt(S), a
+diagonal matrix D of positive factors, and sum_n (D_n q_n(0))^2 = 1, so that S = sum_n y_n(0)^2 exactly. The linear mode
+is then the regular start S = 0. Where D makes the equations symmetric it keeps digits that products of couplings in
+opposite directions would lose (Hatano and Nelson 1996).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from enum import Enum
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.models.ode import OdeModel
+
+if TYPE_CHECKING:
+    from casadi_skin.continuation.points import Point
+    from casadi_skin.stability.result import ReversibleFloquet
+
+LOG10 = float(np.log(10.0))
+
+
+class Coordinates(ABC):
+    """Scaled coordinates of one family, with the linear mode that it grows from; dimensionless.
+
+    `mode_number` counts modes by ascending linear frequency from 1. `symplectic` tells whether the flow of the scaled
+    equations is Hamiltonian in (q, q').
+    """
+
+    mode_number: int
+    symplectic: bool = True
+
+    # The equations --------------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def scaled(self) -> OdeModel:
+        """Equations of q: second order, one free parameter, a normalisation."""
+
+    @property
+    @abstractmethod
+    def log_scale(self) -> Array:
+        """Logarithms of the factors D, shape (scaled positions,)."""
+
+    @cached_property
+    def scale(self) -> Array:
+        """The factors D, shape (scaled positions,)."""
+        return np.exp(self.log_scale)
+
+    @property
+    @abstractmethod
+    def mode(self) -> Array:
+        """The linear mode in scaled positions, normalised, shape (scaled positions,)."""
+
+    def amplitude(self, positions: Array) -> float:
+        """sqrt(S) of positions at rest, shape (scaled positions,)."""
+        return float(np.linalg.norm(positions))
+
+    @property
+    @abstractmethod
+    def frequency(self) -> float:
+        """Frequency of the linear mode."""
+
+    @property
+    def start_unknown(self) -> float:
+        """The unknown in Omega's place at the linear mode."""
+        return self.frequency
+
+    @abstractmethod
+    def parameter_of(self, S: float) -> float:
+        """The free parameter of the scaled equations at an S."""
+
+    @abstractmethod
+    def S_of(self, parameter: float) -> float:
+        """S at a value of the free parameter."""
+
+    def transcription(self, resolution: int) -> Problem | None:
+        """The problem that these coordinates need in place of a general transcription; None where they need none."""
+        return None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every position is an unknown, as the stability of the family needs."""
+        return True
+
+    def check_whole(self) -> None:  # noqa: B027  nothing to check where every position is an unknown
+        """Raises ValueError where stability would need more positions than can be unknowns."""
+
+    # What users see ---------------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def model(self) -> OdeModel:
+        """The equations of motion of the positions y, second order."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters of the model by name."""
+
+    @property
+    @abstractmethod
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        """Symbols and values that tell the model apart from others of its kind, for titles; symbols in TeX."""
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the positions in files and pictures, counted from 1."""
+        return np.arange(1, self.mode.size + 1)
+
+    @property
+    def linear_profile(self) -> tuple[Array, Array]:
+        """log10 of the sizes of the linear mode of norm 1 at `output_sites`, and the signs; -inf and 0 at rest."""
+        with np.errstate(divide="ignore"):
+            logs = np.log(np.abs(self.mode)) + self.log_scale
+        logs = logs - 0.5 * np.log(np.sum(np.exp(2.0 * (logs - np.max(logs))))) - np.max(logs)
+        return logs / LOG10, np.sign(self.mode)
+
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        """What tells the model apart from others of its kind, for files."""
+        return self.parameters
+
+    @property
+    def description(self) -> str:
+        """In what the family is solved, in words."""
+        return "positions of the model"
+
+    def band(self) -> tuple[float, float] | None:
+        """Squares of the lowest and highest linear frequency; None where these are not known."""
+        return None
+
+    def first_order_frequency(self, S: Array) -> Array | None:
+        """Omega to first order in S by perturbation theory, shape of S; None where there is no formula."""
+        return None
+
+    def regime(self, point: Point) -> Enum | None:
+        """What an eliminated linear part of the model does at a point; None where nothing is eliminated."""
+        return None
+
+    def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
+        """Natural logarithms of |q(0)| and the signs, each (scaled positions,); -inf and 0 where a position rests.
+
+        `z` are the unknowns of `point` with small components right relative to themselves down to `smallest` times
+        the largest.
+        """
+        q = point.problem.sample(z, np.zeros(1))[0][: self.mode.size]
+        with np.errstate(divide="ignore"):
+            return np.log(np.abs(q)), np.sign(q)
+
+    def log_displacements(
+        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
+    ) -> tuple[Array, Array]:
+        """Natural logarithms and signs of D q(0) at sites, from those of q at the positions solved for."""
+        chosen = numbered(sites, self.mode.size)
+        return (solved[0] + self.log_scale)[chosen], solved[1][chosen]
+
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
+        """D q at phases theta of the sites numbered, all by default, shape (len(theta), sites)."""
+        chosen = numbered(sites, self.mode.size)
+        return np.asarray((self.scale * problem.sample(z, theta))[:, chosen])
+
+    # Quantities -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _hamiltonian(self) -> ca.Function:
+        scaled = self.scaled
+        return ca.Function("H", [scaled.state, scaled.velocity, scaled.parameters], [scaled.hamiltonian])
+
+    def energy(self, problem: Problem, z: Array) -> float:
+        """Energy over S at phase zero, where all velocities vanish; raises ValueError where none is conserved."""
+        if self.scaled.hamiltonian is None:
+            raise ValueError(f"energy: {self.model.name} declares no hamiltonian")
+        q = problem.sample(z, np.zeros(1))[0]
+        return float(self._hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
+
+    @abstractmethod
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        """Omega minus the linear frequency, formed without subtraction where the shift is small."""
+
+    def with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
+        """The stability of all positions, from that of those which are solved for."""
+        return floquet
+
+    @property
+    def without_vectors(self) -> str:
+        """Why vectors of the scaled flow have no image among the positions of the model; empty where they have one."""
+        return ""
+
+
+def numbered(sites: Indices | None, count: int) -> Indices:
+    """Indices of sites numbered from 1; raises ValueError for sites that are not there."""
+    if sites is None:
+        return np.arange(count)
+    if sites.size and (sites.min() < 1 or sites.max() > count):
+        raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: 1 to {count}")
+    return np.asarray(sites - 1, dtype=np.int64)
+
+
+def normalised(mode: Array, scale: Array) -> Array:
+    """A mode scaled to sum_n (D_n q_n)^2 = 1, largest displacement positive."""
+    q = mode / np.sqrt(np.sum((scale * mode) ** 2))
+    return np.asarray(q * np.sign(q[np.argmax(np.abs(scale * q))]))
+
+
+def quarter_phases(nodes: int) -> Array:
+    """Midpoints of `nodes` equal parts of a quarter of the period."""
+    return (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
+
+
+def shift_by_projection(Omega: float, omega: float, nonlinear: float, overlap: float, size: float) -> float:
+    """Omega - omega from Omega^2 - omega^2 = nonlinear / overlap, or by subtraction where the overlap is small.
+
+    `size` bounds the overlap: the product of the norms of what is projected.
+    """
+    by_projection = nonlinear / overlap / (Omega + omega)
+    subtraction_is_better = 100.0 * size / abs(overlap) * abs(by_projection) > omega
+    return Omega - omega if subtraction_is_better else by_projection

@@ -1,0 +1,328 @@
+"""What computing one family needs, each part built when it is first used: equations by resolution, flow, start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin import methods
+from casadi_skin.bvp.orbit_collocation import CollocationProblem
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
+from casadi_skin.bvp.shooting import ShootingProblem
+from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import Continuation, End, Point, Target
+from casadi_skin.orbits.coordinates import Coordinates
+from casadi_skin.orbits.method import TWO_PI
+from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.orbits.small_components import with_small_components
+from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.levels import Levels, Refinement
+from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+from casadi_skin.threads import one_thread
+
+if TYPE_CHECKING:
+    from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+
+HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
+INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
+SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
+ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
+LARGEST = 10_000_000  # positions times harmonics squared: what fits into about a gigabyte
+CHEAP = 1_000_000  # the same: what takes a fraction of a second to solve
+SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
+SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
+STABILITY_BATCH = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
+SLOW = 3.0  # times the period of the linear mode
+UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
+
+
+class Family:
+    """The equations of one family and how their unknowns are read (see `orbits.space.SolutionSpace`).
+
+    Nothing is built before it is asked for; one object serves any number of continuations of the same request.
+    """
+
+    parameter = "S"
+    start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
+    locates_folds = False  # while the family is followed; `Branch.special_points` does when asked
+
+    def __init__(self, request: FamilyRequest) -> None:
+        self.request = request
+        self._recursions: dict[int, TaylorRecursion] = {}
+
+    @property
+    def model(self) -> Any:
+        """The model that the family belongs to."""
+        return self.request.model
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """The coordinates that the family is solved in."""
+        return self.request.coordinates
+
+    @property
+    def tolerance(self) -> float:
+        """Relative error of Omega, profile and multipliers."""
+        return self.request.tolerance
+
+    @cached_property
+    def whole(self) -> Family:
+        """The same family with every position an unknown, as its stability needs."""
+        if self.coordinates.is_whole:
+            return self
+        self.coordinates.check_whole()
+        return Family(replace(self.request, method=replace(self.request.method, tail="full", walker=None)))
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def rhs(self) -> ca.Function:
+        """Function (q, parameter) -> acceleration and its derivatives."""
+        return self.coordinates.scaled.rhs_and_jacobian()
+
+    @cached_property
+    def symmetry(self) -> SymmetryClass:
+        """Part of the period that is unknown."""
+        return self.request.method.symmetry or symmetry_class(self.coordinates.scaled)
+
+    @cached_property
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine with their correctors."""
+        transcription = self.request.method.transcription
+        if transcription == methods.SHOOTING:
+            useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.tolerance]
+            return Levels(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
+        if transcription in methods.COLLOCATION_TABLES:
+            return Levels(self._problem, self._corrector, INTERVALS)
+        positions = self.coordinates.mode.size
+        fits = [H for H in HARMONICS if positions * H**2 <= LARGEST]
+        fits += [H for H in MANY_HARMONICS if positions * H**2 <= CHEAP]
+        return Levels(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
+
+    def _problem(self, resolution: int) -> Problem:
+        own = self.coordinates.transcription(resolution)
+        if own is not None:
+            return own
+        scaled, transcription = self.coordinates.scaled, str(self.request.method.transcription)
+        if transcription == methods.TRIGONOMETRIC:
+            return TrigonometricProblem(scaled, resolution)
+        if transcription == methods.SHOOTING:
+            return ShootingProblem(scaled, resolution, self.symmetry)
+        table = methods.COLLOCATION_TABLES[transcription].load()(self.request.degree)
+        return CollocationProblem(scaled, resolution, self.symmetry, table)
+
+    @property
+    def corrector_tolerance(self) -> float:
+        """What a corrector may leave of the residual, relative to the state, where round-off allows it."""
+        return float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
+
+    def _corrector(self, problem: Problem) -> Corrector:
+        tolerance, name = self.corrector_tolerance, self.request.method.corrector
+        if isinstance(problem, ShootingProblem):
+            tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)
+        if name == "ipopt":
+            tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
+        corrector: Corrector = methods.CORRECTORS[name].load()(problem, tolerance)
+        return corrector
+
+    # The branch -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """What makes points of the family at its tolerance."""
+        return PointSolver(self.levels, self.request.continuation_settings())
+
+    @cached_property
+    def start(self) -> Point:
+        """The linear mode at S = 0 with the tangent of the family."""
+        return self.point_solver.start(self.coordinates.mode, self.coordinates.start_unknown)
+
+    def continuation(self, history: tuple[Point, ...]) -> Continuation:
+        """The continuation from the last points of it, the start among them."""
+        kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
+        if self.request.method.walker != "series":
+            found: Continuation = kind(self.point_solver, history)
+            return found
+
+        def precision(problem: Problem) -> float:
+            allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
+            return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
+
+        series: Continuation = kind(self.point_solver, history, self._recursion, precision)
+        return series
+
+    def _recursion(self, problem: Problem) -> TaylorRecursion:
+        """Power series at one resolution, made once."""
+        from casadi_skin.bvp.recursion import TaylorRecursion
+
+        assert isinstance(problem, TrigonometricProblem)
+        if problem.resolution not in self._recursions:
+            self._recursions[problem.resolution] = TaylorRecursion(problem, self._polynomial_form, SERIES_ORDERS)
+        return self._recursions[problem.resolution]
+
+    @cached_property
+    def _polynomial_form(self) -> PolynomialForm:
+        from casadi_skin.bvp.recursion import PolynomialForm
+
+        return PolynomialForm.of(self.coordinates.scaled)
+
+    def target(self, name: str, value: float) -> Target:
+        """Where S, Omega or the period has a value; raises ValueError for other names."""
+        if name == "S":
+            return Target(Scalar.PARAMETER, self.coordinates.parameter_of(value))
+        if name not in ("Omega", "period"):
+            raise ValueError(f"at: given {name}; accepted: S, Omega, period")
+        if not 0 < value < math.inf:
+            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
+
+    def asked(self) -> dict[str, Sequence[float]]:
+        """Values at which orbits are wanted, by name."""
+        targets = self.request.targets
+        return {"S": targets.at, "Omega": targets.at_Omega, "period": targets.at_period}
+
+    def value(self, name: str, point: Point) -> float:
+        """S, Omega or the period of a point, exactly what was asked for where it is that."""
+        if name == "S":
+            return self.request.S_of(point.parameter)
+        return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """LIMIT where all that is left to ask for is an S that the family does not come to."""
+        targets = self.request.targets
+        if SLOW * point.Omega > self.start.Omega or targets.period_max is not None:
+            return None, ""
+        slowest = min((*targets.at_Omega, *(TWO_PI / period for period in targets.at_period)), default=np.inf)
+        at_limit = point.Omega < slowest and point.parameter_rate <= UNCHANGED
+        return (End.LIMIT if at_limit else None), ""
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of what `evaluate` gives: the positions."""
+        return self.coordinates.model.state_names[: self.coordinates.model.size]
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        """Values of the parameters of the model by name."""
+        return dict(self.coordinates.parameters)
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """From phase zero over the period."""
+        return 0.0, self.value("period", point)
+
+    def positions(self, point: Point, theta: Array, sites: Indices | None = None) -> Array:
+        """Positions over sqrt(S) at phases theta, shape (len(theta), sites)."""
+        return self.coordinates.displacements(point.problem, point.z, theta, sites)
+
+    def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
+        """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
+        z, smallest = with_small_components(self.point_solver, point)
+        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
+        coordinates = self.coordinates
+        return coordinates.log_displacements(point, coordinates.log_solved(point, z, smallest), numbers)
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def flow(self) -> FlowMap:
+        """Flow map of the variational system."""
+        return self._flow(str(self.request.method.flow))
+
+    def _flow(self, name: str) -> FlowMap:
+        flow: FlowMap = methods.FLOWS[name].load()(self.coordinates.scaled, self.tolerance)
+        return flow
+
+    @property
+    def stability_batch(self) -> int:
+        """Number of points whose stability is best computed together."""
+        return min(self.whole.flow.batch, STABILITY_BATCH)
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        """Stability of several points of the family.
+
+        Arguments:
+            points: points of this family.
+            by: name of a flow map, that of the request by default.
+
+        Returns:
+            One result a point; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block.
+
+        Raises:
+            FlowError: the flow map cannot reach the tolerance for one of them.
+        """
+        whole = self.whole
+        if whole is not self:
+            return whole.floquets([self.on_all_positions(point) for point in points], by)
+        states = [orbit_state(point) for point in points]
+        flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
+        with one_thread():
+            results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
+        return [self.coordinates.with_resting(point, found) for point, found in zip(points, results, strict=True)]
+
+    def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
+        """q'' at phase zero, shape (orbits, scaled positions)."""
+        starts = np.stack([orbit.problem.sample(orbit.z, np.zeros(1))[0] for orbit in orbits], axis=1)
+        parameters = np.array([[orbit.parameter for orbit in orbits]])
+        return np.array(self.rhs.map(len(orbits))(starts, parameters)[0]).T
+
+    def on_all_positions(self, point: Point) -> Point:
+        """A point of a family whose tail is eliminated as one of `whole`."""
+        if self.whole is self:
+            return point
+
+        def everywhere(problem: Problem, z: Array) -> Refinement:
+            target = self.whole.levels.problem(problem.resolution)
+            return Refinement(target, self.coordinates.on_all_sites(problem, z))  # type: ignore[attr-defined]
+
+        here = everywhere(point.problem, point.z)
+        better = None if point.better is None else everywhere(point.better.problem, point.better.z)
+        return replace(point, problem=here.problem, z=here.z, tangent=np.zeros(here.z.size), better=better)
+
+    def transition(self, point: Point) -> tuple[Transition, Array]:
+        """Transition matrix of all scaled positions, and q'' at phase zero."""
+        whole, all_positions = self.whole, self.on_all_positions(point)
+        acceleration = whole.accelerations([orbit_state(all_positions)])[0]
+        return whole.flow.transition(all_positions.problem, all_positions.z), np.asarray(acceleration)
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
+        """Floquet vectors (positions, velocities) at phase zero, shape (2n, 2n), in the order of the multipliers."""
+        coordinates = self.whole.coordinates
+        if coordinates.without_vectors:
+            raise ValueError(f"floquet_vectors: {coordinates.without_vectors}")
+        transition, acceleration = self.transition(point)
+        if coordinates.symplectic:
+            return floquet_vectors(transition, acceleration, coordinates.scale)
+        return vectors_of_map(transition, floquet.multipliers, coordinates.scale)
+
+
+def orbit_state(point: Point) -> OrbitState:
+    """A point as flow maps take it, with the better orbit that shows its error.
+
+    Where the point has none, as one read from a journal, the state and Omega are put off by their estimated errors.
+    """
+    problem, z = point.problem, point.z
+    if point.better is not None:
+        return OrbitState(problem, z, OrbitState(point.better.problem, point.better.z))
+    if not (np.isfinite(point.error.profile) and np.isfinite(point.error.Omega)):
+        return OrbitState(problem, z)
+    off = z.copy()
+    off[: problem.states] *= 1.0 + point.error.profile
+    off[problem.Omega_index] += point.error.Omega
+    off[problem.parameter_index] *= 1.0 + point.error.parameter
+    return OrbitState(problem, z, OrbitState(problem, off))

@@ -1,0 +1,25 @@
+"""Solutions of a space from its points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.stability.result import Floquet
+
+
+def solution_at(
+    space: SolutionSpace, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None
+) -> Solution:
+    """The orbit or solution of a point, with its stability where that is known and values that it has exactly."""
+    if isinstance(space, BoundarySpace):
+        if exact is None:
+            value = space.value(space.parameter, point) if space.parameter else None
+            exact = {} if value is None else {space.parameter: value}
+        if space.periodic is None:
+            return Solution(space, point, exact)
+    return Orbit(space, point, exact or {}, known_floquet=floquet)

@@ -1,0 +1,383 @@
+"""Coordinates of families of any model of second order that rests at 0."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.arguments import short_repr
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.orbits.coordinates import Coordinates, quarter_phases, shift_by_projection
+
+SYMMETRIC = 1e-12  # relative difference of entries that are the same but for rounding
+SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
+REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
+DEEPEST = -230.0  # of log D: its cube is still a double
+TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
+FIRST, LAST = "first", "last"
+
+
+@dataclass(frozen=True)
+class LinearModes:
+    """Modes of q'' = -K q with y = D q: squares of frequencies ascending, and modes as columns in q.
+
+    `left` holds the left eigenvectors as rows, the modes themselves where K is symmetric. `log_scale` is log D, and
+    `stiffness` is K in q, exactly symmetric where it can be made so.
+    """
+
+    squares: Array
+    modes: Array
+    left: Array
+    log_scale: Array
+    stiffness: Array
+    symmetric: bool
+
+
+class ModelCoordinates(Coordinates):
+    """Coordinates of a family of an `OdeModel` at fixed values of its parameters.
+
+    The free parameter of the scaled equations is S where the forces are odd polynomials, else the amplitude sqrt(S).
+    Raises ValueError, naming what the model lacks, where it has no families of this kind or the mode none of its own.
+    """
+
+    def __init__(self, model: OdeModel, mode: int | str, parameters: Mapping[str, float] | None = None) -> None:
+        _check_kind(model)
+        self._model, self._amplitude = model, amplitude_square(model)
+        free = () if self._amplitude.parameter is None else (self._amplitude.parameter,)
+        self._values = _fixed_values(model, parameters or {}, free)
+        numbers = ca.SX([self._values.get(name, 0.0) for name in model.parameter_names])
+        self._numbers = numbers
+        self._force = self._at_values(model.rhs)
+        self.modes = linear_modes(self._force, model.state, model.name)
+        if np.min(self.modes.log_scale) < DEEPEST:
+            span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
+            raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
+        self.mode_number = _mode_number(model, mode)
+        _check_mode(self.modes.squares, self.mode_number, model.name)
+        self._check_amplitude()
+        self._parts = _homogeneous(self._force, model.state)
+        self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
+
+    def _check_amplitude(self) -> None:
+        """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""
+        y = self.scale * self.modes.modes[:, self.mode_number - 1]
+        curvature, _ = ca.hessian(self._amplitude.form, self._model.state)
+        size = float(np.linalg.norm(np.array(ca.evalf(curvature)))) * float(y @ y)
+        if not self._amplitude.value(y) > SIMPLE * size:
+            words = f"a normalisation by which mode {self.mode_number} of {self._model.name} has no amplitude"
+            raise ValueError(f"normalisation: given {words}; accepted: one that is positive for it")
+
+    def _at_values(self, expression: ca.SX) -> ca.SX:
+        """An expression of the model at the values of its parameters."""
+        return ca.substitute(expression, self._model.parameters, self._numbers)
+
+    # The equations --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def symplectic(self) -> bool:  # type: ignore[override]
+        """Whether the derivative of the forces is symmetric in scaled coordinates, at random states."""
+        if not self.modes.symmetric:
+            return False
+        state = self._model.state
+        derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
+        generator, scale = np.random.default_rng(0), self.scale
+        for _ in range(TRIALS):
+            J = np.array(derivative(scale * generator.normal(size=scale.size))) / scale[:, None] * scale
+            if not np.max(np.abs(J - J.T)) <= SYMMETRIC * scale.size * np.max(np.abs(J)):
+                return False
+        return True
+
+    @cached_property
+    def scaled(self) -> OdeModel:
+        model, n = self._model, self._model.size
+        q, v, p = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("S" if self._squared else "a")
+        D = ca.SX(ca.DM(self.scale))
+        energy = None
+        if model.hamiltonian is not None:
+            a = ca.sqrt(p) if self._squared else p
+            value = ca.Function("value", [model.state, model.velocity], [self._at_values(model.hamiltonian)])
+            above_rest = value(a * D * q, a * D * v) - value(ca.DM.zeros(n), ca.DM.zeros(n))
+            energy = above_rest / a**2
+        uniform = float(np.ptp(self.log_scale)) == 0.0
+        return OdeModel(
+            f"scaled {model.name}", q, self._scaled_force(q, p), p, 2, v, reversal=model.reversal,
+            half_period=model.half_period, normalisation=self._amplitude.of(D * q) - 1, hamiltonian=energy,
+            checked=False, output_scale=None if uniform else tuple(self.scale),
+        )  # fmt: skip
+
+    def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """D^-1 f(a D q) / a, with a^2 = p or a = p: for polynomials by homogeneous parts, regular at a = 0."""
+        linear = -ca.sparsify(ca.SX(ca.DM(self.modes.stiffness))) @ q
+        if self._parts is not None:
+            return linear + self._nonlinear_parts(q, p)
+        D, state, t = ca.SX(ca.DM(self.scale)), self._model.state, ca.SX.sym("t")
+        along = ca.substitute(self._force, state, t * D * q)
+        curvature = ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0)  # d/da at a = 0 is half of it
+        safe = ca.if_else(p == 0, 1, p)
+        beside = ca.substitute(along, t, safe) / (safe * D)
+        return ca.if_else(p == 0, linear + 0.5 * p * curvature / D, beside)
+
+    def _nonlinear_parts(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """The scaled forces without their linear part, of polynomials."""
+        total, D = ca.SX.zeros(q.numel()), ca.SX(ca.DM(self.scale))
+        for degree, part in (self._parts or {}).items():
+            if degree != 1:
+                power = (degree - 1) // 2 if self._squared else degree - 1
+                total += p**power * ca.substitute(part, self._model.state, D * q) / D
+        return total
+
+    @property
+    def log_scale(self) -> Array:
+        return self.modes.log_scale
+
+    @cached_property
+    def mode(self) -> Array:
+        q = self.modes.modes[:, self.mode_number - 1]
+        q = q / self.amplitude(self.scale * q)
+        return np.asarray(q * np.sign(q[np.argmax(np.abs(self.scale * q))]))
+
+    def amplitude(self, positions: Array) -> float:
+        return float(np.sqrt(self._amplitude.value(positions)))
+
+    @property
+    def frequency(self) -> float:
+        return float(np.sqrt(self.modes.squares[self.mode_number - 1]))
+
+    def parameter_of(self, S: float) -> float:
+        return S if self._squared else float(np.sqrt(S))
+
+    def S_of(self, parameter: float) -> float:
+        return parameter if self._squared else parameter**2
+
+    # What users see ---------------------------------------------------------------------------------------------------
+
+    @property
+    def model(self) -> OdeModel:
+        return self._model
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        return self._values
+
+    @property
+    def description(self) -> str:
+        scaled = "positions of the model" if float(np.ptp(self.log_scale)) == 0.0 else "positions scaled to symmetry"
+        kind = "Hamiltonian" if self.symplectic else "reversible, and Hamiltonian in no such coordinates"
+        return f"{scaled}; the equations are {kind}"
+
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        return tuple((rf"\mathrm{{{name}}}", value) for name, value in self._values.items())
+
+    def band(self) -> tuple[float, float] | None:
+        return float(self.modes.squares[0]), float(self.modes.squares[-1])
+
+    # Quantities -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _nonlinear(self) -> ca.Function:
+        """Function (q, p) of the scaled forces without their linear part."""
+        scaled = self.scaled
+        q, p = scaled.state, scaled.parameters
+        if self._parts is not None:
+            return ca.Function("N", [q, p], [self._nonlinear_parts(q, p)])
+        return ca.Function("N", [q, p], [scaled.rhs + ca.SX(ca.DM(self.modes.stiffness)) @ q])
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        """From the fundamental of the equations, projected on the linear mode: without cancellation."""
+        theta = 2.0 * quarter_phases(max(64, 4 * problem.resolution))
+        q, cosine, left = problem.sample(z, theta), np.cos(theta), self.modes.left[self.mode_number - 1]
+        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
+        forces = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T
+        fundamental = cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
+        nonlinear, Omega = -float(cosine @ forces @ left), problem.frequency(z)
+        return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeSquare:
+    """A square of the amplitude: the quadratic form h(y) of positions at rest that S is the value of.
+
+    `parameter` is the name of the parameter of the model that stands for S in its normalisation, None without one.
+    """
+
+    state: ca.SX
+    form: ca.SX
+    parameter: str | None
+
+    def of(self, positions: ca.SX) -> ca.SX:
+        """h at expressions for the positions."""
+        return ca.substitute(self.form, self.state, positions)
+
+    def value(self, positions: Array) -> float:
+        """h at numbers."""
+        return float(ca.evalf(self.of(ca.SX(ca.DM(positions)))))
+
+
+def amplitude_square(model: OdeModel) -> AmplitudeSquare:
+    """What S is the value of: the sum of squares of the positions at rest, or what the model's normalisation says.
+
+    A normalisation is accepted for families as h(y) - p, with h a quadratic form of the positions and p a parameter
+    that occurs nowhere else. Raises ValueError for another.
+    """
+    if model.normalisation is None:
+        return AmplitudeSquare(model.state, ca.dot(model.state, model.state), None)
+    normalisation = ca.substitute(model.normalisation, model.velocity, ca.SX.zeros(model.size))
+    accepted = "a quadratic form of the positions minus a parameter that the forces do not depend on"
+    entries = ca.vertsplit(model.parameters)
+    used = [k for k, entry in enumerate(entries) if ca.depends_on(normalisation, entry)]
+    fault = ValueError(f"{model.name}: given a normalisation that fixes no amplitude of families; accepted: {accepted}")
+    if len(used) != 1 or ca.depends_on(model.rhs, entries[used[0]]):
+        raise fault
+    slope = ca.densify(ca.jacobian(normalisation, entries[used[0]]))
+    form = ca.substitute(normalisation, entries[used[0]], 0)
+    try:
+        degrees = set(homogeneous_parts(form, model.state))
+    except NotPolynomialError:
+        raise fault from None
+    if degrees != {2} or not (slope.is_constant() and float(slope) == -1.0):
+        raise fault
+    return AmplitudeSquare(model.state, form, model.parameter_names[used[0]])
+
+
+def modes_of(model: OdeModel, parameters: Mapping[str, float]) -> LinearModes:
+    """Linear modes of a model of second order about rest; raises ValueError where there are none."""
+    _check_kind(model)
+    amplitude = amplitude_square(model).parameter
+    values = _fixed_values(model, parameters, () if amplitude is None else (amplitude,))
+    numbers = ca.SX([values.get(name, 0.0) for name in model.parameter_names])
+    return linear_modes(ca.substitute(model.rhs, model.parameters, numbers), model.state, model.name)
+
+
+# Linear modes ---------------------------------------------------------------------------------------------------------
+
+
+def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
+    """Modes of the linearised equations about rest, in coordinates that make them symmetric where there are such.
+
+    Arguments:
+        force: accelerations, a column of expressions in `state` alone.
+        state: positions.
+        name: the model's, for messages.
+
+    Returns:
+        Modes in ascending order of their squared frequencies.
+
+    Raises:
+        ValueError: the model does not rest at 0, or a frequency is complex.
+    """
+    zero = ca.DM.zeros(state.numel())
+    K = -np.array(ca.evalf(ca.substitute(ca.densify(ca.jacobian(force, state)), state, zero)))
+    at_rest = np.array(ca.evalf(ca.substitute(ca.densify(force), state, zero)))
+    if not (np.all(np.isfinite(K)) and np.max(np.abs(at_rest)) <= REST * max(1.0, float(np.max(np.abs(K))))):
+        raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
+    log_scale = symmetrising_scale(K)
+    if log_scale is not None:
+        scale = np.exp(log_scale)
+        K = K / scale[:, None] * scale
+        K = 0.5 * (K + K.T)
+        squares, modes = np.linalg.eigh(K)
+        return LinearModes(squares, modes, modes.T, log_scale, K, True)
+    from scipy.linalg import eig
+
+    values, vectors = eig(K)
+    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRIC) * np.max(np.abs(values)):
+        worst = values[np.argmax(np.abs(values.imag))]
+        raise ValueError(f"{name}: omega^2 = {worst:.6g} of a linear mode is complex; accepted: real ones")
+    order = np.argsort(values.real)
+    modes = vectors.real[:, order]
+    return LinearModes(values.real[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
+
+
+def symmetrising_scale(K: Array) -> Array | None:
+    """Logarithms of factors D with D^-1 K D symmetric and largest factor 1 in each connected part; None without any.
+
+    There are such factors where the products of opposite couplings are positive and agree around every loop
+    (Kolmogorov's criterion): a walk over the couplings finds them, and every coupling is checked.
+    """
+    log_scale, seen = np.zeros(len(K)), np.zeros(len(K), dtype=bool)
+    coupled = [np.flatnonzero((row != 0.0) | (column != 0.0)) for row, column in zip(K, K.T, strict=True)]
+    if np.any((K != 0.0) != (K.T != 0.0)) or np.any(K * K.T < 0.0):
+        return None
+    for first in range(len(K)):
+        if seen[first]:
+            continue
+        part, queue = [first], deque([first])
+        seen[first] = True
+        while queue:
+            i = queue.popleft()
+            for j in coupled[i]:
+                if not seen[j]:  # d_i^2 / d_j^2 = K_ij / K_ji
+                    log_scale[j] = log_scale[i] - 0.5 * np.log(K[i, j] / K[j, i])
+                    seen[j] = True
+                    part.append(int(j))
+                    queue.append(int(j))
+        log_scale[part] -= np.max(log_scale[part])
+    rows, columns = np.nonzero(K)
+    ratios = np.log(K[rows, columns] / K[columns, rows])
+    mismatch = 2.0 * (log_scale[rows] - log_scale[columns]) - ratios
+    return log_scale if np.max(np.abs(mismatch), initial=0.0) <= SYMMETRIC * len(K) else None
+
+
+# Checks ---------------------------------------------------------------------------------------------------------------
+
+
+def _check_kind(model: OdeModel) -> None:
+    """Raises ValueError, in one line, for a model that has no families of brake orbits from rest."""
+    even = (1,) * model.size + (-1,) * model.size
+    for accepted, holds in (
+        ("of second order, with positions as its state", model.order == 2),
+        ("without forcing", not model.forced),
+        ("with a declared reversal that keeps positions and turns velocities", model.reversal == even),
+        ("with half_period = -1 for every component, or none", model.half_period in (None, (-1,) * model.full_size)),
+    ):
+        if not holds:
+            raise ValueError(f"model: given {model.name}; accepted for families: a model {accepted}")
+
+
+def _fixed_values(model: OdeModel, given: Mapping[str, float], free: tuple[str, ...]) -> dict[str, float]:
+    """Values of the parameters but for the free ones, given or nominal."""
+    for name in free:
+        if name in given:
+            raise ValueError(f"parameters: given {name}, which the family is followed in; accepted: the others")
+    values = named_values(model, {**dict.fromkeys(free, 0.0), **given})
+    return {name: value for name, value in values.items() if name not in free}
+
+
+def _mode_number(model: OdeModel, mode: int | str) -> int:
+    if isinstance(mode, str) and mode in (FIRST, LAST):
+        return 1 if mode == FIRST else model.size
+    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= int(mode) <= model.size:
+        raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{model.size}, {FIRST}, {LAST}")
+    return int(mode)
+
+
+def _check_mode(squares: Array, number: int, name: str) -> None:
+    """Raises ValueError for a mode that does not oscillate or is not alone at its frequency."""
+    square = squares[number - 1]
+    if square <= SIMPLE * np.max(np.abs(squares)):
+        words = f"mode {number} of {name} does not oscillate: omega^2 = {square:.6g}"
+        raise ValueError(f"mode: {words}; accepted: a mode with omega^2 > 0")
+    near = [k + 1 for k in np.flatnonzero(np.abs(squares - square) <= SIMPLE * np.max(np.abs(squares))).tolist()]
+    if len(near) > 1:
+        words = f"modes {', '.join(map(str, near))} of {name} have the same frequency"
+        raise ValueError(
+            f"mode: {words}: no family belongs to one of them alone; accepted: a mode with a frequency of its own"
+        )
+
+
+def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:
+    """Homogeneous parts of polynomial forces by degree, but for what rounding leaves at rest; None for others."""
+    try:
+        return {degree: part for degree, part in homogeneous_parts(force, state).items() if degree}
+    except NotPolynomialError:
+        return None

@@ -1,0 +1,57 @@
+"""An orbit of a family as a boundary-value problem of its model, so that it can be followed in any parameter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.model_coordinates import amplitude_square
+from casadi_skin.orbits.orbit import Orbit
+
+AMPLITUDE = "S"
+
+
+def restated(orbit: Orbit, parameter: str) -> Orbit:
+    """The orbit of the model in its own coordinates at the same S, which becomes a parameter.
+
+    Arguments:
+        orbit: an orbit of a family.
+        parameter: what it is to be followed in, for the message: a parameter of the model, or "S".
+
+    Returns:
+        The same orbit, solved by Gauss collocation on the part of the period that the symmetries leave.
+
+    Raises:
+        ValueError: the model has no such parameter.
+        BoundaryError: the orbit is not found in these coordinates.
+    """
+    family = orbit.space
+    assert isinstance(family, Family)
+    extended, amplitude, select = _with_amplitude(family.coordinates.model)
+
+    def guess(t: float) -> list[float]:
+        h = 1e-6 * orbit.period
+        before, here, after = orbit.evaluate([t - h, t, t + h])
+        return [*here, *((after - before) / (2.0 * h))]
+
+    values = {**orbit.parameters, amplitude: orbit.S}
+    return find_orbit(
+        extended, guess, orbit.period, parameters=values, select=select, symmetric=True, tolerance=orbit.space.tolerance
+    )
+
+
+def _with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
+    """The model with S among its parameters, the name that it has there, and what vanishes where S has its value."""
+    form = amplitude_square(model)
+    if form.parameter is not None:
+        return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]
+    S = ca.SX.sym(AMPLITUDE)
+    extended = replace(
+        model, parameters=ca.vertcat(model.parameters, S), nominal=None,
+        parameter_labels=(*model.parameter_names, AMPLITUDE), checked=False,
+    )  # fmt: skip
+    return extended, AMPLITUDE, form.form - S

@@ -1,0 +1,75 @@
+"""What a branch is made of: the equations of its solutions by resolution, and how their unknowns are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import Continuation, End, Point, Target
+from casadi_skin.solvers.levels import Levels
+from casadi_skin.stability.result import Floquet
+
+
+class SolutionSpace(Protocol):
+    """Solutions of one kind that a branch connects: orbits of a family, or solutions of a boundary-value problem.
+
+    Attributes:
+        parameter: name of the quantity that the branch is followed in.
+        start_is_limit: whether `start` is a limit of the solutions and none of them.
+        locates_folds: whether folds are located while the branch is followed.
+        tolerance: relative error allowed in the solutions.
+    """
+
+    @property
+    def parameter(self) -> str: ...
+    @property
+    def start_is_limit(self) -> bool: ...
+    @property
+    def locates_folds(self) -> bool: ...
+    @property
+    def tolerance(self) -> float: ...
+    @property
+    def model(self) -> Any: ...
+    @property
+    def levels(self) -> Levels: ...
+    @property
+    def point_solver(self) -> PointSolver: ...
+    @property
+    def start(self) -> Point: ...
+    @property
+    def stability_batch(self) -> int: ...
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    def continuation(self, history: tuple[Point, ...]) -> Continuation:
+        """The continuation from the last points of it, the start among them."""
+        ...
+
+    def target(self, name: str, value: float) -> Target:
+        """Where a quantity has a value; raises ValueError for quantities that cannot be held."""
+        ...
+
+    def asked(self) -> Mapping[str, Sequence[float]]:
+        """Values at which solutions are wanted, by the name of the quantity."""
+        ...
+
+    def value(self, name: str, point: Point) -> float:
+        """A quantity that can be held at a point, exactly what was asked for where it is that."""
+        ...
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """Why a branch ends at a point, with the reason in words; None where it does not."""
+        ...
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        """Values of all parameters by name."""
+        ...
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """Start and end of the interval, or the period from phase zero."""
+        ...
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
+        ...

@@ -1,0 +1,167 @@
+"""A table of variables with named dimensions: the one form from which CSV, netCDF and xarray are made."""
+
+from __future__ import annotations
+
+import csv
+import math
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin._version import __version__
+from casadi_skin.files import replacing
+
+if TYPE_CHECKING:
+    import xarray
+    from scipy.io import netcdf_file
+
+Cell = float | int | str
+EMPTY = 9.969209968386869e36  # the fill value of netCDF for doubles
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """Values with their dimensions and what they mean; where `may_be_empty` a value that is not finite is left out."""
+
+    name: str
+    dimensions: tuple[str, ...]
+    values: NDArray[Any]
+    meaning: str
+    may_be_empty: bool = False
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Variables that share dimensions, and attributes of all."""
+
+    variables: Sequence[Variable]
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
+    """Names that users chose; those that are taken, or there twice, with " (of the model)" after them."""
+    known, found = set(taken), list[str]()
+    for name in names:
+        while name in known:
+            name = f"{name} (of the model)"
+        known.add(name)
+        found.append(name)
+    return found
+
+
+def versions() -> dict[str, str]:
+    """What computed the results."""
+    import casadi
+    import scipy
+
+    return {
+        "casadi_skin_version": __version__,
+        "casadi_version": casadi.__version__,
+        "numpy_version": np.__version__,
+        "scipy_version": scipy.__version__,
+        "python_version": platform.python_version(),
+    }
+
+
+# netCDF ---------------------------------------------------------------------------------------------------------------
+
+
+def write_netcdf(path: Path, dataset: Dataset) -> None:
+    """Write a dataset as netCDF 3 with 64-bit offsets, replacing the file in one step.
+
+    Complex values have a last dimension `part` (real, imaginary), text one for its characters. Raises ArithmeticError,
+    naming the place, on a value that is not finite and may not be empty.
+    """
+    from scipy.io import netcdf_file
+
+    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
+        for name, value in dataset.attributes.items():
+            setattr(file, name, value if value != "" else "untitled")
+        for variable in dataset.variables:
+            _put(file, variable)
+
+
+def _put(file: netcdf_file, variable: Variable) -> None:
+    dimensions, data = variable.dimensions, np.asarray(variable.values)
+    if data.dtype.kind in "US":
+        dimensions, data = (*dimensions, f"{variable.name}_length"), _characters(data)
+    elif np.iscomplexobj(data):
+        dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
+    if data.dtype.kind == "f":
+        data = _known(variable, dimensions, data)
+    for name, size in zip(dimensions, data.shape, strict=True):
+        if name not in file.dimensions:
+            file.createDimension(name, size)
+    kind = "c" if data.dtype.kind == "S" else "i4" if data.dtype.kind in "bi" else "f8"
+    stored = file.createVariable(variable.name, kind, dimensions)
+    stored[:] = data if kind == "c" else data.astype(kind)
+    stored.long_name = variable.meaning  # type: ignore[attr-defined]
+    attributes = dict(variable.attributes) | ({"_FillValue": EMPTY} if variable.may_be_empty else {})
+    for name, value in attributes.items():
+        setattr(stored, name, value)
+
+
+def _known(variable: Variable, dimensions: tuple[str, ...], data: NDArray[Any]) -> NDArray[Any]:
+    """The values with netCDF's fill value where they may be empty; raises ArithmeticError for others that are."""
+    finite = np.isfinite(data)
+    if variable.may_be_empty:
+        return np.where(finite, data, EMPTY)
+    faulty = np.argwhere(~finite)
+    if faulty.size:
+        place = ", ".join(f"{dimension} {i}" for dimension, i in zip(dimensions, faulty[0].tolist(), strict=True))
+        value = data[tuple(faulty[0])]
+        raise ArithmeticError(f"{variable.name}: {value} at {place} (counted from 0); it is not written")
+    return data
+
+
+def _characters(names: NDArray[Any]) -> NDArray[Any]:
+    """Names as arrays of characters, the convention of netCDF 3 for strings."""
+    encoded = [str(name).encode() for name in names]
+    width = max(len(name) for name in encoded)
+    return np.array([list(name.ljust(width).decode("latin-1")) for name in encoded], dtype="S1")
+
+
+def to_xarray(dataset: Dataset, coordinates: Sequence[str] = ()) -> xarray.Dataset:
+    """The dataset as one of xarray; values that may be empty are NaN there.
+
+    Raises ImportError, naming the extra, where xarray is not installed.
+    """
+    try:
+        import xarray as xr
+    except ImportError as error:
+        raise ImportError(
+            'xarray is not installed; it comes with the extra: pip install "casadi-skin[xarray]"'
+        ) from error
+    variables = {v.name: xr.Variable(v.dimensions, v.values, {"long_name": v.meaning}) for v in dataset.variables}
+    chosen = {name: variables.pop(name) for name in coordinates if name in variables}
+    return xr.Dataset(variables, chosen, dict(dataset.attributes))
+
+
+# CSV ------------------------------------------------------------------------------------------------------------------
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Cell]]) -> None:
+    """Write rows under `columns` with 17 significant digits, replacing the file in one step.
+
+    Raises ArithmeticError on a value that is not finite, naming its row (from 1) and column.
+    """
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(_line(row, columns, place) for place, row in enumerate(rows, start=1))
+
+
+def _line(row: Mapping[str, Cell], columns: Sequence[str], place: int) -> list[str]:
+    """Cells of a row in text; raises ArithmeticError naming row and column of a value that is not finite."""
+    for column in columns:
+        value = row[column]
+        if isinstance(value, float) and not math.isfinite(value):
+            named = ", ".join(f"{name} {row[name]}" for name in ("mode", "point", "S", "t") if name in row)
+            raise ArithmeticError(f"{column}: {value} in row {place} ({named}); it is not written")
+    return [f"{row[c]:.17g}" if isinstance(row[c], float) else str(row[c]) for c in columns]

@@ -1,0 +1,263 @@
+"""From a scene to a request: the file of its model is run or read, and names and shapes are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
+from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.saved import read_model
+from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.orbits.find_orbit import UNFOLDING
+from casadi_skin.orbits.guesses import Guess
+from casadi_skin.runs.request import Request, chain_of
+from casadi_skin.scene import OrbitTable, Scene, SceneError
+from casadi_skin.scene.faults import check_known, refusal, toml_repr
+from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelTable
+
+KINDS = (OdeModel, BoundaryValueProblem)
+Numbers = Sequence[float] | Mapping[str, float]
+# Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
+PLACES = {
+    "amplitude_max": "family", "at": "family", "at_Omega": "family", "at_period": "family", "period_max": "family",
+    "max_points": "family", "mode": "family", "transcription": "method", "degree": "method", "corrector": "method",
+    "walker": "method", "flow": "method", "tail": "method", "intervals": "method", "parameters": "model",
+    "sites": "chain", "alpha": "chain", "gamma": "chain", "g": "chain", "tolerance": "accuracy",
+}  # fmt: skip
+
+
+def bind(scene: Scene, scene_path: Path) -> Request:
+    """Make the model of a scene and check what the scene asks of it.
+
+    Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
+    """
+    request = _bound_chain(scene) if scene.model is None else _bound_file(scene, scene.model, scene_path)
+    if scene.orbit is not None:
+        _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
+        (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
+    _check_continuation(request)
+    _check_families(request)
+    _check_perturbation(request)
+    if scene.spectrum is not None:
+        check_spectrum(request)
+    return request
+
+
+def _bound_chain(scene: Scene) -> Request:
+    chain = chain_of(scene)
+    return Request(scene, chain, {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g})
+
+
+def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
+    path = scene_path.parent / table.file
+    try:
+        source = read_source(path)
+        names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
+        found = read_model(path) if table.name is None else named(path, names, table.name, KINDS)
+    except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
+        raise SceneError(f"[model] {error}") from None
+    if isinstance(found, BoundaryValueProblem):
+        return _bound_problem(scene, table, path, source, found, names)
+    if scene.solution is not None:
+        given = f"with {table.name}, an OdeModel"
+        raise refusal("[solution]", given, "[orbit], or a BoundaryValueProblem")
+    return Request(scene, found, _values(found, table.parameters), path, source)
+
+
+def _placed(message: str, table: str = "family") -> str:
+    """A message about an argument of a family, with the table that it is in; one about the model with `table`."""
+    argument, _, words = message.partition(": ")
+    if argument == "model":
+        return f"[{table}]: {words}"
+    return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[{table}]: {message}"
+
+
+def _check_families(request: Request) -> None:
+    """Refuse families that cannot be followed, one asked for twice, and orbits of families that are not followed."""
+    scene = request.scene
+    try:
+        modes = [family.mode for family in request.families]
+    except (TypeError, ValueError) as error:
+        raise SceneError(_placed(str(error))) from None
+    for i, mode in enumerate(modes):
+        if mode in modes[:i]:
+            raise refusal("[family] mode", f"mode {mode} more than once", "each mode once")
+    for name, table in (("dynamics", scene.dynamics), ("export", scene.export)):
+        if table is not None and table.mode is not None and table.mode not in modes:
+            raise refusal(f"[{name}] mode", str(table.mode), f"one of the modes of [family], {modes}")
+
+
+def _check_perturbation(request: Request) -> None:
+    """Refuse a perturbation that the states of the model do not have."""
+    table, model = request.scene.dynamics, request.model
+    if table is None or not isinstance(model, OdeModel):
+        return
+    accepted = f"{model.size} numbers" if model.order == 1 else (
+        f"{model.size} displacements, or these and {model.size} velocities")  # fmt: skip
+    if table.vector is not None and len(table.vector) not in (model.size, model.full_size):
+        raise refusal("[dynamics] vector", f"a list of {len(table.vector)}", accepted)
+    if table.site is not None and not 1 <= table.site <= model.size:
+        names = ", ".join(model.state_names[: model.size])
+        raise refusal("[dynamics] site", str(table.site), f"whole numbers from 1 to {model.size} ({names})")
+
+
+def _values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+    for name in given:
+        check_known("[model] parameters", name, model.parameter_names)
+    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
+        return dict(given)
+    try:
+        return named_values(model, given)
+    except ValueError as error:
+        raise SceneError(f"[model] {error}") from None
+
+
+def check_spectrum(request: Request) -> None:
+    """Raises SceneError where linear frequencies cannot be shown."""
+    from casadi_skin.orbits.spectrum import linear_frequencies
+
+    try:
+        linear_frequencies(request.model, request.parameters)
+    except ValueError as error:
+        if request.scene.chain is not None:
+            raise SceneError(f"[chain] alpha: given {request.scene.chain.alpha:g}; {error}") from None
+        raise SceneError(_placed(str(error), "spectrum")) from None
+
+
+# Boundary-value problems ----------------------------------------------------------------------------------------------
+
+
+def _bound_problem(
+    scene: Scene, table: ModelTable, path: Path, source: str, problem: BoundaryValueProblem, names: Mapping[str, Any]
+) -> Request:
+    for name in ("orbit", "family", "spectrum", "export", "search"):
+        if getattr(scene, name) is not None:
+            given = f"with {table.name}, a BoundaryValueProblem"
+            raise refusal(f"[{name}]", given, "[solution], or an OdeModel")
+    values = _values(problem.model, {**problem.parameters, **table.parameters})
+    try:
+        problem = replace(problem, parameters=values)
+    except ValueError as error:  # an interval that is empty at these values
+        raise SceneError(f"[model] parameters: {error}") from None
+    guess = None if scene.solution is None else _guess(scene.solution.guess, path, problem, names)
+    return Request(scene, problem.model, values, path, source, problem, guess)
+
+
+def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, names: Mapping[str, Any]) -> Guess:
+    place, states = "[solution] guess", problem.model.state_names
+    if not isinstance(given, str):
+        _check_state(place, given, states)
+        return state_of(given, states)
+    functions = [name for name, value in names.items() if callable(value) and not isinstance(value, type)]
+    check_known(place, given, [name for name in functions if not name.startswith("__")])
+
+    def guess(t: float) -> Array:
+        try:
+            return np.asarray(call(path, given, names[given], t), dtype=float).ravel()
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"{place}: {error}") from None
+
+    start, _ = problem.span(np.array(list(problem.values.values())))
+    count = guess(start).size
+    if count != len(states):
+        raise refusal(place, f"{given}, which returns {count} numbers", f"{len(states)}: {', '.join(states)}")
+    return guess
+
+
+# Orbits ---------------------------------------------------------------------------------------------------------------
+
+
+def _check_forced(request: Request, orbit: OrbitTable) -> None:
+    given = {"period": orbit.period, "select": orbit.select, "section": orbit.section, "symmetric": orbit.symmetric}
+    for name, value in given.items():
+        if value:
+            words = f"with {request.ode.name}, which is forced"
+            raise refusal(f"[orbit] {name}", words, "start, transient and cycles")
+
+
+def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
+    model = request.ode
+    for name in (PERIOD, UNFOLDING):
+        if name in (*model.parameter_names, *model.state_names):
+            raise refusal("[model]", f"{model.name} with a state or parameter called {name}", "other names")
+    if orbit.cycles != 1:
+        given = f"{orbit.cycles} with {model.name}, which is not forced"
+        raise refusal("[orbit] cycles", given, "1, or a forced model")
+    if orbit.period is None and orbit.transient is None:
+        which = "" if orbit.symmetric else " or transient"
+        raise SceneError(f"[orbit] period{which}: missing; accepted: with a model that is not forced a number > 0")
+    family = orbit.symmetric or model.hamiltonian is not None
+    names = (*model.state_names, *model.outputs)
+    if orbit.select is not None:
+        conserved = () if model.hamiltonian is None else (CONSERVED,)
+        check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
+        if not family:
+            raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
+    elif family:
+        why = "symmetric" if orbit.symmetric else "conservative"
+        raise SceneError(f"[orbit] select: missing; accepted: a table with one number: {why} orbits come in families")
+    if orbit.section is not None:
+        check_known("[orbit] section", next(iter(orbit.section)), names)
+    if orbit.symmetric:
+        _check_symmetric(model, orbit)
+
+
+def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
+    if model.reversal is None:
+        raise refusal("[orbit] symmetric", f"true with {model.name}", "true with a model that declares a reversal")
+    try:
+        first, _ = pinned_components(model, symmetry_class(model))
+    except ValueError as error:
+        raise SceneError(f"[orbit] symmetric: {error}") from None
+    name = next(iter(orbit.select or {}))
+    pinned = [model.state_names[i] for i in first]
+    if name in pinned:
+        accepted = f"a quantity that the reversal leaves free; it makes {', '.join(pinned)} vanish at phase zero"
+        raise refusal("[orbit] select", toml_repr(name), accepted)
+
+
+def _check_continuation(request: Request) -> None:
+    table, values = request.scene.continuation, dict(request.parameters)
+    if table is None:
+        return
+    problem = request.problem
+    if problem is not None and (problem.optimises or problem.bounds):
+        what = "an objective" if problem.optimises else "bounds"
+        raise refusal("[continuation]", f"with a problem that has {what}", "a problem without")
+    if SELECTED not in values and request.scene.orbit is not None and request.scene.orbit.select is not None:
+        values[SELECTED] = next(iter(request.scene.orbit.select.values()))
+    free = () if problem is None else problem.free
+    check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+    if table.to == values[table.parameter]:
+        raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
+    if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
+        raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
+    low, high = sorted((values[table.parameter], table.to))
+    for item, value in enumerate(table.at, start=1):
+        if not low <= value <= high:
+            raise refusal("[continuation] at", f"{value!r} as item {item}", f"numbers from {low!r} to {high!r}")
+
+
+# Names and states -----------------------------------------------------------------------------------------------------
+
+
+def state_of(given: Numbers, names: Sequence[str]) -> Array:
+    """A state from a list, or from a table by the names of states; what is left out is 0."""
+    return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
+
+
+def _check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
+    if isinstance(given, Mapping):
+        for name in given:
+            check_known(place, name, names)
+    elif len(given) != len(names):
+        raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")

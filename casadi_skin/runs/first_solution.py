@@ -1,0 +1,138 @@
+"""The first orbit or solution of a scene: simulated, cut to a cycle, corrected."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.dynamics.evolution import Cycle, Evolution
+from casadi_skin.dynamics.simulation import simulate
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.runs.binding import state_of
+from casadi_skin.runs.request import Request
+from casadi_skin.scene.model_tables import SELECTED
+
+SAMPLES = 801  # of the cycle that is the guess
+TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
+
+
+def first_solution(request: Request) -> Solution:
+    """The orbit or the solution that a scene asks for, at its parameters.
+
+    Raises BoundaryError where none is found, IntegrationError where the simulation fails, ValueError where the
+    simulation does not settle on a cycle or the guess is none.
+    """
+    if request.problem is not None:
+        if request.guess is None:
+            raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
+        return request.problem.solve(request.guess, **request.options)
+    return _orbit(request, request.options)
+
+
+def _orbit(request: Request, options: dict[str, Any]) -> Orbit:
+    orbit, model, values = request.orbit, request.equations, dict(request.parameters)
+    guess = cycle(request)
+    if model.forced:
+        return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
+    select, section = _vanishing(request.condition(orbit.select)), _vanishing(request.condition(orbit.section))
+    followed = request.scene.continuation
+    if followed is not None and followed.parameter == SELECTED and SELECTED not in values:
+        expression, value = _known(request.condition(orbit.select))
+        values[SELECTED] = value
+        model, expression = with_selected(model, expression)
+        select = expression - model.parameters[-1]
+    return find_orbit(
+        model, guess, guess.period, parameters=values, select=select, section=section, symmetric=orbit.symmetric,
+        **options,
+    )  # fmt: skip
+
+
+def cycle(request: Request) -> Cycle:
+    """A stretch of a simulation that is the guess of an orbit.
+
+    A forced model starts it at a multiple of its period after the transient, an autonomous one where the section is
+    crossed, if there is one.
+    """
+    orbit, model, values = request.orbit, request.ode, request.parameters
+    start_state = state_of(orbit.start, model.state_names)
+    if model.forced:
+        length = orbit.cycles * model.forcing_period_at(list(values.values()))
+        if not (math.isfinite(length) and length > 0.0):
+            raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
+        before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
+        t = np.linspace(before, before + length, SAMPLES)
+        simulation = simulate(model, start_state, t if before == 0.0 else np.append(0.0, t), parameters=values)
+        return Cycle(simulation, before, length)
+    if orbit.period is not None:
+        simulation = simulate(model, start_state, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
+        return Cycle(simulation, 0.0, orbit.period)
+    t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
+    simulated = simulate(model, start_state, t, parameters=values)
+    try:
+        found = simulated.last_cycle()
+    except ValueError as error:
+        reason = "perhaps it rests, or has not settled: another start, or a longer transient"
+        raise ValueError(f"[orbit] start: {error} ({reason})") from error
+    section = request.condition(orbit.section)
+    return found if section is None else _from_section(found, section[0] - section[1])
+
+
+def _from_section(found: Cycle, section: Expression) -> Cycle:
+    """The cycle from the first place on at which the section's expression passes zero; as it is where it never does."""
+    evolution = found.evolution
+    t = np.linspace(0.0, found.period, SAMPLES)
+    values = _along(evolution, section, found.evaluate(t))
+    crossed = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    if crossed.size == 0:
+        return found
+    i = int(crossed[0])
+    start = found.start + t[i] + (t[i + 1] - t[i]) * values[i] / (values[i] - values[i + 1])
+    end = float(evolution.t[-1])
+    while start + found.period > end:  # the cycle has to lie in what was simulated
+        start -= found.period
+    return Cycle(evolution, start, found.period) if start >= 0.0 else found
+
+
+def _along(evolution: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """An expression of the model at states, shape (states,)."""
+    function, values = evolution.equations.physical.function("section", expression), evolution.equations.values
+    return np.array([float(function(0.0, state, values)) for state in states])
+
+
+def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:
+    """The model with the value that picks an orbit as one more parameter, and the expression in its symbols."""
+    kind, count = type(model.state), int(model.parameters.numel())
+    p = kind.sym("p", count + 1)
+    outputs = list(model.outputs)
+    conserved = [] if model.hamiltonian is None else [model.hamiltonian]
+    results = [model.rhs, expression, *model.outputs.values(), *conserved]
+    rhs, selected, *rest = model.function("selected", *results).call([0.0, model.full_state, p[:count]], True, False)
+    extended = replace(
+        model,
+        rhs=rhs,
+        parameters=p,
+        outputs=dict(zip(outputs, rest, strict=False)),
+        hamiltonian=rest[-1] if conserved else None,
+        normalisation=None,
+        nominal=None,
+        parameter_labels=(*model.parameter_names, SELECTED),
+        checked=False,  # these are the same declarations
+    )
+    return extended, selected
+
+
+def _known(condition: tuple[Expression, float] | None) -> tuple[Expression, float]:
+    if condition is None:
+        raise ValueError("[orbit] select: missing; accepted: a table with one number")
+    return condition
+
+
+def _vanishing(condition: tuple[Expression, float] | None) -> Expression | None:
+    return None if condition is None else condition[0] - condition[1]

@@ -1,0 +1,140 @@
+"""Files of a run: netCDF, special points, the spectrum, pictures and films."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import casadi_skin.figures as figures
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.method import TWO_PI
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.spectrum import linear_frequencies
+from casadi_skin.progress import Progress
+from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
+from casadi_skin.results.quantities import dataset_of
+from casadi_skin.runs.request import Request
+
+EVENT_COLUMNS = ("mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width")
+
+
+def write_branches(
+    request: Request, branches: Sequence[Branch], scene_text: str, directory: Path, progress: Progress
+) -> None:
+    """All files of branches but the table of their points."""
+    scene = request.scene
+    family = isinstance(branches[0].space, Family)
+    vectors = scene.stability is not None and scene.stability.vectors
+    dataset = dataset_of(branches, vectors)
+    dataset = replace(dataset, attributes=origin(request, scene_text, branches[0]))
+    write_netcdf(directory / ("family.nc" if family else "branch.nc"), dataset)
+    if family:
+        _write_families(request, branches, directory)
+        if scene.family is not None and scene.family.film:
+            _write_films(branches, directory, progress)
+    else:
+        _write_branch(request, branches[0], directory)
+
+
+def origin(request: Request, scene_text: str, branch: Branch | None = None) -> dict[str, float | str]:
+    """What was asked for, of which model, and what computed it."""
+    known: dict[str, float | str] = {"title": request.scene.title or "", "scene": scene_text, **versions()}
+    if branch is not None and isinstance(branch.space, Family) and request.scene.chain is not None:
+        return {**known, **branch.space.coordinates.attributes}
+    if request.scene.chain is not None:
+        chain = request.scene.chain
+        return {**known, "sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
+    file = request.scene.model.file if request.scene.model is not None else ""
+    return {**known, "model": request.ode.name, "model_file": file, "model_source": request.source}
+
+
+def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
+    """events.csv and the pictures of families."""
+    stability = request.scene.stability
+    if stability is not None and stability.events:
+        write_csv(directory / "events.csv", EVENT_COLUMNS, [row for branch in branches for row in event_rows(branch)])
+    figures.save(figures.frequency_figure(branches), directory / "frequency")
+    profile = figures.profile_figure(branches)
+    if profile is not None:
+        figures.save(profile, directory / "profile")
+    for branch in branches:
+        multipliers = figures.multiplier_figure(branch)
+        if multipliers is not None:
+            figures.save(multipliers, directory / f"multipliers_j{mode_of(branch)}")
+
+
+def mode_of(branch: Branch) -> int:
+    """Number of the linear mode of a family."""
+    assert isinstance(branch.space, Family)
+    return branch.space.coordinates.mode_number
+
+
+def event_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of events.csv: changes of stability along a family."""
+    rows: list[dict[str, Cell]] = []
+    for c in branch.changes:
+        values = (mode_of(branch), c.S, c.Omega, c.kind, int(c.stable_before), int(c.stable_after), c.mu, c.S_width)
+        rows.append(dict(zip(EVENT_COLUMNS, values, strict=True)))
+    return rows
+
+
+def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
+    """A film of each family's mode, at the last requested point or at the end."""
+    from casadi_skin.animation import animate
+
+    for branch in branches:
+        progress.say(f"film of j = {mode_of(branch)}")
+        asked = [orbit for orbit in branch.orbits if orbit.point.requested]
+        animate((asked or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+
+
+def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
+    """special_points.csv and the pictures of another branch, or of a single solution."""
+    title = request.scene.title or ""
+    if len(branch) > 1:
+        write_csv(directory / "special_points.csv", special_columns(branch), special_rows(branch))
+        figures.save(figures.branch_figure(branch, title), directory / "branch")
+    figures.save(figures.orbit_figure(branch.solutions[-1], title), directory / "orbit")
+
+
+def special_columns(branch: Branch) -> list[str]:
+    """Columns of special_points.csv; the period of orbits alone."""
+    fixed = ("kind", "error", "period")
+    return [fixed[0], *unique_names([branch.parameter], fixed), *fixed[1 : 3 if _has_orbits(branch) else 2]]
+
+
+def special_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of special_points.csv: folds and changes of stability in the order of the branch."""
+    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.changes)
+    folds = {id(point.solution): point for point in branch.special_points}
+    for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
+        if branch.changes and before is not None and _is_stable(before) != _is_stable(here):
+            change = next(changes)
+            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
+            rows.append([kind, change.value, change.width, TWO_PI / change.Omega])
+        if id(here) in folds:
+            fold = folds[id(here)]
+            period = here.period if isinstance(here, Orbit) else math.nan
+            rows.append([fold.kind, fold.parameters[branch.parameter], fold.error, period])
+    return [dict(zip(columns, row, strict=False)) for row in rows]
+
+
+def _has_orbits(branch: Branch) -> bool:
+    return isinstance(branch.solutions[0], Orbit)
+
+
+def _is_stable(solution: Solution) -> bool:
+    assert isinstance(solution, Orbit)
+    return solution.floquet().stable
+
+
+def write_spectrum(request: Request, directory: Path) -> None:
+    """spectrum.csv and the picture of the linear spectrum."""
+    frequencies = linear_frequencies(request.model, request.parameters)
+    rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
+    write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
+    figures.save(figures.spectrum_figure(request.model, request.parameters), directory / "spectrum")

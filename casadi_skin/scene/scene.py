@@ -1,0 +1,87 @@
+"""All that one run is asked for, of a chain or of any model: one scene with its tables by name."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
+from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
+from casadi_skin.scene.tables import (
+    AccuracyTable,
+    ChainTable,
+    FamilyTable,
+    MethodTable,
+    SpectrumTable,
+    StabilityTable,
+    Table,
+)
+from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, SearchTable
+
+
+class Scene(Table, frozen=True):
+    """All that one run is asked for, of a `chain` or a `model`; what is None is neither built nor computed."""
+
+    chain: ChainTable | None = None
+    model: ModelTable | None = None
+    spectrum: SpectrumTable | None = None
+    family: FamilyTable | None = None
+    orbit: OrbitTable | None = None
+    solution: SolutionTable | None = None
+    continuation: ContinuationTable | None = None
+    stability: StabilityTable | None = None
+    dynamics: DynamicsTable | None = None
+    search: SearchTable | None = None
+    export: ExportTable | None = None
+    accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
+    method: MethodTable = msgspec.field(default_factory=MethodTable)
+    title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
+
+    @property
+    def sites(self) -> float | None:
+        """Number of sites of the chain, infinite for an endless one; None where the scene is one of a model."""
+        return None if self.chain is None else self.chain.sites
+
+    def modes(self) -> tuple[int | str, ...]:
+        """The modes whose families are followed, numbers where the chain's length tells them."""
+        if self.family is None:
+            return ()
+        asked = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
+        return asked if self.sites is None else self.family.modes(self.sites)
+
+    @property
+    def methods(self) -> MethodTable:
+        """The table [method] with the names chosen where it leaves them out, as far as the scene alone tells."""
+        chosen: dict[str, str] = {}
+        if self.family is not None:
+            chosen = {"flow": SPLITTING} | ({} if self.chain is None else {"transcription": TRIGONOMETRIC})
+        elif self.orbit is not None or self.solution is not None:
+            chosen = {"flow": COLLOCATION, "transcription": GAUSS}
+        left_out = {name: value for name, value in chosen.items() if getattr(self.method, name) is None}
+        return msgspec.structs.replace(self.method, **left_out)
+
+    def same_request(self, other: "Scene") -> bool:
+        """Whether the other scene asks for the same, whatever its title."""
+        mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
+        return mine == theirs
+
+
+TABLES: Mapping[str, type[Table]] = MappingProxyType(
+    {
+        "chain": ChainTable,
+        "model": ModelTable,
+        "spectrum": SpectrumTable,
+        "family": FamilyTable,
+        "orbit": OrbitTable,
+        "solution": SolutionTable,
+        "continuation": ContinuationTable,
+        "stability": StabilityTable,
+        "dynamics": DynamicsTable,
+        "search": SearchTable,
+        "export": ExportTable,
+        "accuracy": AccuracyTable,
+        "method": MethodTable,
+    }
+)

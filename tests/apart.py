@@ -1,0 +1,63 @@
+"""Programs in a process of their own, and runs that a signal ends at a point of their own, however fast the machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from casadi_skin.cli import main
+from casadi_skin.results.journal import Journal
+
+BLANK = "import pytest; from drawing import blank_pictures; blank_pictures(pytest.MonkeyPatch())\n"
+
+
+def program(code: str) -> subprocess.Popen[str]:
+    """Python code with the modules of this folder, started."""
+    command = [sys.executable, "-c", code]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=Path(__file__).parent, stdout=pipe, stderr=pipe, text=True)
+
+
+def undrawn(*arguments: object) -> subprocess.Popen[str]:
+    """casadi-skin with these arguments, started; its pictures stay blank."""
+    words = [str(argument) for argument in arguments]
+    return program(f"{BLANK}from casadi_skin.cli import main\nraise SystemExit(main({words!r}))")
+
+
+def modules_of_a_run(scene: Path, out: Path) -> set[str]:
+    """What a run of a scene has imported when it ends."""
+    words = ["run", str(scene), "--out", str(out)]
+    code = f"import sys\nfrom casadi_skin.cli import main\nassert main({words!r}) == 0\nprint(*sys.modules)"
+    process = program(BLANK + code)
+    printed, error = process.communicate()
+    assert process.returncode == 0, error
+    return set(printed.splitlines()[-1].split())
+
+
+def ended(number: int, records: int, scene: Path, out: Path) -> int:
+    """Exit status of a run that gets a signal when its journal has some records."""
+    left = iter(range(records - 1))
+    append = Journal.append
+
+    def count(self: Journal, record: object) -> None:
+        append(self, record)  # type: ignore[arg-type]
+        if next(left, None) is None:
+            os.kill(os.getpid(), number)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Journal, "append", count)
+        return main(["run", str(scene), "--out", str(out), "--quiet"])
+
+
+def killed(records: int, scene: Path, out: Path) -> int:
+    """The same of a process that is killed."""
+    process = program(
+        f"from pathlib import *; from apart import ended; ended({signal.SIGKILL:d}, {records}, {scene!r}, {out!r})"
+    )
+    process.communicate()
+    return process.returncode

@@ -1,0 +1,81 @@
+"""What every test may rely on: one thread a process, no window, signals as in a terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+
+import pytest
+from drawing import blank_pictures
+from hypothesis import settings
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # each core has a worker of its own
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from casadi_skin.orbits import family  # noqa: E402  numpy is imported with it, which reads them
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """One worker a core; none for a single file, which ends sooner without, and for benchmarks, which take times."""
+    files = {argument.split("::")[0] for argument in config.args}
+    alone = len(files) == 1 and files.pop().endswith(".py")
+    return 0 if alone or config.option.markexpr == "benchmark" else None
+
+
+def slow_run(config: pytest.Config) -> bool:
+    return "slow" in config.option.markexpr.replace("not slow", "")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.register_profile("quick", max_examples=20, deadline=None, derandomize=True, database=None)
+    settings.register_profile("slow", max_examples=100, deadline=None)
+    settings.load_profile("slow" if slow_run(config) else "quick")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Properties are tried in quick runs on a few examples, the same every time, and in slow runs on more."""
+    for item in items:
+        if slow_run(config) and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            item.add_marker("slow")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiler_of_quick_runs(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Quick runs compile generated C without optimising it, in a quarter of the time."""
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    with pytest.MonkeyPatch.context() as patch:
+        if compiler is not None and not slow_run(pytestconfig):
+            script = tmp_path_factory.mktemp("compiler") / "cc"
+            script.write_text(f'#!/bin/sh\nexec {compiler} "$@" -O0\n', encoding="utf-8")
+            script.chmod(0o755)
+            patch.setenv("CC", str(script))
+        yield
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """SIGINT and SIGTERM as in a terminal, for the test and its child processes: a background job ignores SIGINT."""
+    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
+@pytest.fixture(params=["blank", pytest.param("drawn", marks=pytest.mark.slow)])
+def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blank in the quick run of a test that is of something else, drawn in the slow run."""
+    if request.param == "blank":
+        blank_pictures(monkeypatch)
+
+
+@pytest.fixture(params=["few", pytest.param("all", marks=pytest.mark.slow)])
+def harmonics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In quick tests at most 48 harmonics: families of which the period grows without bound run out of them soon."""
+    if request.param == "few":
+        monkeypatch.setattr(family, "HARMONICS", tuple(count for count in family.HARMONICS if count <= 48))
+        monkeypatch.setattr(family, "MANY_HARMONICS", ())

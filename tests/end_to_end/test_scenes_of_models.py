@@ -1,0 +1,384 @@
+"""Scenes of any model and of chains that were scenes of one kind before: files, numbers known independently, kills."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from apart import ended, killed
+from drawing import blank_pictures
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+from casadi_skin import Chain, follow_family
+from casadi_skin.cli import main
+from casadi_skin.models.loading import run_file
+from casadi_skin.results.journal import Journal
+
+MODELS = """
+import casadi as ca
+from casadi_skin import OdeModel
+
+
+def lattice(name, sites, onsite, bond, **declared):
+    y, v, b = ca.SX.sym("y", sites), ca.SX.sym("v", sites), ca.SX.sym("b")
+    d = ca.diff(ca.vertcat(0, y, 0)) if name == "fput" else ca.diff(y)
+    potential = ca.sum1(onsite(y, b)) + ca.sum1(bond(d, b))
+    return OdeModel(
+        name, y, -ca.gradient(potential, y), b, 2, v, nominal=(1.0,), hamiltonian=ca.dot(v, v) / 2 + potential,
+        reversal=(1,) * sites + (-1,) * sites, half_period=(-1,) * (2 * sites), **declared,
+    )
+
+
+pair = lattice("pair", 2, lambda y, b: y**2 / 2 + b * y**4 / 4, lambda d, b: d**2 / 20)
+fput = lattice("fput", 5, lambda y, b: 0 * y, lambda d, b: d**2 / 2 + b * d**4 / 4)
+pendula = lattice("pendula", 3, lambda y, b: 1 - ca.cos(y), lambda d, b: b * d**2 / 20)
+x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+van_der_pol = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
+"""
+PAIR = """[spectrum]
+[family]
+mode = ["first", "last"]
+amplitude_max = 1.0
+at = [0.5]
+film = true
+[stability]
+vectors = true
+[dynamics]
+S = 0.5
+mode = 2
+periods = 2
+samples = 21
+size = 0.1
+vector = [1.0, 0.0, 0.0, 1.0]
+[export]
+c = ["rhs"]
+[accuracy]
+tolerance = 1e-9
+"""
+CYCLE = """[orbit]
+start = [2.0, 0.0]
+transient = 40.0
+section = { y = 0.0 }
+[dynamics]
+periods = 2
+samples = 9
+"""
+CYCLES = """[orbit]
+start = [2.0, 0.0]
+period = 6.6
+[continuation]
+parameter = "mu"
+to = 3.0
+at = [1.5, 2.0]
+[stability]
+[accuracy]
+tolerance = 1e-6
+"""
+CHAIN_ORBIT = """[chain]
+sites = 3
+alpha = 1.0
+gamma = 0.1
+g = 1.0
+[orbit]
+start = [0.2, -0.4, 0.5, 0.0, 0.0, 0.0]
+period = 3.0
+select = { y_3 = 0.5 }
+symmetric = true
+[continuation]
+parameter = "gamma"
+to = 0.4
+at = [0.25]
+[stability]
+"""
+FPUT = '[family]\nmode = [1, "last"]\namplitude_max = 2.0\nat = [0.5]\n[stability]\nvectors = true\n'
+PENDULA = "[family]\nmode = 3\namplitude_max = 6.0\nat = [2.0]\n[stability]\n[dynamics]\nS = 2.0\nperiods = 1\n"
+
+
+def write_scene(folder: Path, text: str, model: str = "") -> Path:
+    (folder / "models.py").write_text(MODELS, encoding="utf-8")
+    path = folder / "scene.toml"
+    of_model = f'[model]\nfile = "models.py"\nname = "{model}"\n' if model else ""
+    path.write_text(of_model + text, encoding="utf-8")
+    return path
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def pair_forces(y: np.ndarray) -> np.ndarray:
+    """Forces of two Duffing oscillators y'' = -y - y^3 that a spring of stiffness 0.1 couples."""
+    return np.asarray(-y - y**3 - 0.1 * (y - y[::-1]))
+
+
+@pytest.fixture(scope="module")
+def pair_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory of a run with all that a scene of families asks for."""
+    folder = tmp_path_factory.mktemp("pair")
+    with pytest.MonkeyPatch.context() as patch:
+        blank_pictures(patch)
+        assert main(["run", str(write_scene(folder, PAIR, "pair")), "--out", str(folder / "out"), "--quiet"]) == 0
+    return folder / "out"
+
+
+# Families of lattices of one's own --------------------------------------------------------------------------------
+
+
+def test_families_of_a_lattice_of_ones_own(pair_run: Path) -> None:
+    pictures = {"frequency", "profile", "spectrum", "dynamics", "multipliers_j1", "multipliers_j2"}
+    assert {path.name for path in pair_run.iterdir()} == {
+        *(f"{stem}.{kind}" for stem in pictures for kind in ("png", "svg")), "film_j1.gif", "film_j2.gif",
+        "family.csv", "events.csv", "family.nc", "spectrum.csv", "dynamics.csv", "dynamics.nc", "export",
+        "scene.toml", "scene_model.py",
+    }  # fmt: skip
+    table = rows(pair_run / "family.csv")
+    assert {r["mode"] for r in table} == {"1", "2"}
+    model = run_file(pair_run.parent / "models.py", MODELS)["pair"]
+    for mode in (1, 2):
+        mine = [r for r in table if r["mode"] == str(mode)]
+        branch = follow_family(model, mode, 1.0, at=[0.5], stability=True, tolerance=1e-9)
+        np.testing.assert_allclose([float(r["S"]) for r in mine], branch.S, rtol=1e-13)
+        np.testing.assert_allclose([float(r["energy"]) for r in mine], branch.energy, rtol=1e-13)
+        for row in mine:  # y = A cn in phase and out of phase, with the stiffness 1 and 1.2
+            stiffness, square = (1.0, 1.2)[mode - 1], 0.5 * float(row["S"])
+            rate = stiffness + square
+            exact = 0.5 * np.pi * np.sqrt(rate) / ellipk(square / (2.0 * rate))
+            assert float(row["Omega"]) == pytest.approx(exact, abs=2e-9)
+            assert float(row["energy"]) == pytest.approx(stiffness * square + square**2 / 2.0, rel=1e-12)
+    # Lame's equation of perturbations of y = -y': the stability of mode 2 changes at h = 1 + m, where A^2 = 2/15.
+    (event,) = rows(pair_run / "events.csv")
+    assert (event["mode"], event["kind"], event["stable_before"], event["stable_after"]) == ("2", "real", "1", "0")
+    assert float(event["S"]) == pytest.approx(4.0 / 15.0, abs=1e-6)
+
+
+def test_netcdf_and_spectrum_of_a_lattice_of_ones_own(pair_run: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    table = rows(pair_run / "family.csv")
+    with xarray.open_dataset(pair_run / "family.nc", engine="scipy") as data:
+        np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
+        y = data.profile.values
+        assert (y**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-12)
+        potential = (y**2 / 2 + y**4 / 4).sum(axis=1) + 0.05 * (y[:, 0] - y[:, 1]) ** 2
+        np.testing.assert_allclose(data.energy.values, potential, rtol=1e-12)
+        np.testing.assert_allclose(data.coefficients.values.sum(axis=1), y, atol=1e-14)
+        (first, second), vectors = data.vectors_point.values, data.vectors.values
+        assert [table[i]["mode"] for i in (first, second)] == ["1", "2"]
+        assert vectors.shape == (2, 4, 4, 2)
+        multipliers = data.multipliers.values[..., 0] + 1j * data.multipliers.values[..., 1]
+        assert np.hypot(*np.moveaxis(data.multipliers.values, -1, 0)).max(axis=1) == pytest.approx(
+            data.max_abs_multiplier.values, rel=1e-12
+        )
+        for place, vector in zip((first, second), vectors[..., 0] + 1j * vectors[..., 1], strict=True):
+            growing = int(np.argmax(np.abs(multipliers[place])))
+            period, start = 2 * np.pi / data.Omega.values[place], np.append(y[place], [0.0, 0.0])
+            after = flow_of_pair(start + 1e-7 * vector[:, growing].real, period)
+            before = flow_of_pair(start - 1e-7 * vector[:, growing].real, period)
+            expected = (multipliers[place, growing] * vector[:, growing]).real
+            np.testing.assert_allclose((after - before) / 2e-7, expected, atol=1e-5)
+        assert data.attrs["model"] == "pair"
+        assert "def lattice" in data.attrs["model_source"]
+    frequencies = [float(r["omega"]) for r in rows(pair_run / "spectrum.csv")]
+    np.testing.assert_allclose(frequencies, [1.0, np.sqrt(1.2)], rtol=1e-14)
+
+
+def flow_of_pair(state: np.ndarray, period: float) -> np.ndarray:
+    flow = solve_ivp(
+        lambda t, s: [*s[2:], *pair_forces(s[:2])], (0.0, period), state, method="DOP853", rtol=1e-12, atol=1e-13
+    )
+    return np.asarray(flow.y[:, -1])
+
+
+def test_time_evolution_of_a_perturbed_mode(pair_run: Path) -> None:
+    table = rows(pair_run / "dynamics.csv")
+    assert list(table[0]) == ["t", "energy", "y_0", "y_1"]
+    amplitude, kick = 0.5, 0.1 / np.sqrt(2.0)  # S = 0.5 out of phase, and half of the kick in each component
+    sign = np.sign(float(table[0]["y_1"]))
+    start = [-sign * amplitude + kick, sign * amplitude, 0.0, kick]
+    np.testing.assert_allclose([float(table[0][name]) for name in ("y_0", "y_1")], start[:2], atol=1e-9)
+    end = flow_of_pair(np.array(start), float(table[-1]["t"]))
+    np.testing.assert_allclose([float(table[-1][name]) for name in ("y_0", "y_1")], end[:2], atol=1e-7)
+    energies = [float(row["energy"]) for row in table]
+    assert np.ptp(energies) < 1e-9 * energies[0]
+
+
+@pytest.mark.usefixtures("pictures")
+def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path, "[spectrum]\n", "fput"), tmp_path / "out"
+    exact = 2.0 * np.sin(np.arange(1, 6) * np.pi / 12.0)
+    assert main(["spectrum", str(scene)]) == 0
+    printed = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()[1:]]
+    np.testing.assert_allclose(printed, exact, rtol=1e-13)
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    np.testing.assert_allclose([float(r["omega"]) for r in rows(out / "spectrum.csv")], exact, rtol=1e-14)
+    assert {"spectrum.png", "spectrum.svg"} <= {path.name for path in out.iterdir()}
+
+
+def test_the_plan_of_families_of_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(write_scene(tmp_path, FPUT, "fput"))]) == 0
+    plan = capsys.readouterr().out
+    for words in ("time reversal, half-period symmetry, conserved quantity", "j = 1, 5, to S = 2", "a quarter of the",
+                  "the equations are Hamiltonian", "odd cosines", "splitting flow"):  # fmt: skip
+        assert words in plan
+
+
+# Orbits -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("pictures")
+def test_time_evolution_of_a_limit_cycle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path, CYCLE, "van_der_pol"), tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert "dynamics: cvodes in physical coordinates" in capsys.readouterr().out
+    table = rows(out / "dynamics.csv")
+    assert list(table[0]) == ["t", "x", "y"]
+    t, states = (np.array([[float(r[n]) for n in names] for r in table]) for names in (["t"], ["x", "y"]))
+    assert t[-1, 0] == pytest.approx(2 * 6.6632868593231, abs=1e-8)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
+    np.testing.assert_allclose(states[4::4], states[[0, 0]], atol=1e-7)
+    assert abs(states[0, 1]) < 1e-9
+    flow = solve_ivp(
+        lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], (0.0, t[-1, 0]), states[0], method="DOP853",
+        t_eval=t[:, 0], rtol=1e-12, atol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(states, flow.y.T, atol=1e-7)
+
+
+@pytest.mark.usefixtures("pictures")
+def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(write_scene(tmp_path, CHAIN_ORBIT)), "--out", str(out)]) == 0
+    table = rows(out / "branch.csv")
+    assert [float(r["gamma"]) for r in table if r["requested"] == "1"] == [0.25]
+    for row in (table[0], next(r for r in table if r["requested"] == "1"), table[-1]):
+        chain = Chain(3, 1.0, float(row["gamma"]), 1.0)
+        family = follow_family(chain, "last", 2.0, stability=True, events=False, tolerance=1e-9)
+        orbit = family.at(period=float(row["period"]))
+        assert abs(orbit.profile[2]) == pytest.approx(0.5, abs=1e-6)
+        assert float(row["y_1_max"]) == pytest.approx(abs(orbit.profile[0]), abs=1e-6)
+        assert float(row["max_abs_multiplier"]) == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-5)
+        assert bool(int(row["stable"])) == orbit.floquet().stable
+    assert not rows(out / "special_points.csv")
+    assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
+
+
+# Kills and interruptions ------------------------------------------------------------------------------------------
+
+KINDS = {
+    "families of a lattice": ("fput", FPUT, 14, "family.csv"),
+    "a family of pendula": ("pendula", PENDULA, 12, "family.csv"),
+    "cycles": ("van_der_pol", CYCLES, 6, "branch.csv"),
+    "orbits of a chain": ("", CHAIN_ORBIT, 4, "branch.csv"),
+}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def long_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
+    """A scene beside its uninterrupted run, a number of records at which it is stopped, and its table of points."""
+    model, text, records, table = KINDS[request.param]
+    scene = write_scene(tmp_path_factory.mktemp("long"), text, model)
+    with pytest.MonkeyPatch.context() as patch:
+        blank_pictures(patch)
+        assert main(["run", str(scene), "--out", str(scene.parent / "whole"), "--quiet"]) == 0
+    return scene, records, table
+
+
+def the_same_bytes(directory: Path, whole: Path) -> None:
+    names = sorted(path.name for path in whole.iterdir())
+    assert names == sorted(path.name for path in directory.iterdir())
+    for name in names:
+        if name.endswith((".csv", ".nc", ".toml", ".py")):
+            assert (directory / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+@pytest.mark.usefixtures("pictures", "interruptible")
+@pytest.mark.parametrize("stop", [killed, None], ids=["killed", "interrupted"])
+def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
+    tmp_path: Path, long_run: tuple[Path, int, str], stop: Callable[[int, Path, Path], int] | None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    (scene, records, table), out = long_run, tmp_path / "out"
+    whole = scene.parent / "whole"
+    if stop is None:
+        assert ended(signal.SIGINT, records, scene, out) == 130
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert "what was computed is in" in told.err
+        assert told.err.count("\n") == 1
+        reported = rows(out / table)
+        assert len(reported) >= 2
+    else:
+        assert stop(records, scene, out) == -signal.SIGKILL
+        reported = rows(out / table) if (out / table).exists() else []
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    the_same_bytes(out, whole)
+    final = rows(whole / table)
+    for row in reported:
+        row.pop("fold", None)  # it shows with the points after it
+        assert any(row.items() <= other.items() for other in final)
+
+
+@pytest.mark.usefixtures("pictures")
+def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out, written = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out", iter(range(4))
+    append = Journal.append
+
+    def full(self: Journal, record: object) -> None:
+        if next(written, None) is None:
+            raise OSError(28, "No space left on device")
+        append(self, record)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "append", full)
+        assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"casadi-skin: {out}: No space left on device; what was computed is in {out}; go on with")
+    assert told.count("\n") == 1
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+
+
+@pytest.mark.usefixtures("pictures")
+def test_a_journal_of_another_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out"
+    assert killed(4, scene, out) == -signal.SIGKILL
+    record = json.dumps({"type": "point"}).encode()
+    (out / "journal.msgpack").write_bytes(len(record).to_bytes(4, "little") + record)
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
+    told = capsys.readouterr().err
+    assert told == f"casadi-skin: {out}/journal.msgpack: is no journal of this version; accepted: --overwrite\n"
+    assert main(["run", str(scene), "--out", str(out), "--overwrite", "--quiet"]) == 0
+
+
+# Refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("model", "text", "words"),
+    [
+        ("van_der_pol", FPUT, "[family]: given van der Pol; accepted for families: a model of second order"),
+        ("pair", FPUT.replace('"last"', "7"), "[family] mode: given 7; accepted: 1..2, first, last"),
+        ("pair", FPUT.replace("at =", "intervals = 3\nat ="), "[family] intervals: unknown key"),
+        ("pair", FPUT + "[method]\nintervals = 3\n", "[method] intervals: given 3; accepted: beside [orbit] or "),
+        ("", CHAIN_ORBIT + "[method]\nwalker = 'series'\n", '[method] walker: given "series"; accepted: beside [fam'),
+        ("", CHAIN_ORBIT.replace("to = 0.4", "to = 1.4"), "[continuation] to: given 1.4 for gamma; accepted: numbers"),
+    ],
+)
+def test_what_a_scene_cannot_ask_for_leaves_with_status_2_and_a_line(
+    model: str, text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(tmp_path, text, model)
+    for command in (["run", str(scene), "--out", str(tmp_path / "out")], ["check", str(scene)]):
+        assert main(command) == 2
+        told = capsys.readouterr()
+        assert words in told.err
+        assert told.err.startswith(f"casadi-skin: {scene}: [")
+        assert (told.err.count("\n"), told.out) == (1, "")
+    assert not (tmp_path / "out").exists()

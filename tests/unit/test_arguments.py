@@ -1,0 +1,49 @@
+"""What messages about arguments are made of."""
+
+from __future__ import annotations
+
+import pytest
+
+from casadi_skin.arguments import LONGEST, check_name, cut, nearest, short_repr
+
+NAMES = ("Omega", "S", "gamma", "participation")
+
+
+@pytest.mark.parametrize(
+    ("given", "near"),
+    [("omega", "Omega"), ("OMEGA", "Omega"), ("gama", "gamma"), ("Participaton", "participation"), ("period", None)],
+)
+def test_the_nearest_name_is_found_in_any_case_of_its_letters(given: str, near: str | None) -> None:
+    assert nearest(given, NAMES) == near
+
+
+def test_of_names_that_differ_in_case_alone_the_first_is_near() -> None:
+    assert nearest("gam", ("Gamma", "gamma")) == "Gamma"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("gama", "free: given 'gama'; did you mean gamma? accepted: Omega, S, gamma, participation"),
+        ("period", "free: given 'period'; accepted: Omega, S, gamma, participation"),
+        (["gamma"], "free: given ['gamma']; did you mean gamma? accepted: Omega, S, gamma, participation"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest_one(given: object, words: str) -> None:
+    with pytest.raises(ValueError, match="given") as refused:
+        check_name("free", given, NAMES)
+    assert str(refused.value) == words
+
+
+def test_a_known_name_passes_and_none_is_named_where_none_is_known() -> None:
+    check_name("free", "S", NAMES)
+    with pytest.raises(ValueError, match=r"^free: given 'S'; accepted: none$"):
+        check_name("free", "S", ())
+
+
+def test_long_values_are_one_line_of_so_many_characters() -> None:
+    assert cut("k" * LONGEST) == "k" * LONGEST
+    assert cut("k" * (LONGEST + 1)) == "k" * (LONGEST - 3) + "..."
+    assert short_repr("a\nb" * 50) == "'" + "a\\nb" * 14 + "..."
+    assert short_repr(10**5000).startswith("0x")
+    assert len(short_repr(10**5000)) == LONGEST

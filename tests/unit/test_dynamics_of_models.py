@@ -1,0 +1,237 @@
+"""Time evolution of models of one's own and of their orbits: families, forced and self-excited orbits."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from small_models import duffing, forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
+
+from casadi_skin import Chain, OdeModel, Orbit, follow_family, simulate
+from casadi_skin.dynamics import (
+    EvolutionError,
+    distance_from_orbit,
+    equations_of_motion,
+    evolve,
+    perturbed,
+    simulate_orbit,
+)
+from casadi_skin.methods import INTEGRATORS
+
+METHODS = tuple(INTEGRATORS)
+
+
+@pytest.fixture(scope="module")
+def pendulum_orbit() -> Orbit:
+    return follow_family(pendulums(), 5, 1.5, at=[1.5], tolerance=1e-11).at(1.5)
+
+
+@pytest.fixture(scope="module")
+def cycle() -> Orbit:
+    return limit_cycle()
+
+
+@pytest.fixture(scope="module")
+def response() -> Orbit:
+    return forced_orbit()
+
+
+# Orbits close ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("coordinates", ["gauge", "physical"])
+def test_an_orbit_of_a_pendulum_chain_closes_and_keeps_its_energy(
+    method: str, coordinates: str, pendulum_orbit: Orbit
+) -> None:
+    orbit, t = pendulum_orbit, np.linspace(0.0, pendulum_orbit.period, 41)
+    found = simulate_orbit(orbit, t, method=method, tolerance=1e-12, coordinates=coordinates)
+    np.testing.assert_allclose(found.displacements, orbit.evaluate(t), rtol=0, atol=2e-11)
+    np.testing.assert_allclose(found.velocities[-1], 0.0, rtol=0, atol=2e-11)
+    assert found.energy == pytest.approx(orbit.energy, rel=2e-11)
+    assert np.abs(found.energy_drift).max() < 2e-11
+    assert distance_from_orbit(orbit, found).max() < 1e-10
+    assert "energy kept to" in found.status
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_orbit_with_even_harmonics_closes(method: str) -> None:
+    orbit = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-10).at(0.02)
+    t = np.linspace(0.0, orbit.period, 21)
+    found = simulate_orbit(orbit, t, method=method, tolerance=1e-12)
+    np.testing.assert_allclose(found.displacements, orbit.evaluate(t), rtol=0, atol=2e-11)
+    assert distance_from_orbit(orbit, found).max() < 1e-9
+    off = evolve(orbit.model, orbit.profile + np.array([0.0, 1e-4]), None, [0.0])
+    near = distance_from_orbit(orbit, off)[0]
+    assert 0.1 * 1e-4 / np.sqrt(0.02) < near <= 1.0001 * 1e-4 / np.sqrt(0.02)
+
+
+@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+def test_a_forced_response_closes_and_draws_neighbours_in(method: str, response: Orbit) -> None:
+    t = np.linspace(0.0, response.period, 41)
+    found = simulate_orbit(response, t, method=method, tolerance=1e-12)
+    np.testing.assert_allclose(found.states, response.evaluate(t), rtol=0, atol=1e-9)
+    assert distance_from_orbit(response, found).max() < 1e-9
+    kicked = simulate_orbit(response, response.period * np.arange(11), 1e-5, site=1, method=method)
+    monodromy = response.floquet().monodromy
+    assert monodromy is not None
+    linear = 1e-5 * np.array([np.linalg.matrix_power(monodromy, k)[:, 0] for k in range(11)])
+    np.testing.assert_allclose(kicked.states - response.evaluate(0.0), linear, rtol=0, atol=2e-9)
+    distance = distance_from_orbit(response, kicked)
+    assert 0.01 * distance[0] < distance[-1] < 0.3 * distance[0]
+
+
+def test_a_forced_orbit_is_left_behind_by_a_shift_of_time(response: Orbit) -> None:
+    """The forcing fixes the phase: a state of the orbit at another time than its own is away from it."""
+    later = response.evaluate(0.25 * response.period)[0]
+    shifted = evolve(duffing(), later, None, [0.0])
+    assert distance_from_orbit(response, shifted)[0] > 0.5
+
+
+@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+def test_a_limit_cycle_closes_and_a_shift_of_phase_is_no_distance(method: str, cycle: Orbit) -> None:
+    found = simulate_orbit(cycle, np.linspace(0.0, cycle.period, 41), method=method, tolerance=1e-12)
+    np.testing.assert_allclose(found.states, cycle.evaluate(found.t), rtol=0, atol=1e-8)
+    shifted = evolve(van_der_pol(), cycle.evaluate(0.3)[0], None, np.linspace(0.0, cycle.period, 41))
+    assert distance_from_orbit(cycle, shifted).max() < 1e-8
+    kicked = simulate_orbit(cycle, [0.0, 3.0 * cycle.period], 0.1, site=2, method=method)
+    distance = distance_from_orbit(cycle, kicked)
+    assert distance[0] > 1e-3
+    assert distance[1] < 1e-7
+
+
+def test_a_stable_orbit_keeps_its_neighbours_near(pendulum_orbit: Orbit) -> None:
+    assert pendulum_orbit.floquet().stable
+    t = np.linspace(0.0, 40.0 * pendulum_orbit.period, 801)
+    kick = 0.001 / np.sqrt(pendulum_orbit.S)
+    for seed in (1, 2):
+        run = simulate_orbit(pendulum_orbit, t, 0.001, seed=seed)
+        distance = distance_from_orbit(pendulum_orbit, run)
+        assert 0.1 * kick < distance[0] < 1.0001 * kick
+        assert distance.max() < 10 * kick
+        assert np.abs(run.energy_drift).max() < 1e-9
+
+
+# Any start ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_chain_as_a_model_of_ones_own_moves_as_the_chain() -> None:
+    """The same gauge is found from the equations alone: coordinates, energy per S and displacements agree."""
+    chain = Chain(12, 1.0, 0.4, -1.0)
+    model, parameters = chain.tunable_model(), {"alpha": 1.0, "gamma": 0.4, "g": -1.0}
+    y = 0.4 * np.random.default_rng(3).normal(size=12) * chain.rho
+    t = np.linspace(0.0, 30.0, 61)
+    ours, theirs = evolve(chain, y, None, t), evolve(model, y, None, t, parameters=parameters)
+    assert theirs.coordinates == "gauge"
+    np.testing.assert_allclose(theirs.displacements, ours.displacements, rtol=0, atol=1e-11)
+    found = equations_of_motion(model, parameters).gauge
+    assert found is not None
+    np.testing.assert_allclose(found.log_scale, chain.log_rho, rtol=0, atol=1e-13)
+
+
+def test_a_model_without_a_gauge_is_integrated_as_it_is() -> None:
+    for model in (fput(), pendulums()):
+        n = model.size
+        run = evolve(model, 0.1 * np.ones(n), None, [0.0, 1.0])
+        assert run.coordinates == "physical"
+        assert run.names[:2] == model.state_names[:2]
+    assert evolve(pendulums(5, gamma=0.3), 0.1 * np.ones(5), None, [1.0]).coordinates == "gauge"
+    with pytest.raises(
+        ValueError, match="coordinates: given gauge for van der Pol, which has none; accepted: physical"
+    ):
+        evolve(van_der_pol(), [1.0, 0.0], None, [1.0], coordinates="gauge")
+
+
+@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+def test_a_model_of_first_order_follows_the_matrix_exponential(method: str) -> None:
+    matrix = np.array([[0.0, 1.0, 0.0], [-4.0, -0.1, 0.3], [0.0, -0.5, -0.2]])
+    x = ca.SX.sym("x", 3)
+    model = OdeModel("linear", x, ca.SX(ca.DM(matrix)) @ x)
+    t = np.array([0.0, 0.4, 3.0, 11.0])
+    run = evolve(model, [1.0, -0.5, 2.0], None, t, method, 1e-12)
+    exact = np.array([expm(time * matrix) @ [1.0, -0.5, 2.0] for time in t])
+    np.testing.assert_allclose(run.states, exact, rtol=0, atol=3e-10)
+    np.testing.assert_allclose(run.evaluate([0.4]), exact[1:2], rtol=0, atol=3e-10)
+    for name in ("displacements", "velocities"):
+        with pytest.raises(ValueError, match=f"{name}: linear is of first order; accepted: states"):
+            getattr(run, name)
+    with pytest.raises(ValueError, match="energy: linear declares no hamiltonian"):
+        _ = run.energy
+
+
+@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+def test_forcing_of_a_model_of_second_order_is_followed(method: str) -> None:
+    """q'' + q = cos(2 t) from rest: q = (cos t - cos 2t)/3."""
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    model = OdeModel("driven", q, -q + ca.cos(2 * t), order=2, velocity=v, time=t, forcing_period=np.pi)
+    times = np.linspace(0.0, 20.0, 41)
+    run = evolve(model, [0.0], None, times, method, 1e-12)
+    np.testing.assert_allclose(run.displacements[:, 0], (np.cos(times) - np.cos(2 * times)) / 3, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="method: given symplectic for driven; accepted: cvodes, dop853, or a model"):
+        evolve(model, [0.0], None, times, "symplectic")
+
+
+def test_a_stiff_model_is_followed() -> None:
+    """x' = -1e6 (x - cos t): after a millionth of a unit of time the state is at cos t + 1e-6 sin t."""
+    x, t = ca.SX.sym("x"), ca.SX.sym("t")
+    model = OdeModel("stiff", x, -1e6 * (x - ca.cos(t)), time=t, forcing_period=2 * np.pi)
+    run = evolve(model, [2.0], None, [1.0, 5.0], tolerance=1e-9)
+    np.testing.assert_allclose(run.states[:, 0], np.cos(run.t) + 1e-6 * np.sin(run.t), rtol=0, atol=1e-8)
+    assert run.evaluations < 20_000
+
+
+def test_simulate_and_evolve_agree() -> None:
+    t = np.linspace(0.0, 20.0, 41)
+    one = simulate(van_der_pol(), [1.0, 0.5], t, tolerance=1e-11)
+    other = evolve(van_der_pol(), [1.0, 0.5], None, t, "dop853", 1e-11)
+    np.testing.assert_allclose(one.states, other.states, rtol=0, atol=2e-8)
+    assert one.model.name == other.model.name == "van der Pol"
+    assert one.parameters == other.parameters == {"mu": 1.0}
+
+
+# Errors ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+def test_a_model_that_runs_away_keeps_what_was_computed(method: str) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(EvolutionError, match=f"{method}: the state was followed to t = ") as caught:
+        evolve(OdeModel("blow-up", x, x**2), [1.0], None, np.linspace(0.0, 2.0, 201), method)
+    kept = caught.value.evolution
+    assert kept is not None
+    assert 0.9 < kept.t[-1] <= 1.0  # x = 1/(1 - t)
+    np.testing.assert_allclose(kept.states[:91, 0], 1.0 / (1.0 - kept.t[:91]), rtol=1e-6)
+    assert str(caught.value).isprintable()
+
+
+def test_arguments_that_do_not_fit_a_model_are_named() -> None:
+    model = van_der_pol()
+    for arguments, words in (
+        (([1.0], None, [1.0]), r"positions: given shape \(1,\); accepted: shape \(2,\)"),
+        (([1.0, np.nan], None, [1.0]), "positions: given a value that is not finite at y"),
+        (([1.0, 0.0], [0.0], [1.0]), "velocities: given for van der Pol, of first order; accepted: None"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            evolve(model, *arguments)
+    with pytest.raises(ValueError, match="parameters: given 'nu'"):
+        evolve(model, [1.0, 0.0], None, [1.0], parameters={"nu": 1.0})
+    with pytest.raises(ValueError, match=r"parameters: given .*; accepted: with an OdeModel alone"):
+        evolve(Chain(2, 1.0, 0.0, 1.0), [1.0, 0.0], None, [1.0], parameters={"g": 1.0})
+    with pytest.raises(TypeError, match="model: given 'chain'; accepted: a Chain or an OdeModel"):
+        evolve("chain", [1.0], None, [1.0])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sites: given an infinite chain; accepted for time evolution"):
+        evolve(Chain(np.inf, 1.0, 0.2, 1.0), [1.0], None, [1.0])
+
+
+def test_perturbations_of_a_state_of_first_order(cycle: Orbit) -> None:
+    start = cycle.evaluate(0.0)[0]
+    state, nothing = perturbed(cycle, 0.01, site=2)
+    assert nothing.size == 0
+    np.testing.assert_allclose(state - start, [0.0, 0.01], atol=1e-15)
+    assert np.linalg.norm(perturbed(cycle, 0.01, seed=1)[0] - start) == pytest.approx(0.01)
+    assert np.linalg.norm(perturbed(cycle, 0.01, vector=[3.0, -4.0])[0] - start) == pytest.approx(0.01)
+    with pytest.raises(ValueError, match=r"vector: given shape \(3,\); accepted: shape \(2,\)$"):
+        perturbed(cycle, 0.01, vector=[1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match=r"site: given 3; accepted: 1\.\.2"):
+        perturbed(cycle, 0.01, site=3)

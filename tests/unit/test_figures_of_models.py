@@ -1,0 +1,367 @@
+"""Pictures, films and progress of models of one's own: families, branches in a parameter, orbits and evolutions."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
+
+from casadi_skin import BoundaryValueProblem, Branch, Chain, OdeModel, find_orbit, follow_family
+from casadi_skin.animation import animate
+from casadi_skin.dynamics import simulate_orbit
+from casadi_skin.figures import (
+    branch_figure,
+    frequency_figure,
+    multiplier_figure,
+    orbit_figure,
+    profile_figure,
+    spectrum_figure,
+)
+from casadi_skin.figures.spacetime import spacetime_figure
+from casadi_skin.orbits.closed_curve import cosine_curve
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.progress import Progress
+from casadi_skin.results.extremes import extremes
+
+SITES = 8
+
+
+@pytest.fixture(scope="module")
+def families() -> list[Branch]:
+    """The lowest and the third family of FPUT-beta; the third loses its stability."""
+    model, options = fput(SITES), {"stability": True, "tolerance": 1e-6, "corrector": "newton"}
+    return [follow_family(model, j, 0.5, at=[0.1, 0.5], **options) for j in (1, 3)]  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def cycles() -> Branch:
+    """Limit cycles of van der Pol."""
+    return limit_cycle().follow("mu", 3.0, at=[2.0], stability=True)
+
+
+@pytest.fixture(scope="module")
+def resonance() -> Branch:
+    """The response of the driven oscillator over its two folds."""
+    return forced_orbit().follow("omega", 2.6, at=[1.8], stability=True)
+
+
+@pytest.fixture(scope="module")
+def solutions() -> Branch:
+    """Solutions of u'' + lam e^u = 0 with u = 0 at both ends, round their fold."""
+    u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lam"))
+    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 0.5})
+    return problem.solve([0.0, 0.0]).follow("lam", 6.0)
+
+
+def lines(axes: Axes, label: str) -> list[Line2D]:
+    return [line for line in axes.get_lines() if line.get_label() == label]
+
+
+def points(line: Line2D) -> np.ndarray:
+    return np.asarray(line.get_xydata())
+
+
+def legend_labels(figure: Figure) -> set[str]:
+    return {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+# Families -------------------------------------------------------------------------------------------------------------
+
+
+def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]) -> None:
+    figure = frequency_figure(families)
+    axes = figure.axes[0]
+    omega = 2.0 * np.sin(np.arange(1, SITES + 1) * np.pi / (2 * (SITES + 1)))  # of the linear lattice
+    (first, third) = [line for line in axes.get_lines() if line.get_label() == "stable"]
+    (unstable,) = lines(axes, "unstable")
+    assert points(first)[0] == pytest.approx([0.0, omega[0]])
+    assert points(third)[0] == pytest.approx([0.0, omega[2]])
+    (change,) = families[1].changes
+    assert tuple(points(third)[-1]) == (change.S, change.Omega) == tuple(points(unstable)[0])
+    np.testing.assert_array_equal(points(first)[1:], np.column_stack([families[0].S, families[0].Omega]))
+    (band,) = [patch for patch in axes.patches if patch.get_label() == "linear band"]
+    low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
+    assert (low, high) == pytest.approx((omega[0], omega[-1]))
+    assert axes.get_title() == "FPUT-beta: bond = $1$"
+    assert "multiple scales" not in " ".join(legend_labels(figure))
+
+
+def test_profiles_of_a_family_lie_over_its_linear_mode(families: list[Branch]) -> None:
+    figure = profile_figure(families)
+    assert figure is not None
+    for axes, branch, j in zip(figure.axes, families, (1, 3), strict=True):
+        wave = np.sin(np.arange(1, SITES + 1) * j * np.pi / (SITES + 1))
+        (mode,) = lines(axes, "linear mode")
+        drawn = points(mode)[:, 1]
+        np.testing.assert_allclose(np.abs(drawn), np.abs(wave) / np.linalg.norm(wave), atol=1e-12)
+        (profile,) = lines(axes, "$S = 0.1$")
+        assert np.linalg.norm(points(profile)[:, 1]) == pytest.approx(1.0)
+        assert points(profile)[:, 1] @ drawn > 0.99
+        assert branch.at(0.1).S == 0.1
+    assert figure.axes[-1].get_xlabel() == "position $n$"
+
+
+def test_families_must_be_of_one_model_with_the_same_parameters(families: list[Branch]) -> None:
+    other = follow_family(families[0].space.model, 1, 0.1, parameters={"bond": 2.0}, tolerance=1e-3)
+    for draw in (frequency_figure, profile_figure):
+        with pytest.raises(ValueError, match="branches: given branches of 2 models; accepted: one or more, all of"):
+            draw([families[0], other])
+
+
+def test_other_branches_are_no_families_and_families_no_other_branches(cycles: Branch, families: list[Branch]) -> None:
+    for draw in (frequency_figure, profile_figure):
+        with pytest.raises(ValueError, match="branches: given a branch in mu; accepted: families"):
+            draw([cycles])
+    with pytest.raises(ValueError, match="branch: given a family; accepted: a branch of solutions in a parameter"):
+        branch_figure(families[0])
+
+
+def test_the_amplitude_of_a_model_with_its_own_normalisation_is_called_so() -> None:
+    q, v, S = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("S")
+    force = -ca.vertcat(2 * q[0] - q[1], 2 * q[1] - q[0]) - q**3
+    model = OdeModel(
+        "pair", q, force, S, 2, v, reversal=(1, 1, -1, -1), half_period=(-1,) * 4, normalisation=2 * ca.dot(q, q) - S
+    )
+    branch = follow_family(model, 1, 1.0, at=[1.0], tolerance=1e-6, corrector="newton")
+    assert frequency_figure([branch]).axes[0].get_xlabel() == "amplitude $S$"
+    figure = profile_figure([branch])
+    assert figure is not None
+    assert np.linalg.norm(points(lines(figure.axes[0], "$S = 1$")[0])[:, 1]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("model", [fput(SITES), pendulums(5, gamma=0.4)])
+def test_the_spectrum_of_a_model(model: OdeModel) -> None:
+    jacobian = ca.Function("J", [model.state, model.parameters], [ca.jacobian(model.rhs, model.state)])
+    stiffness = -np.array(jacobian(0.0, list(model.nominal or ())))
+    squares, vectors = np.linalg.eig(stiffness)
+    order = np.argsort(squares)
+    axes, *modes = spectrum_figure(model).axes
+    np.testing.assert_allclose(points(axes.get_lines()[0])[:, 1], np.sqrt(squares[order]), rtol=1e-10)
+    assert not axes.texts  # no cutoffs are known
+    for panel, place in zip(modes, (-1, 0), strict=True):
+        vector = vectors[:, order[place]]
+        drawn = points(panel.get_lines()[1])[:, 1]
+        np.testing.assert_allclose(drawn, vector * np.sign(vector[np.argmax(np.abs(vector))]), atol=1e-10)
+
+
+def test_models_without_linear_modes_have_no_spectrum() -> None:
+    with pytest.raises(ValueError, match="model: given van der Pol; accepted"):
+        spectrum_figure(van_der_pol())
+    with pytest.raises(ValueError, match="sites: given an infinite chain"):
+        spectrum_figure(Chain(np.inf, 1.0, 0.2, 1.0))
+
+
+# Branches in a parameter ----------------------------------------------------------------------------------------------
+
+
+def test_a_branch_of_cycles_shows_extremes_and_period(cycles: Branch) -> None:
+    figure = branch_figure(cycles, "Limit cycle")
+    top, bottom = figure.axes
+    high, low = lines(top, "stable")
+    np.testing.assert_array_equal(points(high)[:, 0], cycles["mu"])
+    np.testing.assert_allclose(points(high)[:, 1], [extremes(orbit)[1][0] for orbit in cycles.orbits])
+    np.testing.assert_allclose(points(low)[:, 1], -points(high)[:, 1], atol=1e-6)  # the cycle is symmetric
+    assert points(high)[0, 1] == pytest.approx(2.00861986, abs=1e-6)  # published, mu = 1 (Urabe 1960)
+    (period,) = lines(bottom, "stable")
+    np.testing.assert_allclose(points(period)[:, 1], cycles.period)
+    assert points(period)[0, 1] == pytest.approx(6.66328686, abs=1e-7)
+    assert points(lines(bottom, "requested")[0])[:, 0] == pytest.approx([2.0])
+    assert (top.get_title(), bottom.get_xlabel(), bottom.get_ylabel()) == ("Limit cycle", "mu", "period")
+
+
+def test_a_resonance_loses_stability_between_its_folds(resonance: Branch) -> None:
+    figure = branch_figure(resonance)
+    top, bottom = figure.axes
+    folds = np.sort([point.parameters["omega"] for point in resonance.special_points])
+    assert folds.size == 2
+    np.testing.assert_allclose(np.sort(points(lines(top, "fold")[0])[:, 0]), folds)
+    for axes, curves in ((top, 2), (bottom, 1)):
+        stable, unstable = lines(axes, "stable"), lines(axes, "unstable")
+        assert (len(stable), len(unstable)) == (2 * curves, curves)
+        for line in unstable:
+            assert points(line)[[0, -1], 0] == pytest.approx(folds[::-1], abs=1e-6)
+    assert np.all(points(lines(bottom, "unstable")[0])[1:-1, 1] > 1.0)
+    assert points(lines(top, "requested")[0])[:, 0] == pytest.approx([1.8] * 3)
+    assert bottom.get_ylabel() == "largest |multiplier|"
+    assert legend_labels(figure) == {"stable", "unstable", "fold", "requested"}  # changes lie at the folds
+
+
+def test_a_change_that_was_not_located_is_drawn_at_the_fold(resonance: Branch) -> None:
+    top = branch_figure(dataclasses.replace(resonance, changes=())).axes[0]
+    folds = {tuple(row) for line in lines(top, "fold") for row in points(line)}
+    for line in lines(top, "unstable"):
+        assert {tuple(points(line)[0]), tuple(points(line)[-1])} <= folds
+
+
+def test_solutions_without_stability_are_drawn_round_their_fold(solutions: Branch) -> None:
+    figure = branch_figure(solutions)
+    (axes,) = figure.axes
+    (fold,) = lines(axes, "fold")[:1]
+    assert points(fold)[0] == pytest.approx([3.513830719, 1.186842169], abs=1e-6)  # published (Bratu; Gelfand)
+    assert "stability not computed" not in legend_labels(figure)
+    assert axes.get_title() == "Bratu"
+    plain = orbit_figure(solutions.solutions[0])
+    assert plain.get_suptitle() == "Bratu: lam = $0.5$"
+    assert plain.axes[0].get_xlim() == (0.0, 1.0)
+    assert multiplier_figure(solutions) is None
+
+
+def test_branches_that_ended_early_say_so(cycles: Branch) -> None:
+    assert "ended early" not in legend_labels(branch_figure(cycles))
+    short = dataclasses.replace(cycles, solutions=cycles.solutions[:3], end=None)
+    assert "ended early" in legend_labels(branch_figure(short))
+    assert "ended early" not in legend_labels(branch_figure(dataclasses.replace(short, stopped=True)))
+
+
+# Multipliers ----------------------------------------------------------------------------------------------------------
+
+
+def test_multipliers_of_a_driven_oscillator(resonance: Branch) -> None:
+    figure = multiplier_figure(resonance, "Resonance")
+    assert figure is not None
+    moduli, *planes = figure.axes
+    (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
+    kept = {tuple(row) for row in np.column_stack([resonance["omega"], resonance.max_abs_multiplier])}
+    assert kept <= {tuple(point) for point in points(largest)}
+    assert moduli.get_ylabel() == r"$\left|\lambda\right|$"  # none is trivial
+    titles = [axes.get_title(loc="left") for axes in planes]
+    assert [("passage" in title) for title in titles] == [False, True, True]
+    for axes, orbit in zip(planes, (resonance.at(1.8, k) for k in range(3)), strict=True):
+        drawn = np.concatenate([points(line) for line in axes.get_lines() if "circle" in str(line.get_label())])
+        expected = orbit.floquet().multipliers
+        np.testing.assert_allclose(np.sort_complex(drawn @ [1, 1j]), np.sort_complex(expected), atol=1e-6)
+        assert not lines(axes, "trivial pair")
+    assert figure.get_suptitle() == "Resonance"
+
+
+def test_multipliers_of_a_cycle_and_of_a_family(cycles: Branch, families: list[Branch]) -> None:
+    figure = multiplier_figure(cycles)
+    assert figure is not None
+    assert len(lines(figure.axes[1], "trivial multiplier")) == 1
+    assert figure.axes[0].get_xlabel() == "mu"
+    figure = multiplier_figure(families[1])
+    assert figure is not None
+    assert len(lines(figure.axes[1], "trivial pair")) == 1
+    assert figure.get_suptitle() == "family $j = 3$; FPUT-beta: bond = $1$"
+    assert [line.get_xdata()[0] for line in figure.axes[0].get_lines() if "change of" in str(line.get_label())] == [
+        families[1].changes[0].S
+    ]
+
+
+# Orbits and evolutions ------------------------------------------------------------------------------------------------
+
+
+def first_curve(figure: Figure) -> np.ndarray:
+    return points(figure.axes[0].get_lines()[0])
+
+
+def test_orbits_of_every_kind_are_drawn_over_their_period(cycles: Branch, families: list[Branch]) -> None:
+    for orbit in (cycles.orbits[-1], families[0].orbits[-1]):
+        figure = orbit_figure(orbit)
+        t, x = first_curve(figure).T
+        assert (t[0], t[-1]) == pytest.approx((0.0, orbit.period))
+        np.testing.assert_allclose(x, orbit.evaluate(t)[:, 0], atol=1e-14)
+        plane = points(figure.axes[1].get_lines()[0])
+        np.testing.assert_allclose(plane[0], plane[-1], atol=1e-8)
+    assert figure.get_suptitle() == "FPUT-beta: bond = $1$, $j = 1$, $S = 0.5$"
+    assert figure.axes[0].get_ylabel() == "states (first 6 of 8)"
+
+
+def test_an_orbit_with_one_position_is_drawn_with_its_velocity() -> None:
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = OdeModel("pendulum", q, -ca.sin(q), order=2, velocity=v, reversal=(1, -1), half_period=(-1, -1))
+    orbit = follow_family(model, 1, 1.0, at=[1.0]).at(1.0)
+    y, velocity = points(orbit_figure(orbit).axes[1].get_lines()[0]).T
+    np.testing.assert_allclose((orbit.Omega * velocity) ** 2 / 2 - np.cos(y), -np.cos(1.0), atol=1e-7)
+    np.testing.assert_allclose(cosine_curve(orbit).points(np.zeros(1))[0], [[1.0, 0.0]], atol=1e-7)
+
+
+def test_an_evolution_of_a_lattice_is_an_image_and_of_few_states_lines(families: list[Branch], cycles: Branch) -> None:
+    orbit = families[0].at(0.5)
+    run = simulate_orbit(orbit, np.linspace(0.0, 2 * orbit.period, 101), 0.01, site=2)
+    figure = spacetime_figure(run, "kicked", profile=True, energy=True, kicked_site=2)
+    (image,) = [c for axes in figure.axes for c in axes.collections if isinstance(c, QuadMesh) and c.colorbar]
+    np.testing.assert_array_equal(np.asarray(image.get_array()), run.displacements.T)
+    assert figure.get_suptitle() == "kicked; FPUT-beta: bond = $1$"
+    assert "position $n$" in {axes.get_ylabel() for axes in figure.axes}
+    cycle = cycles.orbits[0]
+    run = simulate_orbit(cycle, np.linspace(0.0, 2 * cycle.period, 101), 0.1, site=1)
+    figure = spacetime_figure(run, "kicked", profile=True, energy=True, kicked_site=1)
+    (axes,) = figure.axes  # neither energy nor profile
+    for line, x in zip(axes.get_lines(), run.states.T, strict=True):
+        np.testing.assert_array_equal(points(line), np.column_stack([run.t, x]))
+    assert legend_labels(figure) == {"x", "y"}
+
+
+def test_long_evolutions_show_the_range_of_each_state() -> None:
+    orbit = forced_orbit()
+    run = simulate_orbit(orbit, np.linspace(0.0, 150 * orbit.period, 3001), 0.1, site=1, tolerance=1e-6)
+    figure = spacetime_figure(run)
+    (axes,) = figure.axes
+    assert axes.get_ylabel().startswith("range of states in windows of")
+    assert len(axes.patches) == 2
+    assert not axes.get_lines()
+
+
+def frames(path: Path) -> list[np.ndarray]:
+    with Image.open(path) as film:
+        found = []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            found.append(np.array(film.convert("L"), dtype=float))
+    return found
+
+
+def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path) -> None:
+    x, t = ca.SX.sym("x"), ca.SX.sym("t")
+    relaxed = OdeModel("relaxation", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
+    wells = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-6).at(0.02)
+    for name, orbit in (
+        ("lattice", families[0].at(0.5)),
+        ("plane", cycles.orbits[0]),
+        ("positions", wells),
+        ("one_state", find_orbit(relaxed, lambda t: [np.cos(t)])),
+    ):
+        pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=2))
+        assert len(pictures) == 2
+        assert np.abs(pictures[0] - pictures[1]).max() > 100, name
+
+
+# Progress -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("families", "j = 1: S = 0.5 of 0.5, 7 points, step"),
+        ("cycles", "mu = 3 on the way to 3, 7 points, step"),
+        ("resonance", "omega = 2.6 on the way to 2.6, 7 points, step"),
+        ("single", "solved, 7 points, step"),
+    ],
+)
+def test_progress_says_where_a_branch_is(kind: str, words: str, request: pytest.FixtureRequest) -> None:
+    said: list[str] = []
+
+    class Status:
+        def update(self, text: str) -> None:
+            said.append(text)
+
+    if kind == "single":
+        last: Solution = limit_cycle()
+    else:
+        found = request.getfixturevalue(kind)
+        last = (found[0] if isinstance(found, list) else found).solutions[-1]
+    progress = Progress(quiet=True)
+    progress._status = Status()  # type: ignore[assignment]
+    progress.solution(last, 7)
+    assert said[0].startswith(words)
