@@ -8,7 +8,6 @@ from typing import Any
 from casadi_skin.scene import scene_schema
 
 MARK = "<!-- tables from the schema -->"
-MODEL_MARK = "<!-- tables of a scene of a model -->"
 SCHEMA_MARK = "<!-- the schema -->"
 
 
@@ -18,23 +17,23 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         return markdown
     schema = scene_schema()
     text = json.dumps(schema, indent=2)
-    markdown = markdown.replace(MODEL_MARK, scene_tables(schema, "ModelScene", "###"))
     return markdown.replace(MARK, scene_tables(schema)).replace(SCHEMA_MARK, f"```json\n{text}\n```")
 
 
-def scene_tables(schema: dict[str, Any], kind: str = "Scene", level: str = "##") -> str:
-    """A section for each table of a scene of a kind, a row for each key."""
+def scene_tables(schema: dict[str, Any]) -> str:
+    """A section for each table of a scene, a row for each key."""
     definitions = schema["$defs"]
-    scene = definitions[kind]
+    scene = definitions["Scene"]
     keys = {name: value for name, value in scene["properties"].items() if _table(value) is None}
-    parts = [f"{level} Outside of any table", _rows(keys, scene["required"])]
+    models = {name for choice in scene["anyOf"] for name in choice["required"]}
+    parts = ["## Outside of any table", _rows(keys, [])]
     for name, value in scene["properties"].items():
         table = _table(value)
         if table is None:
             continue
         definition = definitions[table]
-        needed = "Required." if name in scene["required"] else "Optional."
-        parts += [f"{level} `[{name}]`", f"{_first_line(definition['description'])} {needed}"]
+        needed = f"Required: one of {' and '.join(f'`[{m}]`' for m in sorted(models))}." if name in models else "Optional."
+        parts += [f"## `[{name}]`", f"{_first_line(definition['description'])} {needed}"]
         if definition["properties"]:
             parts.append(_rows(definition["properties"], definition["required"]))
     return "\n\n".join(parts)

@@ -78,9 +78,7 @@ class ChainFamily:
         low, high = bounds.get("g", (self.model.g, self.model.g))
         if not (low >= 0 and high > 0 if self.model.g > 0 else low < 0 and high <= 0):
             side = ">= 0" if self.model.g > 0 else "<= 0"
-            raise ValueError(
-                f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's own g"
-            )
+            raise ValueError(f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's g")
         return replace(self, mirrored=upper <= 0 if "gamma" in bounds else self.model.gamma < 0)
 
     # Expressions ----------------------------------------------------------------------------------------------------

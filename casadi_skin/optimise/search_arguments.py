@@ -61,9 +61,7 @@ def pair(place: str, given: object) -> tuple[float, float]:
         for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
     )
     if lower > upper:
-        raise ValueError(
-            f"{place}: given {short_repr(given)}; accepted: (lower, upper), a lower bound <= the upper one"
-        )
+        raise ValueError(f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper")
     return lower, upper
 
 

@@ -73,7 +73,10 @@ class FamilyTable(Table, frozen=True):
 
     mode: Annotated[
         Mode | NamedMode | Modes,
-        Meta(title="Linear modes", description='a mode from 1 to sites, "first" or "last", or a list of such modes'),
+        Meta(
+            title="Linear modes",
+            description='a mode from 1 to sites (of a model: positions), "first" or "last", or a list of such modes',
+        ),
     ]
     amplitude_max: Annotated[Positive, Meta(title="Largest S = ||y||^2", description="a finite number > 0")]
     at: Annotated[
@@ -121,7 +124,7 @@ class StabilityTable(Table, frozen=True):
 
     events: Annotated[bool, Meta(title="Locate changes of stability", description="true or false")] = True
     vectors: Annotated[
-        bool, Meta(title="Keep the Floquet vectors at the points of `at`", description="true or false")
+        bool, Meta(title="Keep the Floquet vectors at requested points", description="true or false")
     ] = False
 
 

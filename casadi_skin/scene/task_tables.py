@@ -57,13 +57,18 @@ class DynamicsTable(Table, frozen=True):
         Meta(title="Norm of the perturbation", description="a finite number > 0, with one of site, vector, seed"),
     ] = None
     site: Annotated[
-        Mode | None, Meta(title="Displaced site", description="a site from 1 to sites, or a state of a model")
+        Mode | None,
+        Meta(
+            title="Displaced site",
+            description="a site from 1 to sites (of a model: positions; of one of first order: states)",
+        ),
     ] = None
     vector: Annotated[
         Annotated[tuple[Finite, ...], Meta(min_length=1)] | None,
         Meta(
             title="Direction of the perturbation",
-            description="a list of numbers: a displacement a site, or these and a velocity a site",
+            description="a list of numbers: a displacement a site, or these and a velocity a site; of a model of first "
+            "order a number a state",
         ),
     ] = None
     seed: Annotated[
@@ -88,7 +93,8 @@ class ExportTable(Table, frozen=True):
         Positive | None,
         Meta(
             title="S of the orbit",
-            description="a finite number > 0, up to amplitude_max (left out: the model without an orbit)",
+            description="a finite number > 0, up to amplitude_max (left out: the last orbit beside [orbit], else the "
+            "model without an orbit)",
         ),
     ] = None
     mode: Annotated[

@@ -26,6 +26,7 @@ bratu = OdeModel("Bratu", ca.vertcat(x, y), ca.vertcat(y, -mu * ca.exp(x)), mu, 
 problem = BoundaryValueProblem(bratu, [bratu.start(x), bratu.end(x)])
 """
 ORBIT = "[orbit]\nstart = [2.0, 0.0]\nperiod = 6.6\n"
+FOLDS = (2.2119353170179, 1.4386701455139)  # of the resonance of Duffing
 PICTURES = {f"{stem}.{kind}" for stem in ("branch", "orbit") for kind in ("png", "svg")}
 STABILITY = ["max_abs_multiplier", "stable", "unstable", "trivial_deviation"]
 
@@ -73,6 +74,33 @@ def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "results in" in capsys.readouterr().out
 
 
+def check_special_points(out: Path, within: float) -> None:
+    """At each fold of the resonance a multiplier passes 1: both are told, in order along the branch."""
+    with (out / "special_points.csv").open(encoding="utf-8", newline="") as file:
+        points = list(csv.DictReader(file))
+    assert list(points[0]) == ["kind", "omega", "error", "period"]
+    kinds = [row["kind"] for row in points]
+    assert sorted(kinds) == ["fold", "fold", "stability gained (real)", "stability lost (real)"]
+    assert [set(kinds[:2]), set(kinds[2:])] == [{"fold", "stability lost (real)"}, {"fold", "stability gained (real)"}]
+    values = [float(row["omega"]) for row in points]
+    assert values == pytest.approx(np.repeat(FOLDS, 2), abs=within)
+    assert [float(row["period"]) for row in points] == pytest.approx(2 * np.pi / np.array(values), rel=1e-12)
+    assert all(0.0 <= float(row["error"]) < within for row in points)
+
+
+def test_special_points_of_the_resonance_of_duffing(tmp_path: Path, pictures: None) -> None:
+    text = (EXAMPLES / "duffing_resonance.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ('"models/', f'"{EXAMPLES}/models/'), ("omega = 0.5", "omega = 1.3"), ("[0.0, 0.0]", "[1.0, 0.0]"),
+        ("at = [1.8]", ""), ("max_step = 0.1", "max_step = 0.4"), ("1e-9", "1e-7"), ("to = 3.0", "to = 2.3"),
+    ):  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
+    check_special_points(tmp_path / "out", 1e-6)
+
+
 @pytest.mark.slow
 def test_the_resonance_of_duffing(tmp_path: Path) -> None:
     from scipy.integrate import solve_ivp
@@ -82,7 +110,8 @@ def test_the_resonance_of_duffing(tmp_path: Path) -> None:
     assert main(["run", str(EXAMPLES / "duffing_resonance.toml"), "--out", str(out)]) == 0
     table = rows(out)
     folds = [float(r["omega"]) for r in table if r["fold"] == "1"]
-    assert folds == pytest.approx([2.2119353170179, 1.4386701455139], abs=1e-8)
+    assert folds == pytest.approx(FOLDS, abs=1e-8)
+    check_special_points(out, 1e-8)
     at = [r for r in table if r["requested"] == "1"]
     assert [int(r["unstable"]) for r in at] == [0, 1, 0]
     period = 2 * np.pi / 1.8

@@ -95,6 +95,9 @@ parameter = "gamma"
 to = 0.4
 at = [0.25]
 [stability]
+[dynamics]
+duration = 5.0
+samples = 6
 """
 FPUT = '[family]\nmode = [1, "last"]\namplitude_max = 2.0\nat = [0.5]\n[stability]\nvectors = true\n'
 PENDULA = "[family]\nmode = 3\namplitude_max = 6.0\nat = [2.0]\n[stability]\n[dynamics]\nS = 2.0\nperiods = 1\n"
@@ -116,6 +119,12 @@ def rows(path: Path) -> list[dict[str, str]]:
 def pair_forces(y: np.ndarray) -> np.ndarray:
     """Forces of two Duffing oscillators y'' = -y - y^3 that a spring of stiffness 0.1 couples."""
     return np.asarray(-y - y**3 - 0.1 * (y - y[::-1]))
+
+
+def chain_forces(y: np.ndarray, gamma: float) -> np.ndarray:
+    """Forces of the chain with alpha = g = 1 (paper, Eq. 1)."""
+    left, right = np.append(0.0, y[:-1]), np.append(y[1:], 0.0)
+    return np.asarray((1.0 + gamma) * left - 2.0 * y + (1.0 - gamma) * right - y - y**3)
 
 
 @pytest.fixture(scope="module")
@@ -263,6 +272,13 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
         assert float(row["y_1_max"]) == pytest.approx(abs(orbit.profile[0]), abs=1e-6)
         assert float(row["max_abs_multiplier"]) == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-5)
         assert bool(int(row["stable"])) == orbit.floquet().stable
+    motion = rows(out / "dynamics.csv")
+    assert list(motion[0]) == ["t", "y_1", "y_2", "y_3"]
+    last = [float(motion[0][f"y_{n}"]) for n in (1, 2, 3)]
+    flow = solve_ivp(
+        lambda t, s: [*s[3:], *chain_forces(s[:3], 0.4)], (0.0, 5.0), [*last, 0, 0, 0], rtol=1e-11, atol=1e-12
+    )
+    np.testing.assert_allclose([float(motion[-1][f"y_{n}"]) for n in (1, 2, 3)], flow.y[:3, -1], atol=1e-7)
     assert not rows(out / "special_points.csv")
     assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
 

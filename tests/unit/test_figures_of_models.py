@@ -234,6 +234,9 @@ def test_multipliers_of_a_driven_oscillator(resonance: Branch) -> None:
     kept = {tuple(row) for row in np.column_stack([resonance["omega"], resonance.max_abs_multiplier])}
     assert kept <= {tuple(point) for point in points(largest)}
     assert moduli.get_ylabel() == r"$\left|\lambda\right|$"  # none is trivial
+    dots = np.concatenate([points(line)[:, 1] for line in moduli.get_lines() if line.get_marker() == "."])
+    sizes = np.abs([orbit.floquet().multipliers for orbit in resonance.orbits]).ravel()
+    np.testing.assert_allclose(np.sort(dots), np.sort(sizes[np.abs(sizes - 1.0) > 1e-6]), atol=1e-6)
     titles = [axes.get_title(loc="left") for axes in planes]
     assert [("passage" in title) for title in titles] == [False, True, True]
     for axes, orbit in zip(planes, (resonance.at(1.8, k) for k in range(3)), strict=True):
@@ -332,9 +335,10 @@ def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branc
         ("positions", wells),
         ("one_state", find_orbit(relaxed, lambda t: [np.cos(t)])),
     ):
-        pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=2))
-        assert len(pictures) == 2
-        assert np.abs(pictures[0] - pictures[1]).max() > 100, name
+        pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=4))
+        assert len(pictures) == 4
+        below_the_clock = [picture[picture.shape[0] // 3 :] for picture in pictures]
+        assert np.abs(below_the_clock[0] - below_the_clock[1]).max() > 100, name
 
 
 # Progress -------------------------------------------------------------------------------------------------------------

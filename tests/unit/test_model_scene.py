@@ -141,7 +141,7 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
         ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table "),
         ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain] or [model] in one scene"),
-        (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites, "),
+        (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites (of a "),
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
         ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [chain], [model], "),
         ("[model]\nfiles = 'a.py'\n", "[model] files: unknown key; did you mean 'file'? (accepted: file, name, "),

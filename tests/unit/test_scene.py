@@ -216,7 +216,7 @@ def test_long_names_are_cut(key: str, shown: str) -> None:
 
 SITES = "accepted: a whole number >= 1 and <= 10000000, or inf"
 FINITE = "accepted: a finite number"
-MODES = 'accepted: a mode from 1 to sites, "first" or "last", or a list of such modes'
+MODES = 'accepted: a mode from 1 to sites (of a model: positions), "first" or "last", or a list of such modes'
 AT = "accepted: a list of numbers > 0, ascending up to amplitude_max"
 POINTS = "accepted: a whole number >= 1 and <= 1000000 (left out: 2000)"
 

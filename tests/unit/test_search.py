@@ -300,7 +300,7 @@ REFUSED: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"free": ()}, ValueError, "free: given"),
     ({"free": ("alpha", "alpha_n")}, ValueError, "accepted: one of them"),
     ({"bounds": {"gama": (0, 1)}}, ValueError, "did you mean gamma"),
-    ({"bounds": {"gamma": (0.6, 0.1)}}, ValueError, "a lower bound <= the upper one"),
+    ({"bounds": {"gamma": (0.6, 0.1)}}, ValueError, "lower <= upper"),
     ({"bounds": {"gamma": (0.3, 0.3)}}, ValueError, "different bounds"),
     ({"bounds": {"gamma": (-0.3, 0.3)}}, ValueError, "one side of 0"),
     ({"bounds": {"gamma": (0.3, 1.0)}}, ValueError, r"\|gamma\| < 1"),

@@ -285,13 +285,14 @@ def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
     assert isnan(reference.errors_of(reference.orbits, none).mu)
 
 
+@pytest.mark.usefixtures("harmonics")
 def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> None:
     quick = measure(orbit_settings(FAMILY, (1e-4,))[0], reference, 1, with_memory=False)
     assert 0 < quick.seconds_min <= quick.seconds <= quick.seconds_max
     assert 0 < quick.orbit_error < 1e-4
     assert 0 < quick.mu_error < 1e-3
     assert isnan(quick.memory_MB)
-    steep = Setting(Kind.ORBITS, replace(FAMILY, max_points=3), 1e-2, walker="arclength", corrector="newton")
+    steep = Setting(Kind.ORBITS, replace(FAMILY, amplitude_max=1e3), 1e-2, walker="arclength", corrector="newton")
     failed = measure(steep, reference, 1, with_memory=False)
     assert failed.failure
     assert "\n" not in failed.failure
