@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
-from casadi_skin.export.fmu.build import compiler, headers
+from casadi_skin.export.compiler import find_compiler, fmi_headers
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 from casadi_skin.orbits.branch import Branch
 
@@ -35,7 +35,8 @@ def made_elsewhere(folder: Path) -> Path:
     sources = [folder / name for name in dae.export_fmu() if name.endswith(".c")]
     os.chdir(before)
     library = folder / f"vdp.{library_ending()}"
-    subprocess.run([compiler(), "-shared", "-fPIC", f"-I{headers()}", *sources, "-o", library, "-lm"], check=True)
+    command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", library, "-lm"]
+    subprocess.run(command, check=True)
     with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")
         archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")

@@ -8,9 +8,10 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 
 from casadi_skin.arguments import short_repr
-from casadi_skin.export.c_text import comment, plain
+from casadi_skin.export.c_text import Part, comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
 from casadi_skin.export.equations import (
     flow_part,
@@ -21,17 +22,12 @@ from casadi_skin.export.equations import (
     variational_part,
 )
 from casadi_skin.export.example_program import main_text
-from casadi_skin.export.exported_model import Subject, subject_of, wanted
-from casadi_skin.export.optimiser import IPOPT_HEADER, ipopt_part
-from casadi_skin.export.orbit_equations import newton_part, orbit_part, residual_part
-from casadi_skin.export.part import Part
+from casadi_skin.export.exported_model import ExportedModel, Source, chosen_parts, exported_model
+from casadi_skin.export.orbit_equations import IPOPT_HEADER, ipopt_part, newton_part, orbit_part, residual_part
 from casadi_skin.export.readme import cmake_text, readme_text
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.orbit import Orbit
 
-MAKERS: Mapping[str, Callable[[Subject], Part]] = {
+MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "rhs": rhs_part,
     "jacobian": jacobian_part,
     "variational": variational_part,
@@ -41,66 +37,74 @@ MAKERS: Mapping[str, Callable[[Subject], Part]] = {
     "newton": newton_part,
     "orbit": orbit_part,
     "ipopt": ipopt_part,
-}
+})  # fmt: skip
 HARMONICS = 12
 
 
 def export_c(
-    source: Chain | OdeModel | Orbit,
+    source: Source,
     directory: str | Path,
     what: Collection[str] | None = None,
     *,
     name: str | None = None,
     harmonics: int = HARMONICS,
 ) -> Path:
-    """Write a chain, a model or an orbit as C99 into a new or empty directory, and return its path.
+    """Write a chain, a model, or an orbit of either as C99; all is dimensionless.
 
-    `what` names the parts: rhs, jacobian, variational, outputs, flow, residual, newton, orbit, ipopt; by default all
-    that the source has and that need libm only. `name` is the prefix of all C names and files, by default that of the
-    model or "chain". `harmonics` are those of the collocation equations of a chain without an orbit. All is
-    dimensionless.
+    Arguments:
+        source: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
+        directory: A new or empty directory.
+        what: The parts: rhs, jacobian, variational, outputs, flow, residual, newton, orbit, ipopt; by default all that
+            the source has and that need libm only.
+        name: The prefix of all C names and files, by default that of the model or "chain".
+        harmonics: Those of the collocation equations of a chain without an orbit.
 
-    Raises TypeError and ValueError for an argument that is not accepted, CodegenError (a ValueError) for equations that
-    CasADi cannot write as C, each in one line; nothing is written then.
+    Returns:
+        The path of the directory.
+
+    Raises:
+        TypeError: An argument is of a wrong type.
+        ValueError: An argument is not accepted; as CodegenError, CasADi cannot write the equations as C. Nothing is
+            written then.
     """
-    subject = subject_of(source, name, harmonics)
-    chosen = wanted(subject, what)
+    exported = exported_model(source, name, harmonics)
+    chosen = chosen_parts(exported, what)
     target = _free(directory)
-    check_parts(subject.model.vector_field)  # before derivatives are asked for that it may not have
-    texts = export_texts(subject, chosen)
+    check_parts(exported.model.vector_field)  # before derivatives are asked for that it may not have
+    texts = export_texts(exported, chosen)
     _write(texts, target)
     return target
 
 
-def export_texts(subject: Subject, chosen: Collection[str]) -> dict[str, str]:
+def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, str]:
     """The files of an export by their names."""
-    parts = {"model": model_part(subject), **{what: MAKERS[what](subject) for what in chosen}}
-    name, every = subject.name, list(parts.values())
+    parts = {"model": model_part(exported), **{what: MAKERS[what](exported) for what in chosen}}
+    name, every = exported.name, list(parts.values())
     plainly = [part for what, part in parts.items() if what != "ipopt"]
     generated = c_source(f"{name}_generated", [f for part in plainly for f in part.functions])
     templates = [stem for part in every for stem in part.files]
     texts = {
-        f"{name}.h": _header(subject, every),
-        f"{name}.c": _definitions(subject, plainly, generated),
+        f"{name}.h": _header(exported, every),
+        f"{name}.c": _definitions(plainly, generated),
         f"{name}_generated.c": generated.text,
         **{f"{name}_{stem}.c": _template(stem) for stem in templates},
-        "main.c": main_text(subject, chosen),
+        "main.c": main_text(exported, chosen),
     }
     if "ipopt" in parts:
         own = c_source(f"{name}_ipopt_generated", parts["ipopt"].functions, LIBM_HEADERS | {IPOPT_HEADER})
-        texts |= {f"{name}_ipopt.c": _definitions(subject, [parts["ipopt"]], own), f"{own.name}.c": own.text}
+        texts |= {f"{name}_ipopt.c": _definitions([parts["ipopt"]], own), f"{own.name}.c": own.text}
     sources = [file for file in texts if file.endswith(".c")]
     texts |= {
         "CMakeLists.txt": cmake_text(name, sources),
-        "README.md": readme_text(subject, parts, sources),
+        "README.md": readme_text(exported, parts, sources),
     }
     return {file: text.replace("@p", name).replace("@P", name.upper()) for file, text in texts.items()}
 
 
-def _header(subject: Subject, parts: list[Part]) -> str:
-    guard = f"{subject.name.upper()}_H"
+def _header(exported: ExportedModel, parts: list[Part]) -> str:
+    guard = f"{exported.name.upper()}_H"
     about = (
-        f"{plain(subject.model.name)}: C99 written by casadi_skin. The model is dimensionless. Arrays are the "
+        f"{plain(exported.model.name)}: C99 written by casadi_skin. The model is dimensionless. Arrays are the "
         "caller's; matrices are stored by columns, indices count from 0. Each function has an array `work` of its own "
         "length, is free of other memory, and may be called from several threads with different arrays."
     )
@@ -119,7 +123,7 @@ CPLUSPLUS_OPEN = '#ifdef __cplusplus\nextern "C" {\n#endif\n'
 CPLUSPLUS_CLOSE = "#ifdef __cplusplus\n}\n#endif\n"
 
 
-def _definitions(subject: Subject, parts: list[Part], generated: CSource) -> str:
+def _definitions(parts: list[Part], generated: CSource) -> str:
     prototypes = [f"{function.prototype};" for function in generated.functions]
     about = comment("Tables, and plain functions around the generated ones.")
     texts = [definition for part in parts for definition in part.definitions]

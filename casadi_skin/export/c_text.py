@@ -1,8 +1,8 @@
-"""Pieces of C text: arrays, strings, comments, and calls of generated functions behind plain prototypes."""
+"""Pieces of C text: arrays, strings, comments, plain functions around generated ones, and the parts of an export."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 
@@ -58,10 +58,12 @@ def strings(name: str, values: Sequence[str]) -> str:
     return f"const char *const {name}[{len(entries)}] = {{\n{body}}};"
 
 
-def pattern(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMNS) -> str:
-    """Definitions of the pattern of a sparse matrix by columns (or of its transpose by rows), counted from 0."""
-    starts, places = names
-    return f"{integers(f'{name}_{starts}', sparsity.colind())}\n\n{integers(f'{name}_{places}', sparsity.row())}"
+def pattern(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMNS) -> tuple[str, str]:
+    """Definitions and declarations of the pattern of a sparse matrix by columns (of its transpose by rows), from 0."""
+    indices = dict(zip(names, (sparsity.colind(), sparsity.row()), strict=True))
+    definitions = "\n\n".join(integers(f"{name}_{kind}", values) for kind, values in indices.items())
+    lengths = {kind: max(1, len(values)) for kind, values in indices.items()}
+    return definitions, "\n".join(f"extern const int {name}_{kind}[{length}];" for kind, length in lengths.items())
 
 
 @dataclass(frozen=True)
@@ -91,3 +93,66 @@ class Call:
             f"    return {f.name()}(arg, res, iw, work, 0);\n}}",
         ]
         return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A constant of the header: NAME_`suffix`, and its meaning in words."""
+
+    suffix: str
+    value: int
+    words: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an export: constants, declarations, definitions, generated functions and names of C files.
+
+    In texts `@p` stands for the prefix of functions and arrays, `@P` for that of constants.
+    """
+
+    title: str
+    sizes: tuple[Size, ...] = ()
+    declarations: tuple[str, ...] = ()
+    definitions: tuple[str, ...] = ()
+    functions: tuple[ca.Function, ...] = ()
+    files: tuple[str, ...] = ()
+
+    def plus(
+        self,
+        definition: str = "",
+        declaration: str = "",
+        sizes: tuple[Size, ...] = (),
+        functions: tuple[ca.Function, ...] = (),
+        files: tuple[str, ...] = (),
+    ) -> Part:
+        """The part with more: a definition, a declaration, entries of its other fields."""
+        declarations = (*self.declarations, *([declaration] if declaration else []))
+        definitions = (*self.definitions, *([definition] if definition else []))
+        rest = ((*self.functions, *functions), (*self.files, *files))
+        return Part(self.title, (*self.sizes, *sizes), declarations, definitions, *rest)
+
+
+def declared(prototype: str, words: str) -> str:
+    """A declaration with its comment."""
+    return f"{comment(words)}\n{prototype};"
+
+
+def called(title: str, call: Call, size: str, words: str, *more: Size) -> Part:
+    """The part that is one generated function behind a plain prototype."""
+    sizes = (*more, Size(size, call.work, "doubles of work"))
+    return Part(title, sizes, (declared(call.prototype, words),), (call.text(),), (call.function,))
+
+
+def constants(prefix: str, values: Mapping[str, tuple[float, str]]) -> tuple[str, str]:
+    """Definitions and declarations of doubles by name, each with its meaning."""
+    definitions = "\n".join(f"const double {prefix}_{name} = {value:.17g};" for name, (value, _) in values.items())
+    declarations = (f"extern const double {prefix}_{name}; {comment(words)}" for name, (_, words) in values.items())
+    return definitions, "\n".join(declarations)
+
+
+def arrays(prefix: str, values: Mapping[str, ArrayLike], words: str) -> tuple[str, str]:
+    """Definitions and declarations of arrays of doubles by name, with one comment."""
+    definitions = "\n\n".join(doubles(f"{prefix}_{name}", array) for name, array in values.items())
+    declarations = [f"extern const double {prefix}_{name}[{max(1, np.size(array))}];" for name, array in values.items()]
+    return definitions, "\n".join([comment(words), *declarations])

@@ -1,21 +1,24 @@
-"""The C compiler: only building needs one."""
+"""The C compiler, which only building needs: example programs of exports, and binaries of FMUs."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from casadi_skin.arguments import short_repr
+from casadi_skin.models.fmu_archive import FMPY_MISSING
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
+LIBRARY_FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
 
 
 class CompilerError(ValueError):
-    """A C compiler that is not there, or that refused a source."""
+    """A C compiler is missing, or refuses a source."""
 
 
 def find_compiler(name: str | None = None) -> str:
@@ -35,3 +38,47 @@ def compile_with(compiler: str, arguments: Sequence[str], folder: Path | None = 
     if done.returncode:
         lines = [line.strip() for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
         raise CompilerError(f"compiler: {compiler} failed: {lines[0] if lines else f'exit status {done.returncode}'}")
+
+
+def build_c(directory: str | Path, compiler: str | None = None) -> Path:
+    """Compile the example program of an export of C code into its directory.
+
+    Arguments:
+        directory: The directory that `export_c` wrote.
+        compiler: Name or path of a C99 compiler; by default $CC, else cc, gcc or clang.
+
+    Returns:
+        The path of the program.
+
+    Raises:
+        ValueError: The directory is no export; as CompilerError, the compiler is missing or fails.
+    """
+    folder = Path(directory)
+    sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
+    if "main.c" not in sources:
+        raise ValueError(f"directory: given {short_repr(str(directory))}; accepted: one that export_c wrote")
+    compile_with(find_compiler(compiler), [*sources, "-lm", "-o", "main"], folder)
+    return folder / "main"
+
+
+# FMUs ---------------------------------------------------------------------------------------------------------------
+
+
+def fmi_headers() -> Path:
+    """Folder with the header files of the FMI standard, which fmpy ships; raises ValueError where it is missing."""
+    found = find_spec("fmpy")
+    if found is None or found.origin is None:
+        raise ValueError(FMPY_MISSING)
+    return Path(found.origin).parent / "c-code"
+
+
+def build_library(folder: Path, files: Iterable[str], target: Path) -> Path:
+    """Compile C files of a folder into one shared library; raises CompilerError."""
+    try:
+        compiler = find_compiler()
+    except CompilerError as error:
+        raise CompilerError(f"{error}, or binary=False (sources alone)") from error
+    sources = [str(folder / name) for name in files]
+    arguments = [*LIBRARY_FLAGS, f"-I{fmi_headers()}", f"-I{folder}", *sources, "-o", str(target), "-lm"]
+    compile_with(compiler, arguments)
+    return target

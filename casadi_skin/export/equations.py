@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 
-from casadi_skin.export.c_text import BY_COLUMNS, BY_ROWS, Call, comment, doubles, pattern, plain, strings
-from casadi_skin.export.exported_model import Subject
-from casadi_skin.export.part import Part, Size, called, declared
+from casadi_skin.export.c_text import (
+    BY_ROWS,
+    Call,
+    Part,
+    Size,
+    arrays,
+    called,
+    comment,
+    declared,
+    doubles,
+    pattern,
+    plain,
+    strings,
+)
+from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
@@ -18,26 +28,21 @@ CONSTANTS = ("alpha", "gamma", "g")
 GIVEN = "double t, const double *x, const double *p"
 
 
-def model_part(subject: Subject) -> Part:
+def model_part(exported: ExportedModel) -> Part:
     """Sizes, names and usual parameters."""
-    model = subject.model
-    parameters, states = model.parameter_names, model.state_names
-    definitions = [strings("@p_state_names", states), strings("@p_parameter_names", parameters)]
+    states, parameters = exported.model.state_names, exported.model.parameter_names
     lines = [
         comment("Names of the states, and of the parameters, in their order."),
         f"extern const char *const @p_state_names[{max(1, len(states))}];",
         f"extern const char *const @p_parameter_names[{max(1, len(parameters))}];",
     ]
-    if model.nominal is not None:
-        definitions.append(doubles("@p_nominal", model.nominal))
-        lines += [
-            comment("Usual values of the parameters."),
-            f"extern const double @p_nominal[{max(1, len(parameters))}];",
-        ]
-    sizes = [Size("STATES", len(states), "x: " + _listed(states)),
-             Size("PARAMETERS", len(parameters), "p: " + _listed(parameters))]  # fmt: skip
-    part = Part("The model", tuple(sizes), ("\n".join(lines),), tuple(definitions))
-    return part if subject.chain is None else _with_chain(part, subject.chain)
+    sizes = (Size("STATES", len(states), "x: " + _listed(states)),
+             Size("PARAMETERS", len(parameters), "p: " + _listed(parameters)))  # fmt: skip
+    names = (strings("@p_state_names", states), strings("@p_parameter_names", parameters))
+    part = Part("The model", sizes, ("\n".join(lines),), names)
+    if exported.parameters is not None:
+        part = part.plus(*arrays("@p", {"nominal": exported.parameters}, "Usual values of the parameters."))
+    return part if exported.chain is None else _with_chain(part, exported.chain)
 
 
 def _with_chain(part: Part, chain: Chain) -> Part:
@@ -48,13 +53,9 @@ def _with_chain(part: Part, chain: Chain) -> Part:
     )
     constants = ", ".join(f"@p_{name}" for name in CONSTANTS)
     declaration = f"{comment(words)}\nextern const double {constants};\nextern const double @p_rho[{chain.sites}];"
-    numbers = [f"const double @p_{name} = {getattr(chain, name):.17g};" for name in CONSTANTS]
-    return replace(
-        part,
-        sizes=(*part.sizes, Size("SITES", int(chain.sites), "sites of the chain")),
-        declarations=(*part.declarations, declaration),
-        definitions=(*part.definitions, "\n".join(numbers), doubles("@p_rho", np.asarray(chain.rho))),
-    )
+    numbers = "\n".join(f"const double @p_{name} = {getattr(chain, name):.17g};" for name in CONSTANTS)
+    size = Size("SITES", int(chain.sites), "sites of the chain")
+    return part.plus(f"{numbers}\n\n{doubles('@p_rho', np.asarray(chain.rho))}", declaration, sizes=(size,))
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -62,20 +63,20 @@ def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(shown if len(shown) <= 6 else [*shown[:2], "...", shown[-1]]) or "none"
 
 
-def rhs_part(subject: Subject) -> Part:
+def rhs_part(exported: ExportedModel) -> Part:
     """The right-hand side."""
-    function = subject.model.function(f"{subject.name}_generated_rhs", ca.densify(subject.model.full_rhs))
+    function = exported.model.function(f"{exported.name}_generated_rhs", ca.densify(exported.model.full_rhs))
     prototype = f"int @p_rhs({GIVEN}, double *dxdt, double *work)"
     call = Call(prototype, function, ("&t", "x", "p"), ("dxdt",))
     return called("Right-hand side", call, "RHS_WORK", "dx/dt at time t (STATES entries). Returns 0.")
 
 
-def jacobian_part(subject: Subject) -> Part:
+def jacobian_part(exported: ExportedModel) -> Part:
     """The right-hand side with its sparse Jacobian and the derivatives by the parameters."""
-    model = subject.model
+    model = exported.model
     dfdx = ca.jacobian(model.full_rhs, model.full_state)
     results = (ca.densify(model.full_rhs), dfdx, ca.densify(ca.jacobian(model.full_rhs, model.parameters)))
-    function = model.function(f"{subject.name}_generated_jacobian", *results)
+    function = model.function(f"{exported.name}_generated_jacobian", *results)
     prototype = f"int @p_jacobian({GIVEN}, double *dxdt, double *dfdx, double *dfdp, double *work)"
     call = Call(prototype, function, ("&t", "x", "p"), ("dxdt", "dfdx", "dfdp"))
     sparsity = function.sparsity_out(1)
@@ -85,25 +86,12 @@ def jacobian_part(subject: Subject) -> Part:
         "null pointer where it is not wanted. Returns 0."
     )
     size = Size("JACOBIAN_NONZEROS", sparsity.nnz(), "non-zeros of df/dx")
-    part = called("Jacobian", call, "JACOBIAN_WORK", words, size)
-    return replace(
-        part,
-        declarations=(*part.declarations, pattern_declaration("@p_jacobian", sparsity)),
-        definitions=(pattern("@p_jacobian", sparsity), *part.definitions),
-    )
+    return called("Jacobian", call, "JACOBIAN_WORK", words, size).plus(*pattern("@p_jacobian", sparsity))
 
 
-def pattern_declaration(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMNS) -> str:
-    """Declarations of what `pattern` defines."""
-    starts, places = names
-    sizes = sparsity.size2() + 1, max(1, sparsity.nnz())
-    return f"extern const int {name}_{starts}[{sizes[0]}];\nextern const int {name}_{places}[{sizes[1]}];"
-
-
-def variational_part(subject: Subject) -> Part:
+def variational_part(exported: ExportedModel) -> Part:
     """The variational equations, through the Jacobian."""
-    jacobian = jacobian_part(subject)
-    nonzeros, work = (size.value for size in jacobian.sizes)
+    work = sum(size.value for size in jacobian_part(exported).sizes)
     prototype = (
         f"int @p_variational({GIVEN}, int columns, const double *V,\n"
         "                   double *dxdt, double *dVdt, double *work)"
@@ -112,37 +100,29 @@ def variational_part(subject: Subject) -> Part:
         "dx/dt and dV/dt = (df/dx) V for V of any number of columns, one after the other (STATES entries each). "
         "Returns 0."
     )
-    return Part(
-        "Variational equations",
-        (Size("VARIATIONAL_WORK", nonzeros + work, "doubles of work"),),
-        (declared(prototype, words),),
-        files=("variational",),
-    )
+    size = Size("VARIATIONAL_WORK", work, "doubles of work")
+    return Part("Variational equations", (size,), (declared(prototype, words),), files=("variational",))
 
 
-def outputs_part(subject: Subject) -> Part:
+def outputs_part(exported: ExportedModel) -> Part:
     """The outputs that the model names."""
-    outputs = subject.model.outputs
+    outputs = exported.model.outputs
     results = ca.densify(ca.vertcat(*outputs.values()))
-    function = subject.model.function(f"{subject.name}_generated_outputs", results)
+    function = exported.model.function(f"{exported.name}_generated_outputs", results)
     call = Call(f"int @p_outputs({GIVEN}, double *y, double *work)", function, ("&t", "x", "p"), ("y",))
     size = Size("OUTPUTS", len(outputs), "y: " + _listed(tuple(outputs)))
     part = called("Outputs", call, "OUTPUTS_WORK", "The outputs (OUTPUTS entries). Returns 0.", size)
     names = f"extern const char *const @p_output_names[{len(outputs)}];"
-    return replace(
-        part,
-        declarations=(*part.declarations, names),
-        definitions=(*part.definitions, strings("@p_output_names", tuple(outputs))),
-    )
+    return part.plus(strings("@p_output_names", tuple(outputs)), names)
 
 
-def flow_part(subject: Subject) -> Part:
+def flow_part(exported: ExportedModel) -> Part:
     """The flow with its transition matrix; for a chain in the gauge, with the multipliers."""
-    model = subject.flow_model
+    model, chain = exported.flow_model, exported.chain
     prototype = (
         "int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)"
     )
-    where = " The flow of a chain is that of the gauge: x = (q, q'), p = (kappa)." if subject.chain is not None else ""
+    where = " The flow of a chain is that of the gauge: x = (q, q'), p = (kappa)." if chain is not None else ""
     kind = "symplectic splitting of order 6" if model.order == 2 else "extrapolated midpoint rule of order 8"
     words = (
         f"Moves the state x (FLOW_STATES entries, p as many as FLOW_PARAMETERS) from time t on by `duration` in equal "
@@ -150,49 +130,36 @@ def flow_part(subject: Subject) -> Part:
         f"for steps < 1.{where}"
     )
     n = model.full_size
-    sizes = [Size("FLOW_STATES", n, "positions, then velocities" if model.order == 2 else "states"),
-             Size("FLOW_PARAMETERS", model.parameters.numel(), "parameters of the flow")]  # fmt: skip
+    sizes = (Size("FLOW_STATES", n, "positions, then velocities" if model.order == 2 else "states"),
+             Size("FLOW_PARAMETERS", model.parameters.numel(), "parameters of the flow"))  # fmt: skip
+    part = Part("Flow", sizes, (declared(prototype, words),))
     if model.order == 1:
-        work = (1 + n) * n * 8 + sum(size.value for size in jacobian_part(subject).sizes)
-        work_size = Size("FLOW_WORK", work, "doubles of work")
-        return Part("Flow", (*sizes, work_size), (declared(prototype, words),), files=("flow_extrapolation",))
-    force = _force_call(subject, model)
+        work = (1 + n) * n * 8 + sum(size.value for size in jacobian_part(exported).sizes)
+        return part.plus(sizes=(Size("FLOW_WORK", work, "doubles of work"),), files=("flow_extrapolation",))
+    force = _force_call(exported.name, model)
     sparsity = force.function.sparsity_out(1)
-    work = model.size + sparsity.nnz() + force.work
-    sizes += [Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"),
-              Size("FLOW_WORK", work, "doubles of work")]  # fmt: skip
-    drifts, kicks = srkn_coefficients()
-    inner = (
-        f"{declared(force.prototype, 'Used by the flow.')}\n{pattern_declaration('@p_force', sparsity, BY_ROWS)}\n"
-        f"extern const double @p_flow_drifts[{drifts.size}];\nextern const double @p_flow_kicks[{kicks.size}];"
+    size = Size("FLOW_WORK", model.size + sparsity.nnz() + force.work, "doubles of work")
+    indices, extern = pattern("@p_force", sparsity, BY_ROWS)
+    coefficients = dict(zip(("drifts", "kicks"), srkn_coefficients(), strict=True))
+    part = part.plus(*arrays("@p_flow", coefficients, "Coefficients of the splitting.")).plus(
+        f"{indices}\n\n{force.text()}",
+        f"{declared(force.prototype, 'Used by the flow.')}\n{extern}",
+        sizes=(Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"), size),
+        functions=(force.function,),
+        files=("flow_splitting",),
     )
-    part = Part(
-        "Flow",
-        tuple(sizes),
-        (declared(prototype, words), inner),
-        (
-            pattern("@p_force", sparsity, BY_ROWS),
-            doubles("@p_flow_drifts", drifts),
-            doubles("@p_flow_kicks", kicks),
-            force.text(),
-        ),
-        (force.function,),
-        ("flow_splitting",),
-    )
-    return part if subject.chain is None else _with_multipliers(part, subject)
+    return part if chain is None else _with_multipliers(part, int(chain.sites))
 
 
-def _force_call(subject: Subject, model: OdeModel) -> Call:
+def _force_call(name: str, model: OdeModel) -> Call:
     time = ca.SX.sym("t") if model.time is None else model.time
     results = [ca.densify(model.rhs), ca.jacobian(model.rhs, model.state).T]  # the non-zeros by rows
-    function = ca.Function(f"{subject.name}_generated_force", [time, model.state, model.parameters], results)
+    function = ca.Function(f"{name}_generated_force", [time, model.state, model.parameters], results)
     prototype = "int @p_force(double t, const double *q, const double *p, double *force, double *dfdq, double *work)"
     return Call(prototype, function, ("&t", "q", "p"), ("force", "dfdq"))
 
 
-def _with_multipliers(part: Part, subject: Subject) -> Part:
-    assert subject.chain is not None
-    N = int(subject.chain.sites)
+def _with_multipliers(part: Part, sites: int) -> Part:
     prototype = (
         "int @p_multipliers(const double *Phi, double tolerance, double *mu_real, double *mu_imaginary,\n"
         "                   double *largest, double *trivial, double *work)"
@@ -204,9 +171,5 @@ def _with_multipliers(part: Part, subject: Subject) -> Part:
         "A mu that is real and in [-1, 0] within `tolerance` has modulus 1: the orbit is stable where all are. Returns "
         "0, or 1 where the QR iteration does not converge."
     )
-    return replace(
-        part,
-        sizes=(*part.sizes, Size("MULTIPLIERS_WORK", 2 * N * N + 4 * N, "doubles of work")),
-        declarations=(*part.declarations, declared(prototype, words)),
-        files=(*part.files, "multipliers"),
-    )
+    size = Size("MULTIPLIERS_WORK", 2 * sites * (sites + 2), "doubles of work")
+    return part.plus(declaration=declared(prototype, words), sizes=(size,), files=("multipliers",))

@@ -1,52 +1,42 @@
-"""The example program of an export: what the parts compute, printed with all digits."""
+"""The example program of an export: results of its parts, printed with all digits."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
-from casadi_skin.export.exported_model import Subject
+from casadi_skin.export.exported_model import ExportedModel
 
 STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
+STEPS_A_HARMONIC = 8  # of the extrapolation in the period of a model's orbit
 CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
 
 
-def main_text(subject: Subject, parts: Collection[str]) -> str:
+def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
     """The text of main.c; `@p` and `@P` stand for the prefixes."""
-    blocks = []
-    if "orbit" in parts:
-        blocks.append(ORBIT)
-    if "newton" in parts:
-        from_mode = FROM_LINEAR_MODE.replace("@mode", str(_mode(subject))).replace("@S", f"{CHAIN_S:g}")
-        blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
-    if _has_multipliers(subject, parts):
-        start = FROM_NEWTON if "newton" in parts else FROM_DATA
-        blocks.append(MULTIPLIERS.replace("@steps", str(STEPS)).replace("@start", start))
-    elif "flow" in parts and subject.chain is None:
-        blocks.append(FLOW)
-    if not blocks and "rhs" in parts:
-        blocks.append(RHS)
-    if not blocks:
-        blocks.append('    printf("states %d\\n", @P_STATES);\n')
-    needs = [*NEWTON_STATICS] if "newton" in parts else []
-    if _has_multipliers(subject, parts):
-        needs += FLOW_STATICS
-    nominal = NOMINAL if subject.model.nominal else ""
-    blocks = [block.replace("@nominal", nominal) for block in blocks]
-    statics = "".join(f"static {line};\n" for line in needs)
-    return HEAD + (statics + "\n" if statics else "") + "int main(void)\n{\n" + "\n".join(blocks) + "    return 0;\n}\n"
+    statics: list[str] = []
+    if exported.chain is None:
+        blocks = [MODEL_ORBIT] if "orbit" in parts else []
+        if "flow" in parts:
+            velocities = "start + @P_ORBIT_STATES" if exported.model.order == 2 else "0"
+            blocks.append(RETURN.replace("@velocities", velocities) if "orbit" in parts else FLOW)
+    else:
+        blocks = [ORBIT] if "orbit" in parts else []
+        if "newton" in parts:
+            mode = int(exported.chain.sites) if exported.chain.g > 0 else 1  # the one that turns into an end breather
+            from_mode = FROM_LINEAR_MODE.replace("@mode", str(mode)).replace("@S", f"{CHAIN_S:g}")
+            blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
+            statics.append(NEWTON_STATICS)
+        if blocks and "flow" in parts:  # there is an orbit to follow the flow along
+            blocks.append(MULTIPLIERS.replace("@start", FROM_NEWTON if "newton" in parts else FROM_DATA))
+            statics.append(FLOW_STATICS)
+    blocks = blocks or ([RHS] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
+    body = "\n".join(blocks).replace("@nominal", NOMINAL if exported.parameters else "")
+    for name, number in (("@steps", STEPS), ("@harmonic_steps", STEPS_A_HARMONIC)):
+        body = body.replace(name, str(number))
+    return f"{HEAD}{''.join(statics)}{BLANK if statics else ''}int main(void)\n{{\n{body}    return 0;\n}}\n"
 
 
-def _has_multipliers(subject: Subject, parts: Collection[str]) -> bool:
-    """Whether the program has an orbit to follow the flow along."""
-    return subject.chain is not None and "flow" in parts and ("newton" in parts or "orbit" in parts)
-
-
-def _mode(subject: Subject) -> int:
-    """The edge mode that turns into an end breather."""
-    assert subject.chain is not None
-    return int(subject.chain.sites) if subject.chain.g > 0 else 1
-
-
+BLANK = "\n"
 HEAD = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
 
 #include <math.h>
@@ -55,11 +45,10 @@ HEAD = """/* What this export computes, with all digits; see README.md for the n
 #include "@p.h"
 
 """
-NEWTON_STATICS = ("double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK]",)
-FLOW_STATICS = (
-    "double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK]",
-    "double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK]",
-)
+NEWTON_STATICS = "static double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK];\n"
+FLOW_STATICS = """static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK];
+static double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK];
+"""
 ORBIT = """    {
         static double y[@P_SITES], velocity[@P_SITES];
         double S = 0.0;
@@ -113,6 +102,23 @@ MULTIPLIERS = """    {
             return 1;
         }
         printf("largest_multiplier %.17g\\ntrivial_deviation %.3g\\n", largest, trivial);
+    }
+"""
+MODEL_ORBIT = """    printf("orbit_period %.17g\\n", @p_orbit_period);
+"""
+RETURN = """    {
+        static double x[@P_STATES], start[@P_STATES], Phi[@P_STATES * @P_STATES], work[@P_FLOW_WORK];
+        double p[@P_PARAMETERS + 1] = {0.0}, trace = 0.0, off = 0.0;
+        int i;
+
+@nominal        @p_orbit(0.0, start, @velocities);
+        for (i = 0; i < @P_STATES; i++) x[i] = start[i];
+        @p_flow(0.0, @p_orbit_period, @harmonic_steps * (@P_HARMONICS + 8), x, Phi, p, work);
+        for (i = 0; i < @P_STATES; i++) {
+            off = fmax(off, fabs(x[i] - start[i]));
+            trace += Phi[i * (@P_STATES + 1)];
+        }
+        printf("return_error %.3g\\ntrace %.17g\\n", off, trace);
     }
 """
 FLOW = """    {

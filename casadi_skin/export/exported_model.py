@@ -1,13 +1,14 @@
-"""What is exported as C: a chain, a model or an orbit, with what each of them has to offer."""
+"""The source of exported C code: a chain, a model or an orbit, and the parts that can be made of it."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
+from typing import TypeAlias
 
 from casadi_skin.arguments import check_name, short_repr
-from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
@@ -16,7 +17,8 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 
-WHAT: Mapping[str, str] = {
+Source: TypeAlias = Chain | OdeModel | Orbit
+PARTS: Mapping[str, str] = MappingProxyType({
     "rhs": "the right-hand side of the first-order system",
     "jacobian": "the right-hand side with its sparse derivatives",
     "variational": "the right-hand side with the variational equations of any number of columns",
@@ -26,47 +28,42 @@ WHAT: Mapping[str, str] = {
     "newton": "Newton's method for periodic orbits, with its own LU factorisation",
     "orbit": "a converged orbit as data, with its evaluation",
     "ipopt": "the orbit equations as a problem for Ipopt (needs libipopt)",
-}
-NEEDS: Mapping[str, tuple[str, ...]] = {
-    "variational": ("jacobian",),
-    "newton": ("residual",),
-}
-IN_THE_GAUGE = ("flow", "residual", "newton", "ipopt")  # of a chain or an orbit
+})  # fmt: skip
+NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType({"variational": ("jacobian",), "newton": ("residual",)})
+EQUATIONS_OF_ORBITS = ("residual", "newton", "ipopt")
 OPTIONAL = ("ipopt",)  # not exported unless asked for: it needs more than libm
 LONGEST_NAME = 60  # characters: names of files are made of it
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class ExportedModel:
     """A chain, a model or an orbit under a C name; `harmonics` are those of the equations of a chain's orbits."""
 
-    source: Chain | OdeModel | Orbit
+    source: Source
     name: str
     harmonics: int
 
     @property
     def chain(self) -> Chain | None:
-        """The chain, where it is one or an orbit of one."""
-        source = self.source.model if isinstance(self.source, Orbit) else self.source
-        return source if isinstance(source, Chain) else None
+        """The chain, where the source is one or an orbit of one."""
+        return self._given if isinstance(self._given, Chain) else None
 
     @property
     def orbit(self) -> Orbit | None:
-        """The orbit, where it is one."""
+        """The orbit, where the source is one."""
         return self.source if isinstance(self.source, Orbit) else None
 
     @cached_property
     def model(self) -> OdeModel:
-        """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g.
+        """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g."""
+        return self._given.tunable_model() if isinstance(self._given, Chain) else self._given
 
-        The nominal values of the parameters of an orbit's model are those of the orbit.
-        """
-        if self.chain is not None:
-            return self.chain.tunable_model()
-        if isinstance(self.source, Orbit):
-            return model_of(self.source)
-        assert isinstance(self.source, OdeModel)
-        return self.source
+    @property
+    def parameters(self) -> tuple[float, ...] | None:
+        """Usual values of the parameters, or those of the orbit."""
+        if self.orbit is None or self.chain is not None:
+            return self.model.nominal
+        return tuple(self.orbit.parameters[name] for name in self.model.parameter_names)
 
     @cached_property
     def flow_model(self) -> OdeModel:
@@ -82,87 +79,79 @@ class Subject:
         assert isinstance(problem, TrigonometricProblem)
         return problem
 
-    def refusal(self, what: str) -> str | None:
-        """Why it cannot be exported, in words; None where it can."""
-        if what == "outputs" and not self.model.outputs:
+    @property
+    def _given(self) -> Chain | OdeModel:
+        """The chain or the model, of an orbit its own."""
+        given: Chain | OdeModel = self.source.model if isinstance(self.source, Orbit) else self.source
+        return given
+
+    def refusal(self, part: str) -> str | None:
+        """The reason why a part cannot be exported, in words; None where it can."""
+        orbit = self.orbit
+        if part == "outputs" and not self.model.outputs:
             return "the model names no outputs"
-        if what in ("residual", "newton", "orbit", "ipopt") and isinstance(self.source, OdeModel):
-            return "a model alone has no orbit; of a chain or an orbit it can"
-        if what == "orbit" and self.orbit is None:
-            return "a chain alone is no orbit; of an orbit, such as branch.at(S=0.2), it can"
-        if self.orbit is not None and self.orbit.symmetry is not SymmetryClass.QUARTER and what == "orbit":
-            return "its symmetries do not make it a sum of odd cosines"
-        if what in ("residual", "newton", "ipopt") and self.chain is None:
-            return "it is not one of a chain"
-        if what in IN_THE_GAUGE and self.chain is not None and abs(self.chain.gamma) == 1:
+        if part == "orbit" and orbit is None:
+            kind, such = ("model", "find_orbit(...)") if self.chain is None else ("chain", "branch.at(S=0.2)")
+            return f"a {kind} alone is no orbit; of an orbit, such as {such}, it can"
+        if part in EQUATIONS_OF_ORBITS and self.chain is None:
+            return "collocation equations are written for chains and their orbits"
+        if part in ("flow", *EQUATIONS_OF_ORBITS) and self.chain is not None and abs(self.chain.gamma) == 1:
             return "at |gamma| = 1 the gauge holds the edge site alone"
-        if what in IN_THE_GAUGE and what != "flow" and self.chain is not None and self.orbit is not None:
-            return self._not_in_cosines(self.orbit)
-        return None
-
-    @staticmethod
-    def _not_in_cosines(orbit: Orbit) -> str | None:
-        if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
-            return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
-        if not isinstance(orbit.point.problem, TrigonometricProblem):
-            return "its equations are not in odd cosines; with transcription trigonometric it can"
+        if part in EQUATIONS_OF_ORBITS and orbit is not None:
+            if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
+                return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
+            if not isinstance(orbit.point.problem, TrigonometricProblem):
+                return "its equations are not in odd cosines; with transcription trigonometric it can"
         return None
 
 
-def model_of(orbit: Orbit) -> OdeModel:
-    """The model of an orbit, with the orbit's parameters as their nominal values."""
-    model: OdeModel = orbit.model
-    return replace(model, nominal=tuple(orbit.parameters[name] for name in model.parameter_names), checked=False)
-
-
-def subject_of(source: object, name: str | None, harmonics: int) -> Subject:
-    """What is to be exported.
+def exported_model(source: object, name: str | None, harmonics: int) -> ExportedModel:
+    """The source of an export under its C name.
 
     Raises TypeError for anything but a chain, a model or an orbit, ValueError for arguments out of range.
     """
-    if not isinstance(source, Chain | OdeModel | Orbit):
-        raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an Orbit")
-    if isinstance(source, OdeModel):
-        return Subject(source, _name(source.name if name is None else name, name), harmonics)
-    chain = source if isinstance(source, Chain) else source.model
-    if isinstance(chain, OdeModel):
-        return Subject(source, _name(chain.name if name is None else name, name), harmonics)
-    if chain.infinite:
+    if not isinstance(source, Source):
+        raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an orbit")
+    model = source.model if isinstance(source, Orbit) else source
+    if isinstance(model, Chain) and model.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:
         raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number from 2 to 512")
-    return Subject(source, _name("chain" if name is None else name, name), harmonics)
+    if name is not None and not isinstance(name, str):
+        raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
+    own = model.name if isinstance(model, OdeModel) else "chain"
+    accepted = c_name((own if name is None else name)[:LONGEST_NAME])
+    if name not in (None, accepted):
+        words = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {accepted}"
+        raise ValueError(f"name: given {short_repr(name)}; accepted: {words}")
+    return ExportedModel(source, accepted, harmonics)
 
 
-def _name(words: str, given: str | None) -> str:
-    if not isinstance(words, str):
-        raise TypeError(f"name: given {short_repr(given)}; accepted: a string")
-    name = c_name(words[:LONGEST_NAME])
-    if given is not None and given != name:
-        accepted = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {name}"
-        raise ValueError(f"name: given {short_repr(given)}; accepted: {accepted}")
-    return name
+def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[str]:
+    """Names of the parts of an export, with those that they need, in the order of PARTS.
 
+    Arguments:
+        exported: The source.
+        what: The parts asked for; None for all that the source has and that need libm only.
 
-def wanted(subject: Subject, what: Collection[str] | None) -> list[str]:
-    """The names of what is exported, with what these need, in the order of WHAT; None stands for all that libm serves.
-
-    Raises TypeError and ValueError for what is no list of known names, or cannot be exported, in one line.
+    Raises:
+        TypeError: `what` is no list of names.
+        ValueError: A name is unknown, or its part cannot be exported.
     """
     if what is None:
-        return [name for name in WHAT if name not in OPTIONAL and subject.refusal(name) is None]
+        return [name for name in PARTS if name not in OPTIONAL and exported.refusal(name) is None]
     if isinstance(what, str | bytes) or not isinstance(what, Collection):
-        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(WHAT)}")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(PARTS)}")
     if not what:
-        raise ValueError(f"what: given an empty list; accepted: some of {', '.join(WHAT)}")
+        raise ValueError(f"what: given an empty list; accepted: some of {', '.join(PARTS)}")
     chosen: set[str] = set()
     for name in what:
-        check_name("what", name, WHAT)
-        reason = subject.refusal(name)
+        check_name("what", name, PARTS)
+        reason = exported.refusal(name)
         if reason is not None:
-            can = ", ".join(other for other in WHAT if subject.refusal(other) is None)
+            can = ", ".join(other for other in PARTS if exported.refusal(other) is None)
             raise ValueError(f"what: given {name!r}, which cannot be exported: {reason}; accepted: {can}")
         chosen |= {name, *NEEDS.get(name, ())}
-    if "flow" in chosen and subject.flow_model.order == 1:
+    if "flow" in chosen and exported.flow_model.order == 1:
         chosen |= {"jacobian", "variational"}
-    return [name for name in WHAT if name in chosen]
+    return [name for name in PARTS if name in chosen]

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
-from casadi_skin.export.c_text import Call, comment, doubles, pattern, plain
-from casadi_skin.export.equations import pattern_declaration
-from casadi_skin.export.exported_model import Subject
-from casadi_skin.export.part import Part, Size, called, declared
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.trigonometric import cosine_matrix
+from casadi_skin.export.c_text import (
+    Call,
+    Part,
+    Size,
+    arrays,
+    called,
+    comment,
+    constants,
+    declared,
+    doubles,
+    pattern,
+    plain,
+)
+from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.solvers.nlp import nlp_solver
 from casadi_skin.stability.result import Floquet
 
-SMALL = 3  # half-bandwidths below which a band saves nothing
+IPOPT_HEADER = "coin-or/IpStdCInterface.h"
+MOST_SAMPLES = 8192  # of an orbit of a model, over its period
 REPORT = """typedef struct {
     int status;      /* one of the constants below */
     int iterations;  /* linear systems solved */
@@ -32,12 +43,12 @@ POSITIONS = """void @p_positions(const double *z, double *q)
 }"""
 
 
-def residual_part(subject: Subject) -> Part:
+def residual_part(exported: ExportedModel) -> Part:
     """The equations with their Jacobian; the linear modes; and positions at t = 0 from the unknowns."""
-    problem = subject.problem
+    problem = exported.problem
     z, residual, jacobian = problem.symbols
     arguments = [z, problem.constants_symbol]
-    function = ca.Function(f"{subject.name}_generated_residual", arguments, [ca.densify(residual), jacobian])
+    function = ca.Function(f"{exported.name}_generated_residual", arguments, [ca.densify(residual), jacobian])
     prototype = "int @p_residual(const double *z, double *R, double *dRdz, double *work)"
     sparsity = function.sparsity_out(1)
     words = (
@@ -66,92 +77,136 @@ def residual_part(subject: Subject) -> Part:
         "void @p_positions(const double *z, double *q)", "Positions q_n at t = 0, where all velocities vanish."
     )
     at_zero = (2.0 / problem.resolution) * cosine_matrix(problem.resolution).sum(axis=0)
-    return replace(
-        part,
-        declarations=(*part.declarations, pattern_declaration("@p_residual", sparsity), mode, positions),
-        definitions=(
-            pattern("@p_residual", sparsity), f"static {doubles('at_zero', at_zero)}", POSITIONS, *part.definitions
-        ),
-        files=("linear_mode",),
-    )  # fmt: skip
+    part = part.plus(*pattern("@p_residual", sparsity), files=("linear_mode",)).plus(declaration=mode)
+    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{POSITIONS}", positions)
 
 
-def is_banded(problem: TrigonometricProblem) -> bool:
-    """Whether Newton's linear systems are solved as a band with a border."""
-    return problem.half_bandwidth is not None and SMALL * problem.half_bandwidth < problem.states
-
-
-def newton_part(subject: Subject) -> Part:
-    """Newton's method with the LU that suits the size."""
-    problem = subject.problem
-    size, n, width = problem.size, problem.states, problem.half_bandwidth or 0
+def newton_part(exported: ExportedModel) -> Part:
+    """Newton's method with an LU of the band of the state values."""
+    problem = exported.problem
+    size, n, width = problem.size, problem.states, problem.half_bandwidth or 1
     edge, nonzeros = size - n + 1, problem.function.nnz_out(1)
-    banded = is_banded(problem)
-    solve = n * (3 * width + 1 + 2 * edge + 1) if banded else size * size
-    inner = max(solve, max(1, int(problem.function.sz_w())) + 64)
-    sizes = [Size("NEWTON_WORK", 4 * size + nonzeros + inner, "doubles of work")]
-    if banded:
-        sizes.append(Size("HALF_BANDWIDTH", width, "of the state values in dR/dz"))
-    prototype = (
-        "int @p_newton(double *z, int held, double value, double tolerance, int most, @p_newton_report *report,\n"
-        "              double *work)"
+    inner = max(n * (3 * width + 2 * edge + 2), max(1, int(problem.function.sz_w())) + 64)
+    sizes = (
+        Size("NEWTON_WORK", 4 * size + nonzeros + inner, "doubles of work"),
+        Size("HALF_BANDWIDTH", width, "of the state values in dR/dz"),
     )
-    words = (
+    newton = declared(
+        "int @p_newton(double *z, int held, double value, double tolerance, int most, @p_newton_report *report,\n"
+        "              double *work)",
         "Newton's method from the guess z for the orbit whose unknown `held` (OMEGA or PARAMETER) has this value, "
         "until a step is not longer than `tolerance`, relative to the orbit, in `most` iterations at most. Returns the "
-        "status, 0 where it converged; z is changed then only."
+        "status, 0 where it converged; z is changed then only.",
     )
     solver = declared(
         "int @p_solve(const double *dRdz, int held, const double *z, double *b, double *work)",
         "Used by Newton's method.",
     )
-    told = declared("const char *@p_newton_words(int status)", "A status in words.")
-    return Part(
-        "Periodic orbits: Newton's method",
-        tuple(sizes),
-        (REPORT, declared(prototype, words), told, solver),
-        files=("newton", "solve_band" if banded else "solve_dense"),
+    words = declared("const char *@p_newton_words(int status)", "A status in words.")
+    declarations = (REPORT, newton, words, solver)
+    return Part("Periodic orbits: Newton's method", sizes, declarations, files=("newton", "solve_band"))
+
+
+def ipopt_part(exported: ExportedModel) -> Part:
+    """A square problem: the equations and the row that holds kappa, with the Jacobian from its structure."""
+    problem = exported.problem
+    z, residual, jacobian = problem.symbols
+    held = ca.MX.sym("held")
+    equations = ca.vertcat(ca.densify(residual), z[problem.parameter_index] - held)
+    row = ca.MX(ca.sparsify(ca.DM(problem.parameter_row()).T))
+    size = problem.size
+    weights, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
+    options = {
+        "jac_g": ca.Function("jac_g", [z, held], [equations, ca.vertcat(jacobian, row)]),
+        "hess_lag": ca.Function("hess_lag", [z, held, weights, multipliers], [ca.MX(size, size)]),
+    }
+    solver = nlp_solver("solver", {"x": z, "p": held, "f": ca.MX(0), "g": equations}, 1e-12, options, exact=False)
+    start, value = ca.MX.sym("start", size), ca.MX.sym("value")
+    solved = solver(x0=start, p=value, lbg=0, ubg=0)
+    function = ca.Function(f"{exported.name}_generated_ipopt", [start, value], [solved["x"], solved["g"]])
+    prototype = "int @p_ipopt(const double *guess, double kappa, double *z, double *R, double *work)"
+    words = (
+        "The orbit with this kappa by Ipopt, from a guess: unknowns z and the residuals R of the equations (UNKNOWNS "
+        "entries), which the caller checks. Needs libipopt; not for several threads at once. Returns 0."
     )
+    call = Call(prototype, function, ("guess", "&kappa"), ("z", "R"))
+    return called("Periodic orbits: Ipopt", call, "IPOPT_WORK", words)
 
 
-def orbit_part(subject: Subject) -> Part:
+# Converged orbits ---------------------------------------------------------------------------------------------------
+
+
+def orbit_part(exported: ExportedModel) -> Part:
     """The converged orbit as data."""
-    orbit = subject.orbit
+    orbit = exported.orbit
     assert orbit is not None
-    harmonics = orbit.harmonics
+    if exported.chain is None:
+        part = _orbit_of_model(orbit)
+    else:
+        part = _orbit_of_chain(orbit, with_unknowns=exported.refusal("residual") is None)
+    return _with_multipliers(part, orbit)
+
+
+def _orbit_of_chain(orbit: Orbit, with_unknowns: bool) -> Part:
     numbers = {
         "Omega": (orbit.Omega, "frequency"),
         "period": (orbit.period, "2 pi/Omega"),
         "S": (orbit.S, "sum of y_n^2 at t = 0"),
+        "kappa": (orbit.point.parameter, "g S, the parameter of the gauge"),
         "Omega_error": (orbit.Omega_error, "estimated absolute error of Omega"),
         "profile_error": (orbit.profile_error, "estimated error of y, relative to its largest displacement"),
     }
-    if subject.chain is not None:
-        numbers["kappa"] = (orbit.point.parameter, "g S, the parameter of the gauge")
-    values = orbit.coefficients(harmonics)
-    data = [f"const double @p_orbit_{name} = {value:.17g};" for name, (value, _) in numbers.items()]
-    told = [f"extern const double @p_orbit_{name}; {comment(words)}" for name, (_, words) in numbers.items()]
-    arrays = [doubles("@p_orbit_coefficients", values)]
-    coefficients = comment("y_n(t) = sum of c_kn cos((2k+1) Omega t): c_kn at place k SITES + n.")
-    told += [coefficients, f"extern const double @p_orbit_coefficients[{values.size}];"]
-    if subject.refusal("residual") is None:
-        arrays.append(doubles("@p_orbit_z", orbit.point.z))
+    size = Size("HARMONICS", orbit.harmonics, "odd harmonics of the orbit")
+    part = Part("A converged orbit", (size,), files=("orbit",)).plus(*constants("@p_orbit", numbers))
+    coefficients = {"coefficients": orbit.coefficients(orbit.harmonics)}
+    words = "y_n(t) = sum of c_kn cos((2k+1) Omega t): c_kn at place k SITES + n."
+    part = part.plus(*arrays("@p_orbit", coefficients, words))
+    if with_unknowns:
         unknowns = "The same orbit as unknowns of the collocation equations."
-        told += [comment(unknowns), f"extern const double @p_orbit_z[{orbit.point.z.size}];"]
-    multipliers, more = _multipliers(orbit)
-    sites = () if subject.chain is not None else (Size("SITES", values.shape[1], "positions of the model"),)
-    evaluate = declared(
-        "int @p_orbit(double t, double *y, double *velocity)",
+        part = part.plus(*arrays("@p_orbit", {"z": orbit.point.z}, unknowns))
+    words = (
         "Displacements and velocities of the sites at time t in physical coordinates; either may be a null pointer. "
-        "Returns 0.",
+        "Returns 0."
     )
-    return Part(
-        "A converged orbit",
-        (Size("HARMONICS", harmonics, "odd harmonics of the orbit"), *sites),
-        ("\n".join([*told, *more]), evaluate),
-        ("\n".join(data), *arrays, *multipliers),
-        files=("orbit",),
+    return part.plus(declaration=declared("int @p_orbit(double t, double *y, double *velocity)", words))
+
+
+def _orbit_of_model(orbit: Orbit) -> Part:
+    numbers = {
+        "period": (orbit.period, "period"),
+        "period_error": (orbit.period_error, "estimated absolute error of the period"),
+        "error": (orbit.profile_error, "estimated error of x, relative to its largest values"),
+    }
+    cosines, sines = fourier_series(orbit)
+    sizes = (
+        Size("ORBIT_STATES", cosines.shape[1], "entries of x: positions of a model of second order, else all states"),
+        Size("HARMONICS", len(cosines) - 1, "harmonics of the orbit"),
     )
+    part = Part("A converged orbit", sizes, files=("orbit_fourier",)).plus(*constants("@p_orbit", numbers))
+    words = (
+        "x_n(t) = sum of a_kn cos(2 pi k t/T) + b_kn sin(2 pi k t/T), k = 0..HARMONICS: a_kn and b_kn at place "
+        "k ORBIT_STATES + n. Where the model is forced, t is its time."
+    )
+    part = part.plus(*arrays("@p_orbit", {"cosines": cosines, "sines": sines}, words))
+    words = "x at time t and its time derivative; either may be a null pointer. Returns 0."
+    return part.plus(declaration=declared("int @p_orbit(double t, double *x, double *dxdt)", words))
+
+
+def fourier_series(orbit: Orbit) -> tuple[Array, Array]:
+    """Coefficients of the cosines and sines of an orbit, each of shape (harmonics + 1, components).
+
+    There are so many that those left out are below a tenth of the orbit's estimated error, or below round-off.
+    """
+    samples, least = 64, max(0.1 * orbit.profile_error, 1e-15)
+    while True:
+        c = np.fft.rfft(orbit.evaluate(orbit.period * np.arange(samples) / samples), axis=0) / samples
+        size = np.max(np.abs(c) / np.maximum(np.max(np.abs(c), axis=0), 1e-300), axis=1)
+        needed = int(np.flatnonzero(size > least)[-1])
+        if needed < samples // 4 or samples == MOST_SAMPLES:
+            break
+        samples *= 2
+    c = c[: needed + 1] * np.append(1.0, np.full(needed, 2.0))[:, None]
+    return np.asarray(c.real), np.asarray(-c.imag)
 
 
 def floquet_of(orbit: Orbit) -> Floquet | str:
@@ -162,23 +217,15 @@ def floquet_of(orbit: Orbit) -> Floquet | str:
         return " ".join(str(error).split())
 
 
-def _multipliers(orbit: Orbit) -> tuple[list[str], list[str]]:
-    """Definitions and declarations of the orbit's multipliers, or a comment that tells why they are not there."""
+def _with_multipliers(part: Part, orbit: Orbit) -> Part:
+    """The part with the orbit's multipliers, or a comment with the reason why they are not there."""
     floquet = floquet_of(orbit)
     if isinstance(floquet, str):
-        return [], [comment(f"Its multipliers are not here: {plain(floquet)}")]
+        return part.plus(declaration=comment(f"Its multipliers are not here: {plain(floquet)}"))
     values = np.asarray(floquet.multipliers)
-    largest = float(floquet.max_abs_multiplier)
-    definitions = [
-        doubles("@p_orbit_multipliers_real", values.real),
-        doubles("@p_orbit_multipliers_imaginary", values.imag),
-        f"const double @p_orbit_largest_multiplier = {largest:.17g};",
-        f"const double @p_orbit_multiplier_error = {floquet.error:.17g};",
-    ]
-    told = [
-        comment("Its Floquet multipliers; the largest modulus but for the trivial pair, and the error of that."),
-        f"extern const double @p_orbit_multipliers_real[{values.size}];",
-        f"extern const double @p_orbit_multipliers_imaginary[{values.size}];",
-        "extern const double @p_orbit_largest_multiplier, @p_orbit_multiplier_error;",
-    ]
-    return definitions, told
+    numbers = {
+        "largest_multiplier": (floquet.max_abs_multiplier, "largest modulus of a multiplier but for the trivial ones"),
+        "multiplier_error": (floquet.error, "estimated error of that"),
+    }
+    parts = {"multipliers_real": values.real, "multipliers_imaginary": values.imag}
+    return part.plus(*arrays("@p_orbit", parts, "Its Floquet multipliers.")).plus(*constants("@p_orbit", numbers))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from casadi_skin.export.c_text import plain
+from casadi_skin.export.c_text import Part, plain
 from casadi_skin.export.example_program import CHAIN_S
-from casadi_skin.export.exported_model import WHAT, Subject
+from casadi_skin.export.exported_model import PARTS, ExportedModel
 from casadi_skin.export.orbit_equations import floquet_of
-from casadi_skin.export.part import Part
 
 FLAGS = "-std=c99 -O2"
 
@@ -47,12 +46,12 @@ endif()
     return text
 
 
-def readme_text(subject: Subject, parts: Mapping[str, Part], sources: Collection[str]) -> str:
+def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Collection[str]) -> str:
     """What is in the directory, how to build it, and which numbers to expect."""
-    name = subject.name
+    name = exported.name
     plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
-    rows = "\n".join(f"| `{what}` | {WHAT[what]} |" for what in parts if what in WHAT)
-    text = f"""# {plain(subject.model.name)} in C
+    rows = "\n".join(f"| `{what}` | {PARTS[what]} |" for what in parts if what in PARTS)
+    text = f"""# {plain(exported.model.name)} in C
 
 Written by casadi_skin: C99 that needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
 The model is dimensionless. `{name}.h` tells every function, size and order; `main.c` is an example.
@@ -79,20 +78,22 @@ Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
 cc {FLAGS} YOUR_PROGRAM.c {name}.c {name}_generated.c {name}_ipopt.c {name}_ipopt_generated.c -lipopt -lm
 ```
 """
-    return text + _expected(subject, parts)
+    return text + _expected(exported, parts)
 
 
-def _expected(subject: Subject, parts: Mapping[str, Part]) -> str:
+def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
     """The numbers of the example program as Python has them."""
-    orbit = subject.orbit
+    orbit = exported.orbit
     if orbit is None or "orbit" not in parts:
         if "newton" in parts:
             return f"\nThe program follows an edge mode to S = {CHAIN_S:g} and prints its period.\n"
         return ""
-    period = "period" if "newton" in parts else "orbit_period"
-    lines = [f"{period} {orbit.period:.17g} (estimated error {orbit.period * orbit.Omega_error / orbit.Omega:.1g})"]
+    name, error = "period" if "newton" in parts else "orbit_period", orbit.period * orbit.Omega_error / orbit.Omega
+    lines = [f"{name} {orbit.period:.17g} (estimated error {error:.1g})"]
     floquet = floquet_of(orbit) if "flow" in parts else ""
-    if not isinstance(floquet, str):
+    if not isinstance(floquet, str) and exported.chain is None:
+        lines.append(f"trace {float(floquet.multipliers.sum().real):.17g} (the sum of the multipliers)")
+    elif not isinstance(floquet, str):
         words = f"(estimated error {floquet.error:.1g})"
         lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
     told = "\n".join(lines)

@@ -242,20 +242,14 @@ def test_functions(sites: int, tmp_path: Path) -> None:
 
 
 def test_newton_solvers_in_c(tmp_path: Path) -> None:
-    """Our Newton with a band and with a dense LU, and CasADi's fast_newton: seconds of a solve in C."""
+    """Our Newton with a band, and CasADi's fast_newton: seconds of a solve in C."""
     for sites in (4, 8, 24):
         orbit = follow_family(
             Chain(sites, 1.0, 0.25, 1.0), mode=sites, amplitude_max=1.0, at=(1.0,), tolerance=1e-10
         ).at(S=1.0)
-        found = {}
-        for solver in ("band", "dense"):
-            directory = export_c(orbit, tmp_path / f"{solver}{sites}")
-            (directory / "main.c").write_text(DRIVER.replace("@STEPS", str(STEPS)))
-            if solver == "dense":
-                template = Path(__file__).parents[2] / "casadi_skin" / "export" / "c" / "solve_dense.c"
-                text = template.read_text().replace("@p", "chain").replace("@P", "CHAIN")
-                (directory / "chain_solve_band.c").write_text(text)
-            found[solver] = newton_time(directory)
+        directory = export_c(orbit, tmp_path / f"band{sites}")
+        (directory / "main.c").write_text(DRIVER.replace("@STEPS", str(STEPS)))
+        found = {"band": newton_time(directory)}
         function, guess, kappa = square(orbit, "fast_newton")
         started = time.perf_counter()
         source = c_source("fast", [function])

@@ -12,7 +12,7 @@ from apart import modules_of_a_run
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.cli import main
-from casadi_skin.export.build import build_c
+from casadi_skin.export.compiler import build_c
 
 pytestmark = pytest.mark.usefixtures("pictures")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from casadi_skin.export.fmu.build import compile_library, compiler, headers
+from casadi_skin.export.compiler import build_library, find_compiler, fmi_headers
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 
 Change = Callable[[bytes], bytes]
@@ -38,7 +38,8 @@ def casadi_van_der_pol(folder: Path) -> Path:
         os.chdir(before)
     library = folder / f"vdp.{library_ending()}"
     sources = [str(folder / name) for name in files if name.endswith(".c")]
-    subprocess.run([compiler(), "-shared", "-fPIC", f"-I{headers()}", *sources, "-o", str(library), "-lm"], check=True)
+    command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", str(library), "-lm"]
+    subprocess.run(command, check=True)
     with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")
         archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
@@ -66,5 +67,5 @@ def recompiled(path: Path, target: Path, fmi: str, old: str, new: str) -> Path:
     assert old in text
     header.write_text(text.replace(old, new))
     sources = [p.name for p in (folder / "sources").glob("*.c")]
-    built = compile_library(folder / "sources", sources, folder / "library")
+    built = build_library(folder / "sources", sources, folder / "library")
     return changed(path, target, {library: lambda _: built.read_bytes()})

@@ -16,11 +16,10 @@ import pytest
 from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, OdeModel, Orbit, export_c, follow_family
-from casadi_skin.export.build import build_c
+from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_family
 from casadi_skin.export.codegen import CodegenError, c_name, c_source
-from casadi_skin.export.compiler import CompilerError
-from casadi_skin.export.exported_model import WHAT
+from casadi_skin.export.compiler import CompilerError, build_c
+from casadi_skin.export.exported_model import PARTS
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.scene import C_PARTS
 
@@ -281,7 +280,7 @@ def test_newton_tells_what_is_wrong_and_keeps_the_guess(library: Library, orbit:
     ],
 )
 def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, flags: list[str], tmp_path: Path) -> None:
-    """The program follows an edge mode to S = 0.2; one and two sites have the dense LU."""
+    """The program follows an edge mode to S = 0.2; the band of one and two sites is the whole matrix."""
     chain = Chain(sites, 1.0, gamma, g)
     export_c(chain, tmp_path / "c")
     found = printed(compiled(tmp_path / "c", "gcc", *flags))
@@ -289,7 +288,6 @@ def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, flag
     orbit = follow_family(chain, mode=mode, amplitude_max=0.2, at=(0.2,), tolerance=1e-12).at(S=0.2)
     assert abs(found["period"] / orbit.period - 1) < 1e-13
     assert abs(found["largest_multiplier"] - orbit.floquet().max_abs_multiplier) < 1e-11
-    assert (tmp_path / "c" / f"chain_solve_{'band' if sites > 3 else 'dense'}.c").exists()
 
 
 @pytest.mark.parametrize("transcription", ["gauss", pytest.param("shooting", marks=pytest.mark.slow)])
@@ -317,6 +315,56 @@ def test_an_orbit_whose_tail_was_eliminated(tmp_path: Path) -> None:
     c, y = Library(export_c(orbit, tmp_path / "c", ["orbit"]), "chain"), np.zeros(150)
     c.call("orbit", 0.4, y, None)
     np.testing.assert_allclose(y, orbit.evaluate(0.4)[0], atol=1e-13)
+
+
+def test_an_orbit_of_any_model(tmp_path: Path) -> None:
+    """Van der Pol's cycle as a Fourier series, and its return and the trace of its monodromy matrix in C."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(0.1,))
+    cycle = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0}, tolerance=1e-10)
+    directory = export_c(cycle, tmp_path / "c")
+    assert "orbit_period 6.66328685" in (directory / "README.md").read_text()
+    found = printed(compiled(directory, "gcc", *SANITIZED))
+    trace = cycle.floquet().multipliers.sum().real
+    assert abs(found["orbit_period"] - 6.663286859323) < 1e-9
+    assert found["return_error"] < 1e-9
+    assert abs(found["trace"] - trace) < 1e-8
+    c, state, rates = Library(directory, "van_der_pol"), np.zeros(2), np.zeros(2)
+    assert c.doubles("nominal") == [1.0]  # the orbit's, not the model's
+    np.testing.assert_array_equal(c.doubles("orbit_multipliers_real"), cycle.floquet().multipliers.real)
+    for t in (0.0, 1.234, -7.0, 1e3):
+        c.call("orbit", t, state, rates)
+        np.testing.assert_allclose(state, cycle.evaluate(t)[0], atol=1e-9)
+        np.testing.assert_allclose(rates, [state[1], (1 - state[0] ** 2) * state[1] - state[0]], atol=1e-7)
+    with pytest.raises(ValueError, match="are written for chains and their orbits; accepted: rhs"):
+        export_c(cycle, tmp_path / "n", ["newton"])
+
+
+def test_an_orbit_of_a_family_of_any_model(tmp_path: Path) -> None:
+    """Positions alone are the orbit's data; the program takes the velocities from their series."""
+    q, v, k = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("k")
+    force = ca.vertcat(-(1 + k) * q[0] + k * q[1] - q[0] ** 3, -(1 + k) * q[1] + k * q[0])
+    signs: dict[str, Any] = {"reversal": (1, 1, -1, -1), "half_period": (-1,) * 4}
+    model = OdeModel("pair", q, force, k, order=2, velocity=v, nominal=(0.3,), **signs)
+    orbit = follow_family(model, 1, 0.5, at=(0.5,), tolerance=1e-10).at(S=0.5)
+    directory = export_c(orbit, tmp_path / "c")
+    found = printed(compiled(directory, "gcc", "-O0"))
+    assert found["orbit_period"] == pytest.approx(orbit.period, rel=1e-14)
+    assert found["return_error"] < 1e-8
+    assert found["trace"] == pytest.approx(orbit.floquet().multipliers.sum().real, abs=1e-6)
+    c, positions, velocities = Library(directory, "pair"), np.zeros(2), np.zeros(2)
+    c.call("orbit", 0.7, positions, velocities)
+    np.testing.assert_allclose(positions, orbit.evaluate(0.7)[0], atol=1e-10)
+    before, after = orbit.evaluate([0.7 - 1e-5, 0.7 + 1e-5])
+    np.testing.assert_allclose(velocities, (after - before) / 2e-5, atol=1e-8)
+
+
+def test_an_orbit_of_a_forced_model(tmp_path: Path) -> None:
+    orbit = find_orbit(forced_oscillator(), lambda t: [np.cos(1.3 * t), -np.sin(1.3 * t)], tolerance=1e-10)
+    found = printed(compiled(export_c(orbit, tmp_path / "c"), "gcc", "-O0"))
+    assert found["orbit_period"] == pytest.approx(2 * np.pi / 1.3, rel=1e-14)
+    assert found["return_error"] < 1e-9
+    assert found["trace"] == pytest.approx(orbit.floquet().multipliers.sum().real, abs=1e-8)
 
 
 # Compilers -----------------------------------------------------------------------------------------------------------
@@ -417,7 +465,7 @@ def test_names(words: str, wanted: str) -> None:
 
 
 def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
-    assert set(C_PARTS) == set(WHAT) - {"outputs"}
+    assert set(C_PARTS) == set(PARTS) - {"outputs"}
 
 
 @pytest.mark.parametrize(
@@ -426,7 +474,7 @@ def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
         (["rsh"], "what: given 'rsh'; did you mean rhs?"),
         (["quux"], "what: given 'quux'; accepted: rhs, jacobian"),
         ([], "what: given an empty list"),
-        (["orbit"], "which cannot be exported: a chain alone is no orbit"),
+        (["orbit"], "which cannot be exported: a chain alone is no orbit; of an orbit, such as branch.at(S=0.2)"),
         (["outputs"], "the model names no outputs"),
         ([3], "what: given 3"),
     ],
@@ -441,14 +489,14 @@ def test_what_is_refused(what: list[Any], told: str, tmp_path: Path) -> None:
 
 def test_arguments_that_are_refused(orbit: Orbit, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], type[Exception], str]] = [
-        ({"source": 3}, TypeError, "source: given 3; accepted: a Chain, an OdeModel or an Orbit"),
+        ({"source": 3}, TypeError, "source: given 3; accepted: a Chain, an OdeModel or an orbit"),
         ({"source": Chain(np.inf, 1.0, 0.25, 1.0)}, ValueError, "sites: given inf"),  # type: ignore[arg-type]
         ({"what": "rhs"}, TypeError, "what: given 'rhs'; accepted: a list"),
         ({"name": "My Chain"}, ValueError, "name: given 'My Chain'; accepted: .* my_chain"),
         ({"name": "a" * 61}, ValueError, "name: given 'aaa.*; accepted: up to 60 lower-case letters"),
         ({"name": 5}, TypeError, "name: given 5; accepted: a string"),
         ({"harmonics": 1}, ValueError, "harmonics: given 1"),
-        ({"source": forced_oscillator(), "what": ["newton"]}, ValueError, "a model alone has no orbit"),
+        ({"source": forced_oscillator(), "what": ["newton"]}, ValueError, "collocation equations are written"),
         ({"source": Chain(4, 1.0, 1.0, 1.0), "what": ["flow"]}, ValueError, "the gauge holds the edge site alone"),
         ({"directory": ""}, TypeError, "directory: given ''; accepted: a path"),
     ]

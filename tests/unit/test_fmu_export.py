@@ -20,9 +20,10 @@ from fmu_running import Array, Running, running
 from lxml import etree
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, OdeModel, follow_family
+from casadi_skin import Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.dynamics import evolve
-from casadi_skin.export.fmu import build, export_fmu
+from casadi_skin.export import compiler as compilers
+from casadi_skin.export.fmu import export_fmu
 from casadi_skin.export.fmu.initial_value_problem import chain_with_outputs
 
 CHAIN = Chain(sites=5, alpha=0.8, gamma=0.3, g=1.0)
@@ -209,6 +210,21 @@ def test_orbit_closes_after_its_period(tmp_path: Path) -> None:
         assert fmu.get("energy")[0] == pytest.approx(orbit.energy, rel=1e-9)
         fmu.step(0.0, orbit.period)
         np.testing.assert_allclose(fmu.get(*names), orbit.profile, atol=1e-9)
+
+
+def test_orbit_of_any_model_closes_after_its_period(tmp_path: Path) -> None:
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    cycle = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0}, tolerance=1e-10)
+    path = export_fmu(cycle, tmp_path / "cycle.fmu", tolerance=1e-12)
+    assert validate_fmu(str(path)) == []
+    assert float(fmpy.read_model_description(str(path)).defaultExperiment.stopTime) == 10 * cycle.period
+    with running(path, tmp_path / "unpacked", "CoSimulation") as fmu:
+        fmu.initialise()
+        np.testing.assert_array_equal(fmu.get("x", "y"), cycle.evaluate(0.0)[0])
+        assert fmu.get("mu")[0] == 1.0
+        fmu.step(0.0, cycle.period)
+        np.testing.assert_allclose(fmu.get("x", "y"), cycle.evaluate(0.0)[0], atol=1e-8)
 
 
 def test_linear_mode_is_the_start_of_a_chain(tmp_path: Path) -> None:
@@ -422,7 +438,7 @@ def test_sources_compile_without_a_warning(chain_fmu: Path, tmp_path: Path, comp
         archive.extractall(tmp_path)
     for source in sorted((tmp_path / "sources").glob("*.c")):
         generated = ("-Wno-unused-parameter",) if "equations" in source.name else ()
-        command = [compiler, *STRICT, *generated, "-c", f"-I{build.headers()}", str(source), "-o", "/dev/null"]
+        command = [compiler, *STRICT, *generated, "-c", f"-I{compilers.fmi_headers()}", str(source), "-o", "/dev/null"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
 
@@ -446,7 +462,7 @@ def test_driver_in_c_runs_clean_under_sanitizers(tmp_path: Path, model: str) -> 
     sources = [str(s) for s in (tmp_path / "sources").glob("*.c")] + [str(Path(__file__).parent / "fmu_driver.c")]
     flags = ["-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     program = tmp_path / "driver"
-    includes = [f"-I{build.headers()}", f"-I{tmp_path / 'sources'}"]
+    includes = [f"-I{compilers.fmi_headers()}", f"-I{tmp_path / 'sources'}"]
     subprocess.run(["gcc", *flags, *includes, *sources, "-o", str(program), "-lm"], check=True)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -507,12 +523,12 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
         with pytest.raises(ValueError, match=words.replace("(", r"\(")) as refused:
             export_fmu(*arguments, **keywords)
         assert "\n" not in str(refused.value)
-    with pytest.raises(TypeError, match="what: given 3; accepted: a Chain, an Orbit or an OdeModel"):
+    with pytest.raises(TypeError, match="what: given 3; accepted: a Chain, an OdeModel or an orbit"):
         export_fmu(3, path)
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ValueError, match=r"compiler: 'no-such-compiler' not found; accepted: .*CC=.* or binary=False"):
         export_fmu(CHAIN, path)
-    monkeypatch.setattr(build, "find_spec", lambda name: None)
+    monkeypatch.setattr(compilers, "find_spec", lambda name: None)
     monkeypatch.delenv("CC")
     with pytest.raises(ValueError, match=r"fmpy is not installed; accepted: pip install 'casadi-skin\[fmu\]'"):
         export_fmu(CHAIN, path)

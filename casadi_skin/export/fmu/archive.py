@@ -12,17 +12,14 @@ from typing import Literal
 from numpy.typing import ArrayLike
 
 from casadi_skin.arguments import short_repr
-from casadi_skin.export.fmu.build import compile_library
-from casadi_skin.export.fmu.config import config_header
+from casadi_skin.export.compiler import build_library
+from casadi_skin.export.exported_model import Source
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
 from casadi_skin.export.fmu.documentation import icon, page
-from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.initial_value_problem import Subject, subject_of
+from casadi_skin.export.fmu.equations import Equations, config_header
+from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem, initial_value_problem
 from casadi_skin.files import replacing
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.orbit import Orbit
 
 Fmi = Literal["3.0", "2.0"]
 HEADERS = ("instance.h", "dop853.h")
@@ -30,7 +27,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the 
 
 
 def export_fmu(
-    what: Chain | Orbit | OdeModel,
+    what: Source,
     path: str | Path,
     fmi: Fmi = "3.0",
     *,
@@ -41,18 +38,31 @@ def export_fmu(
     tolerance: float = 1e-8,
     binary: bool = True,
 ) -> Path:
-    """Write a chain, an orbit or a model as an FMU for Model Exchange and Co-Simulation, of FMI 3.0 or 2.0.
+    """Write a chain, a model, or an orbit of either as an FMU for Model Exchange and Co-Simulation.
 
-    A chain starts from its linear `mode` (1 unless given) with amplitude `S` (sum of y_n^2, 0.01 unless given), an
-    orbit from its phase zero, a model from zero, unless `start` gives displacements, or these and velocities (of a
-    model of first order its states). Parameters, alpha, gamma and g of a chain, are tunable; outputs are the
-    displacements (or states), the model's outputs, and of a chain S and its energy, the Hamiltonian of the gauge with
-    rho = 1 at the edge that the modes lean to. `stop_time` (10 periods unless given) and `tolerance` are those of the
-    default experiment. The sources are inside; `binary` says whether they are compiled for this platform as well. A
-    file that is there is replaced. The model is dimensionless.
+    Parameters, alpha, gamma and g of a chain, are tunable. Outputs are the displacements (or states), the model's
+    outputs, and of a chain S and its energy, the Hamiltonian of the gauge with rho = 1 at the edge that the modes lean
+    to. The sources are inside; a file that is there is replaced. The model is dimensionless.
 
-    Raises TypeError or ValueError, in one line, for arguments that are out of range, a model of which no C can be
-    generated, and where fmpy, which has the headers of the standard, or a C compiler is missing.
+    Arguments:
+        what: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
+        path: The file, whose name ends in .fmu.
+        fmi: The version of the standard, "3.0" or "2.0".
+        start: Displacements, or these and velocities, shape (sites,) or (2 sites,); of a model its states. By default a
+            chain starts from a linear mode, an orbit from its phase zero, a model from zero.
+        mode: The linear mode from which a chain starts, 1 unless given.
+        S: Its amplitude, the sum of y_n^2, 0.01 unless given.
+        stop_time: End of the default experiment, 10 periods unless given.
+        tolerance: Of the default experiment, 1e-14 to 1e-2.
+        binary: Whether the sources are compiled for this platform as well.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        TypeError: An argument is of a wrong type.
+        ValueError: An argument is out of range; no C can be generated of the model; fmpy, which has the headers of the
+            standard, or a C compiler is missing.
     """
     target = Path(path)
     if fmi not in SOURCES:
@@ -61,10 +71,10 @@ def export_fmu(
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():
         raise ValueError(f"path: no folder {str(target.parent)!r}; accepted: a file in a folder that is there")
-    subject = subject_of(what, start, mode, S, stop_time, tolerance)
-    files = contents(subject, fmi)
+    problem = initial_value_problem(what, start, mode, S, stop_time, tolerance)
+    files = contents(problem, fmi)
     if binary:
-        files |= _compiled(subject, fmi, files)
+        files |= _compiled(problem, fmi, files)
     with replacing(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(files, key=lambda name: (name != "modelDescription.xml", name)):
             entry = zipfile.ZipInfo(name, _EPOCH)
@@ -73,23 +83,23 @@ def export_fmu(
     return target
 
 
-def contents(subject: Subject, fmi: Fmi) -> dict[str, bytes]:
+def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
     """All files of an FMU but its binary, by their names in the archive."""
-    equations = Equations(subject.model, subject.identifier)
+    equations = Equations(problem.model, problem.identifier)
     source = equations.source()
-    unnamed = config_header(subject, equations, "")
+    unnamed = config_header(problem, equations, "")
     token = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, unnamed + source)) + "}"
-    description = Description(subject, equations, token)
+    description = Description(problem, equations, token)
     files = {
-        "modelDescription.xml": description.fmi3() if fmi == "3.0" else description.fmi2(),
+        "modelDescription.xml": description.xml(fmi),
         "documentation/index.html": page(description, fmi).encode(),
         "documentation/licenses/license.txt": _packaged("license.txt"),
-        "sources/config.h": config_header(subject, equations, token).encode(),
-        f"sources/{subject.identifier}_equations.c": source.encode(),
+        "sources/config.h": config_header(problem, equations, token).encode(),
+        f"sources/{problem.identifier}_equations.c": source.encode(),
     }
     files |= {f"sources/{name}": _packaged(name) for name in (*SOURCES[fmi], *HEADERS)}
     if fmi == "3.0":
-        files["sources/buildDescription.xml"] = build_description(subject.identifier, description.source_files(fmi))
+        files["sources/buildDescription.xml"] = build_description(problem.identifier, description.source_files(fmi))
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons()
         files["terminalsAndIcons/icon.png"] = icon()
     else:
@@ -101,12 +111,12 @@ def _packaged(name: str) -> bytes:
     return resources.files("casadi_skin.export.fmu").joinpath("sources", name).read_bytes()
 
 
-def _compiled(subject: Subject, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
+def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
     """The shared library for this platform, by its name in the archive."""
-    name = f"binaries/{platform_folder(fmi)}/{subject.identifier}.{library_ending()}"
-    sources = (*SOURCES[fmi], f"{subject.identifier}_equations.c")
+    name = f"binaries/{platform_folder(fmi)}/{problem.identifier}.{library_ending()}"
+    sources = (*SOURCES[fmi], f"{problem.identifier}_equations.c")
     with TemporaryDirectory(prefix="casadi_skin_fmu_") as folder:
         for file, text in files.items():
             if file.startswith("sources/"):
                 Path(folder, Path(file).name).write_bytes(text)
-        return {name: compile_library(Path(folder), sources, Path(folder, "library")).read_bytes()}
+        return {name: build_library(Path(folder), sources, Path(folder, "library")).read_bytes()}

@@ -10,13 +10,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadi_skin._version import __version__
 from casadi_skin.export.fmu.equations import Equations
-from casadi_skin.export.fmu.initial_value_problem import Subject
+from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem
 
 SOURCES = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c",)}  # of the interface; that of the equations is named after the model
 CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
@@ -43,36 +44,31 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What the XML files say of one model."""
+    """The contents of modelDescription.xml of one model."""
 
-    subject: Subject
+    problem: InitialValueProblem
     equations: Equations
     token: str
 
     @cached_property
     def variables(self) -> list[Variable]:
         """All variables in the order of their value references."""
-        subject, model = self.subject, self.subject.model
+        problem, model = self.problem, self.problem.model
         found = [Variable("time", 0, "independent", "continuous", description="time")]
-        nominal = subject.nominal
-        for name, start, shown in zip(model.state_names, subject.start, subject.is_output, strict=True):
-            causality, meaning = "output" if shown else "local", subject.meanings.get(name, "state")
-            found.append(
-                Variable(name, len(found), causality, "continuous", "exact", start, None, None, nominal, meaning)
-            )
+
+        def add(name: str, causality: str, initial: str, meaning: str, **values: Any) -> None:
+            variability = "tunable" if causality == "parameter" else "continuous"
+            description = problem.meanings.get(name, meaning)
+            found.append(Variable(name, len(found), causality, variability, initial, description=description, **values))
+
+        for name, start, is_output in zip(model.state_names, problem.start, problem.is_output, strict=True):
+            add(name, "output" if is_output else "local", "exact", "state", start=start, nominal=problem.nominal)
         for k, name in enumerate(model.state_names, start=1):
-            meaning = f"time derivative of {name}"
-            found.append(
-                Variable(f"der({name})", len(found), "local", "continuous", "calculated", None, k, description=meaning)
-            )
-        for name, value in zip(model.parameter_names, subject.parameters, strict=True):
-            bounds, meaning = subject.bounds.get(name), subject.meanings.get(name, "parameter")
-            found.append(
-                Variable(name, len(found), "parameter", "tunable", "exact", value, None, bounds, description=meaning)
-            )
+            add(f"der({name})", "local", "calculated", f"time derivative of {name}", derivative=k)
+        for name, value in zip(model.parameter_names, problem.parameters, strict=True):
+            add(name, "parameter", "exact", "parameter", start=value, bounds=problem.bounds.get(name))
         for name in model.outputs:
-            meaning = subject.meanings.get(name, "output")
-            found.append(Variable(name, len(found), "output", "continuous", "calculated", description=meaning))
+            add(name, "output", "calculated", "output")
         return found
 
     @cached_property
@@ -81,118 +77,84 @@ class Description:
         names = (v.name for v in self.variables if v.derivative is None)
         return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
 
-    def dependencies(self, reference: int, *, initially: bool, fmi: str) -> list[int]:
-        """Value references of what a derivative or an output that is no state depends on, ascending.
+    def dependencies(self, variable: Variable, *, initially: bool, fmi: str) -> list[int]:
+        """Value references of the knowns that a variable depends on, ascending; an output that is a state is its own.
 
         Tunable parameters are knowns at all times in FMI 3.0, and in FMI 2.0 in initialisation only.
         """
-        states, parameters = self.subject.model.full_size, len(self.subject.parameters)
-        row = reference - 1 - states if reference <= 2 * states else reference - 1 - states - parameters
-        columns = np.flatnonzero(self.equations.depends[row])
-        references = [int(c) if c <= states else int(c) + states for c in columns]
-        with_parameters = initially or fmi == "3.0"
-        return [r for r in references if r <= states or with_parameters]
-
-    # FMI 3.0 ----------------------------------------------------------------------------------------------------------
-
-    def fmi3(self) -> bytes:
-        """modelDescription.xml of FMI 3.0."""
-        root = self._root("3.0", instantiationToken=self.token)
-        flags = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
-        flags |= {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
-        common = {"modelIdentifier": self.subject.identifier} | flags
-        ET.SubElement(root, "ModelExchange", common)
-        ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
-        self._units(root)
-        self._categories_and_experiment(root)
-        variables = ET.SubElement(root, "ModelVariables")
-        for v in self.variables:
-            attributes = {"name": v.name, "valueReference": str(v.reference)} | _common(v) | _numbers(v)
-            if v.derivative is not None:
-                attributes["derivative"] = str(v.derivative)
-            ET.SubElement(variables, "Float64", attributes)
-        structure = ET.SubElement(root, "ModelStructure")
-        for element, initially, group in self._unknowns():
-            for v in group:
-                depends = self._known_of(v, initially, "3.0")
-                attributes = {"valueReference": str(v.reference), "dependencies": _words(depends)}
-                ET.SubElement(structure, element, attributes)
-        return _text(root)
-
-    # FMI 2.0 ----------------------------------------------------------------------------------------------------------
-
-    def fmi2(self) -> bytes:
-        """modelDescription.xml of FMI 2.0."""
-        root = self._root("2.0", guid=self.token, numberOfEventIndicators="0")
-        flags = {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
-        flags |= {"canSerializeFMUstate": "true", "providesDirectionalDerivative": "true"}
-        common = {"modelIdentifier": self.subject.identifier} | flags
-        exchange = ET.SubElement(root, "ModelExchange", common)
-        cosimulation = ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
-        for parent in (exchange, cosimulation):
-            files = ET.SubElement(parent, "SourceFiles")
-            for name in self.source_files("2.0"):
-                ET.SubElement(files, "File", {"name": name})
-        self._units(root)
-        self._categories_and_experiment(root)
-        variables = ET.SubElement(root, "ModelVariables")
-        for v in self.variables:
-            names = {"name": v.name, "valueReference": str(v.reference)}
-            scalar = ET.SubElement(variables, "ScalarVariable", names | _common(v))
-            attributes = _numbers(v)
-            if v.derivative is not None:
-                attributes["derivative"] = str(v.derivative + 1)
-            ET.SubElement(scalar, "Real", attributes)
-        structure = ET.SubElement(root, "ModelStructure")
-        titles = {"Output": "Outputs", "ContinuousStateDerivative": "Derivatives", "InitialUnknown": "InitialUnknowns"}
-        for element, initially, group in self._unknowns():
-            if not group:
-                continue
-            parent = ET.SubElement(structure, titles[element])
-            for v in group:
-                depends = [r + 1 for r in self._known_of(v, initially, "2.0")]
-                attributes = {"index": str(v.reference + 1), "dependencies": _words(depends)}
-                ET.SubElement(parent, "Unknown", attributes)
-        return _text(root)
-
-    # Both -------------------------------------------------------------------------------------------------------------
+        if variable.initial == "exact":
+            return [variable.reference]
+        states, parameters = self.problem.model.full_size, len(self.problem.parameters)
+        row = variable.reference - 1 - states - (0 if variable.reference <= 2 * states else parameters)
+        references = [int(c) if c <= states else int(c) + states for c in np.flatnonzero(self.equations.depends[row])]
+        return [r for r in references if r <= states or initially or fmi == "3.0"]
 
     def source_files(self, fmi: str) -> tuple[str, ...]:
         """Names of the C files that are compiled."""
-        return (*SOURCES[fmi], f"{self.subject.identifier}_equations.c")
+        return (*SOURCES[fmi], f"{self.problem.identifier}_equations.c")
 
-    def _unknowns(self) -> list[tuple[str, bool, list[Variable]]]:
-        outputs = [v for v in self.variables if v.causality == "output"]
-        derivatives = [v for v in self.variables if v.derivative is not None]
-        calculated = [v for v in outputs if v.initial == "calculated"] + derivatives
-        initial = sorted(calculated, key=lambda v: v.reference)
-        return [
-            ("Output", False, outputs),
-            ("ContinuousStateDerivative", False, derivatives),
-            ("InitialUnknown", True, initial),
-        ]
-
-    def _known_of(self, variable: Variable, initially: bool, fmi: str) -> list[int]:
-        if variable.initial == "exact":
-            return [variable.reference]  # an output that is a state depends on itself
-        return self.dependencies(variable.reference, initially=initially, fmi=fmi)
-
-    def _root(self, fmi: str, **attributes: str) -> ET.Element:
-        given = {"fmiVersion": fmi, "modelName": self.subject.model.name, "description": self.subject.description}
+    def xml(self, fmi: str) -> bytes:
+        """modelDescription.xml of a version of the standard."""
+        three, problem = fmi == "3.0", self.problem
+        given = {"fmiVersion": fmi, "modelName": problem.model.name, "description": problem.description}
         given |= {"generationTool": f"casadi_skin {__version__}", "variableNamingConvention": self.naming}
-        return ET.Element("fmiModelDescription", given | attributes)
-
-    def _units(self, root: ET.Element) -> None:
+        given |= {"instantiationToken": self.token} if three else {"guid": self.token, "numberOfEventIndicators": "0"}
+        root = ET.Element("fmiModelDescription", given)
+        self._interfaces(root, fmi)
         unit = ET.SubElement(ET.SubElement(root, "UnitDefinitions"), "Unit", {"name": UNIT})
         ET.SubElement(unit, "BaseUnit")  # all exponents are 0: dimensionless
-
-    def _categories_and_experiment(self, root: ET.Element) -> None:
         categories = ET.SubElement(root, "LogCategories")
         for name, meaning in CATEGORIES.items():
             ET.SubElement(categories, "Category", {"name": name, "description": meaning})
-        stop = self.subject.stop_time
-        times = {"startTime": "0.0", "stopTime": repr(float(stop)), "tolerance": repr(float(self.subject.tolerance))}
-        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(float(stop) / STEPS)})
+        stop = float(problem.stop_time)
+        times = {"startTime": "0.0", "stopTime": repr(stop), "tolerance": repr(float(problem.tolerance))}
+        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(stop / STEPS)})
+        variables = ET.SubElement(root, "ModelVariables")
+        for v in self.variables:
+            names, numbers = {"name": v.name, "valueReference": str(v.reference)} | _common(v), _numbers(v)
+            if v.derivative is not None:
+                numbers["derivative"] = str(v.derivative if three else v.derivative + 1)
+            if three:
+                ET.SubElement(variables, "Float64", names | numbers)
+            else:
+                ET.SubElement(ET.SubElement(variables, "ScalarVariable", names), "Real", numbers)
+        self._structure(ET.SubElement(root, "ModelStructure"), fmi)
+        return _text(root)
+
+    def _interfaces(self, root: ET.Element, fmi: str) -> None:
+        if fmi == "3.0":
+            flags = ("canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
+                     "providesAdjointDerivatives")  # fmt: skip
+        else:
+            flags = ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
+                     "providesDirectionalDerivative")  # fmt: skip
+        common = {"modelIdentifier": self.problem.identifier} | dict.fromkeys(flags, "true")
+        exchange = ET.SubElement(root, "ModelExchange", common)
+        cosimulation = ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
+        for parent in (exchange, cosimulation) if fmi == "2.0" else ():
+            files = ET.SubElement(parent, "SourceFiles")
+            for name in self.source_files(fmi):
+                ET.SubElement(files, "File", {"name": name})
+
+    def _structure(self, structure: ET.Element, fmi: str) -> None:
+        """Outputs, derivatives and unknowns of the initialisation, with their dependencies."""
+        outputs = [v for v in self.variables if v.causality == "output"]
+        derivatives = [v for v in self.variables if v.derivative is not None]
+        calculated = [v for v in outputs if v.initial == "calculated"] + derivatives
+        for element, title, group in (
+            ("Output", "Outputs", outputs),
+            ("ContinuousStateDerivative", "Derivatives", derivatives),
+            ("InitialUnknown", "InitialUnknowns", sorted(calculated, key=lambda v: v.reference)),
+        ):
+            parent = ET.SubElement(structure, title) if fmi == "2.0" and group else structure
+            for v in group:
+                depends = self.dependencies(v, initially=element == "InitialUnknown", fmi=fmi)
+                if fmi == "3.0":
+                    attributes = {"valueReference": str(v.reference), "dependencies": _words(depends)}
+                    ET.SubElement(parent, element, attributes)
+                else:
+                    attributes = {"index": str(v.reference + 1), "dependencies": _words(r + 1 for r in depends)}
+                    ET.SubElement(parent, "Unknown", attributes)
 
 
 def _common(variable: Variable) -> dict[str, str]:

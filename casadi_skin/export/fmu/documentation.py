@@ -22,14 +22,14 @@ The equations keep it; a solver in y does so up to its errors at the far end, wh
 
 def page(description: Description, fmi: str) -> str:
     """documentation/index.html: what the model is, its variables, how it was made and how it is compiled elsewhere."""
-    subject = description.subject
-    name = escape(subject.model.name)
+    problem = description.problem
+    name = escape(problem.model.name)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style></head>
 <body>
 <h1>{name}</h1>
-<p>{escape(subject.description)}. All quantities are dimensionless. Written by casadi_skin {__version__}.</p>
+<p>{escape(problem.description)}. All quantities are dimensionless. Written by casadi_skin {__version__}.</p>
 {_chain_words(description)}
 <h2>Variables</h2>
 <table>
@@ -40,7 +40,7 @@ def page(description: Description, fmi: str) -> str:
 Dormand
 and Prince (Hairer, N&oslash;rsett and Wanner, Solving Ordinary Differential Equations I, Sec. II.5). The tolerance of
 the
-experiment, {subject.tolerance!r} where none is given, bounds the error of one step relative to a state's size, or to
+experiment, {problem.tolerance!r} where none is given, bounds the error of one step relative to a state's size, or to
 its
 nominal value where that is larger. Directional derivatives (in FMI 3.0 adjoint ones as well) are exact; the time,
 states and
@@ -54,16 +54,16 @@ is then as before the call.</p>
 but that
 of mathematical functions. For example, with those headers in <code>fmi</code>:</p>
 <pre>cc -std=c99 -O2 -fPIC -shared -fvisibility=hidden -Ifmi {" ".join(description.source_files(fmi))} -lm \\
-  -o {subject.identifier}.so</pre>
+  -o {problem.identifier}.so</pre>
 </body>
 </html>
 """
 
 
 def _chain_words(description: Description) -> str:
-    if "energy" not in description.subject.meanings:
+    if "energy" not in description.problem.meanings:
         return ""
-    energy = _ENERGY if "energy" in description.subject.model.outputs else ""
+    energy = _ENERGY if "energy" in description.problem.model.outputs else ""
     return f"""<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
 - alpha y<sub>n</sub> - g y<sub>n</sub><sup>3</sup>, n = 1..N, with y<sub>0</sub> = y<sub>N+1</sub> = 0
 (B. Many Manda, arXiv:2512.17483, Eq. 1).</p>

@@ -1,7 +1,9 @@
-"""The equations of a model as C: derivatives, outputs and their products with seeds, and what depends on what."""
+"""The C of an FMU that depends on its model: equations with their derivatives, and the header config.h."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.export.codegen import c_source
+from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem
 from casadi_skin.models.ode import OdeModel
 
 Pattern = NDArray[np.bool_]
+ROLES = ("derivatives", "outputs", "forward", "adjoint")  # of the generated functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,7 @@ class Equations:
             "both", ca.densify(self.model.full_rhs), ca.densify(ca.vertcat(*outputs)) if outputs else empty
         )
 
+    @cached_property
     def functions(self) -> tuple[ca.Function, ...]:
         """The functions that are generated, each named with the identifier of the model."""
         kind = type(self.model.state)
@@ -63,10 +68,51 @@ class Equations:
 
     def source(self) -> str:
         """C99 of all functions; raises ValueError where CasADi cannot generate it, as for a model that is a program."""
-        return c_source(f"{self.identifier}_equations", self.functions()).text
+        return c_source(f"{self.identifier}_equations", self.functions).text
 
 
 def _pattern(sparsity: ca.Sparsity) -> Pattern:
     dense = np.zeros(sparsity.shape, dtype=bool)
     dense[tuple(np.array(sparsity.get_triplet(), dtype=int))] = True
     return dense
+
+
+# The header ---------------------------------------------------------------------------------------------------------
+
+
+def config_header(problem: InitialValueProblem, equations: Equations, token: str) -> str:
+    """The text of config.h; the token tells this model from others, in FMI calls and in serialised states."""
+    functions, model = equations.functions, problem.model
+    bounds = [problem.bounds.get(name, (-math.inf, math.inf)) for name in model.parameter_names]
+    sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    arguments = "(const double **arg, double **res, casadi_int *iw, double *w, int memory)"
+    arrays = {
+        "START_STATES": problem.start,
+        "NOMINALS": [problem.nominal] * model.full_size,
+        "START_PARAMETERS": problem.parameters,
+        "PARAMETER_MIN": [low for low, _ in bounds],
+        "PARAMETER_MAX": [high for _, high in bounds],
+    }
+    lines = [
+        "/* What the interface has to know of this model; written by casadi_skin. */",
+        "#ifndef CONFIG_H\n#define CONFIG_H\n",
+        f'#define INSTANTIATION_TOKEN "{token}"',
+        f"#define DEFAULT_TOLERANCE {problem.tolerance!r}\n",
+        "/* Numbers of states, parameters and outputs that are no states; sizes of the work arrays. */",
+        f"enum {{ NX = {model.full_size}, NP = {len(problem.parameters)}, NY = {len(model.outputs)} }};",
+        f"enum {{ {', '.join(f'{name.upper()} = {value}' for name, value in sizes.items())} }};\n",
+        "typedef long long int casadi_int;",
+        *(f"int {f.name()}{arguments};" for f in functions),
+        *(f"#define MODEL_{role.upper()} {f.name()}" for role, f in zip(ROLES, functions, strict=True)),
+        "",
+        *(_array(name, values) for name, values in arrays.items()),
+        "\n#endif\n",
+    ]
+    return "\n".join(lines)
+
+
+def _array(name: str, values: Iterable[float]) -> str:
+    """A constant array with one element more than there are values: C knows no empty one."""
+    words = [repr(float(value)).replace("inf", "HUGE_VAL") for value in values] + ["0"]
+    lines = [", ".join(words[i : i + 5]) for i in range(0, len(words), 5)]
+    return f"static const double {name}[{len(words)}] = {{\n    " + ",\n    ".join(lines) + "};"

@@ -1,4 +1,4 @@
-"""What an FMU is made of: a model with the values that it starts from, read from a chain, an orbit or a model."""
+"""The initial-value problem of an FMU: a model and its start, from a chain, a model, or an orbit of either."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.arguments import number, numbers, short_repr
-from casadi_skin.export.exported_model import model_of
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.orbit import Orbit
@@ -25,11 +24,11 @@ Bounds = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """A model as an FMU sees it: x' = f(t, x, p), outputs y(t, x, p), dimensionless.
+class InitialValueProblem:
+    """A model x' = f(t, x, p) with outputs y(t, x, p) and its start; dimensionless.
 
-    `start` has one value a state and `parameters` one a parameter; `is_output` tells which states are outputs too.
-    `bounds` limit parameters and `meanings` describe variables, both by name.
+    `start` has one value a state and `parameters` one a parameter; `is_output` tells which states are outputs
+    themselves. `bounds` limit parameters and `meanings` describe variables, both by name.
     """
 
     model: OdeModel
@@ -54,18 +53,17 @@ class Subject:
         return max(map(abs, self.start)) or 1.0
 
 
-def subject_of(
-    what: Chain | Orbit | OdeModel,
+def initial_value_problem(
+    what: object,
     start: ArrayLike | None,
     mode: int | str | None,
     S: float | None,
     stop_time: float | None,
     tolerance: float,
-) -> Subject:
-    """The subject of `export_fmu`; raises TypeError and ValueError as that does."""
-    chosen = None if stop_time is None else number("stop_time", stop_time, "a finite number > 0")
-    if chosen is not None and chosen <= 0:
-        raise ValueError(f"stop_time: given {chosen!r}; accepted: a finite number > 0")
+) -> InitialValueProblem:
+    """The initial-value problem of `export_fmu`; raises TypeError and ValueError as that does."""
+    if stop_time is not None and number("stop_time", stop_time, "a finite number > 0") <= 0:
+        raise ValueError(f"stop_time: given {stop_time!r}; accepted: a finite number > 0")
     if not 1e-14 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-14 to 1e-2")
     if not isinstance(what, Chain):
@@ -73,19 +71,19 @@ def subject_of(
             if given is not None:
                 raise ValueError(f"{name}: given {given!r}; accepted: with a Chain, which starts from a linear mode")
     if isinstance(what, OdeModel):
-        return _of_model(what, start, chosen, tolerance)
+        return _of_model(what, start, what.nominal, stop_time, tolerance)
     if isinstance(what, Orbit):
-        chosen, start = PERIODS * what.period if chosen is None else chosen, what.profile if start is None else start
+        start, stop = what.profile if start is None else start, stop_time or PERIODS * what.period
         if isinstance(what.model, Chain):
-            return _of_chain(what.model, start, what.period, chosen, tolerance)
-        return _of_model(model_of(what), start, chosen, tolerance)
+            return _of_chain(what.model, start, what.period, stop, tolerance)
+        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop, tolerance)
     if not isinstance(what, Chain):
-        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an Orbit or an OdeModel")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an OdeModel or an orbit")
     if what.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
     period = 2.0 * np.pi / what.linear_frequency(mode)
-    return _of_chain(what, _linear_mode(what, mode, S) if start is None else start, period, chosen, tolerance)
+    return _of_chain(what, _linear_mode(what, mode, S) if start is None else start, period, stop_time, tolerance)
 
 
 # Chains -------------------------------------------------------------------------------------------------------------
@@ -145,7 +143,9 @@ def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:
     return np.asarray(vector * np.sign(vector[np.argmax(np.abs(vector))]) * np.sqrt(S) / np.linalg.norm(vector))
 
 
-def _of_chain(chain: Chain, start: ArrayLike, period: float, stop_time: float | None, tolerance: float) -> Subject:
+def _of_chain(
+    chain: Chain, start: ArrayLike, period: float, stop_time: float | None, tolerance: float
+) -> InitialValueProblem:
     sites = chain.sites
     given = _start(start, sites, 2 * sites)
     full = given + (0.0,) * (2 * sites - len(given))
@@ -159,7 +159,7 @@ def _of_chain(chain: Chain, start: ArrayLike, period: float, stop_time: float | 
         "energy": "Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to",
         "S": "sum of the squared displacements",
     }
-    return Subject(
+    return InitialValueProblem(
         model=chain_with_outputs(chain),
         description=f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)",
         start=full,
@@ -175,11 +175,17 @@ def _of_chain(chain: Chain, start: ArrayLike, period: float, stop_time: float | 
 # Models ---------------------------------------------------------------------------------------------------------------
 
 
-def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None, tolerance: float) -> Subject:
+def _of_model(
+    model: OdeModel,
+    start: ArrayLike | None,
+    values: tuple[float, ...] | None,
+    stop_time: float | None,
+    tolerance: float,
+) -> InitialValueProblem:
     count = model.full_size
-    if model.parameter_names and model.nominal is None:
+    if model.parameter_names and values is None:
         raise ValueError(f"{model.name}: no nominal values of {', '.join(model.parameter_names)}; accepted: one each")
-    parameters = tuple(float(value) for value in model.nominal or ())
+    parameters = tuple(float(value) for value in values or ())
     given = (0.0,) * count if start is None else _start(start, *{model.size, count})
     names = [*model.state_names, *(f"der({name})" for name in model.state_names)]
     names += [*model.parameter_names, *model.outputs, "time"]
@@ -193,7 +199,7 @@ def _of_model(model: OdeModel, start: ArrayLike | None, stop_time: float | None,
         raise ValueError(
             f"{model.name}: several variables named {', '.join(twice)}; accepted: a name each ('time' is t)"
         )
-    return Subject(
+    return InitialValueProblem(
         model=model,
         description=model.name,
         start=given + (0.0,) * (count - len(given)),
