@@ -11,9 +11,17 @@ import pytest
 def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     """Empty files in place of pictures and films."""
 
-    def write(drawn: Any, path: object, **__: object) -> None:
-        if isinstance(path, (str, Path)):
-            Path(path).touch()
+    from matplotlib.figure import (
+        Figure,
+    )  # here: numpy comes with it, and reads the number of threads that conftest sets
+
+    drawn_savefig = Figure.savefig
+
+    def write(drawn: Any, path: Any, *rest: Any, **more: Any) -> None:
+        if not isinstance(path, (str, Path)):  # drawn into memory, where it may be kept for other tests: an FMU's icon
+            drawn_savefig(drawn, path, *rest, **more)
+            return
+        Path(path).touch()
         drawn._draw_was_started = True  # a film that was not drawn warns
 
     patch.setattr("matplotlib.figure.Figure.savefig", write)
