@@ -10,10 +10,7 @@ import pytest
 
 def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     """Empty files in place of pictures and films."""
-
-    from matplotlib.figure import (
-        Figure,
-    )  # here: numpy comes with it, and reads the number of threads that conftest sets
+    from matplotlib.figure import Figure  # here: numpy comes with it, after the number of threads is set
 
     drawn_savefig = Figure.savefig
 
