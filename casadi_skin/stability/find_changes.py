@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from casadi_skin.stability.assembly import edges_of, groups_of, tongue_of
-from casadi_skin.stability.crossings import find_crossings
-from casadi_skin.stability.interpolation import BranchSampler, Gap, Interpolated, interpolate
-from casadi_skin.stability.rotation import TWO_PI, follow_angles
-from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved, piece_at, place_on
+from casadi_skin.stability.assembly import edges_of, groups_of, place_at, tongues_of
+from casadi_skin.stability.crossings import Crossings, find_crossings
+from casadi_skin.stability.interpolation import BranchSampler, Interpolated, interpolate
+from casadi_skin.stability.rotation import TWO_PI, Tracks, follow_angles
+from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
 
 INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
+POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
 
 
 def find_changes(
@@ -29,33 +28,25 @@ def find_changes(
     Returns:
         Changes of stability and tongues, with what is not decided and what is not known.
     """
-    power = {0.25: 2, 0.5: 1}[branch.fraction]
+    power = POWERS[branch.fraction]
     known = interpolate(branch, tolerance)
     found = find_crossings([piece.matrices for piece in known.pieces])
-    ends = {a for piece in known.pieces for a in (piece.matrices.start, piece.matrices.end)}
-    inner = {piece.matrices.start for piece in known.pieces} & {piece.matrices.end for piece in known.pieces}
-    lost = {a for gap in found.gaps for a in (gap.start, gap.end)}
-    groups = groups_of(found.segments, (ends - inner) | lost)
-    tracks = None
-    if modes is not None and known.pieces:
-        first = known.pieces[0]
-        start = first.matrices.start
-        duration = 2.0 * TWO_PI * branch.fraction / float(first.Omega(np.array([start]))[0])
-        tracks = follow_angles(found.spectra, modes, start, duration)
-    tongues = [tongue_of(group, known.pieces, power, tracks) for group in groups]
+    groups = groups_of(found.segments, _unknown(known, found))
+    tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
+    tongues = tongues_of(groups, known.pieces, power, tracks)
     decided = [i for i, tongue in enumerate(tongues) if tongue.decided]
-    changes, further, windows = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known)
+    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces)
     return StabilityDiagram(
-        changes=tuple(changes),
-        further=tuple(further),
+        changes=edges.changes,
+        further=edges.further,
         tongues=tuple(tongues[i] for i in decided),
         undecided=tuple(tongue for tongue in tongues if not tongue.decided),
-        windows=tuple(windows),
+        windows=edges.windows,
         passages=tuple(
-            Passage(place_on(piece_at(known.pieces, at), at, 0.0), mu, distance)
-            for at, mu, distance in sorted(found.passages)
+            Passage(place_at(known.pieces, coordinate), mu, distance)
+            for coordinate, mu, distance in sorted(found.passages)
         ),
-        unresolved=tuple(_unresolved(known, gap) for gap in sorted([*known.gaps, *found.gaps], key=lambda g: g.start)),
+        unresolved=tuple(_unresolved(known, found)),
         symplectic=branch.symplectic,
         power=power,
         samples=known.samples,
@@ -63,9 +54,27 @@ def find_changes(
     )
 
 
-def _unresolved(known: Interpolated, gap: Gap) -> Unresolved:
-    """A gap with the amplitudes next to it, as far as these are known."""
-    S = []
-    for at in (gap.start, gap.end):
-        S.append(float(known.pieces and piece_at(known.pieces, at).S(np.array([at]))[0] or np.nan))
-    return Unresolved(S[0], S[1], gap.start, gap.end, gap.reason)
+def _unknown(known: Interpolated, found: Crossings) -> set[float]:
+    """Coordinates where what is known of the branch, or of its multipliers, ends."""
+    starts = {piece.matrices.start for piece in known.pieces}
+    ends = {piece.matrices.end for piece in known.pieces}
+    return (starts ^ ends) | {coordinate for gap in found.gaps for coordinate in (gap.start, gap.end)}
+
+
+def _tracks(known: Interpolated, found: Crossings, modes: Mapping[int, float], fraction: float) -> Tracks | None:
+    """Rotation angles of the linear modes along the branch."""
+    if not known.pieces:
+        return None
+    start = place_at(known.pieces, known.pieces[0].matrices.start)
+    return follow_angles(found.spectra, modes, start.coordinate, 2.0 * TWO_PI * fraction / start.Omega)
+
+
+def _unresolved(known: Interpolated, found: Crossings) -> Sequence[Unresolved]:
+    """Stretches that are not known, with the amplitudes next to them."""
+    gaps = sorted([*known.gaps, *found.gaps], key=lambda gap: gap.start)
+    rows = []
+    for gap in gaps:
+        nan = float("nan")
+        S = [place_at(known.pieces, at).S if known.pieces else nan for at in (gap.start, gap.end)]
+        rows.append(Unresolved(S[0], S[1], gap.start, gap.end, gap.reason))
+    return rows

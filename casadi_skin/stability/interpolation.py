@@ -10,7 +10,7 @@ and Q a = 0, is taken out: the matrices are those on what is orthogonal to a.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,10 +19,14 @@ from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.flow import FlowError
 
-DEGREES = (12, 16, 24, 32)  # of the series; longer pieces of higher degree save little more
+DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
 SHORTEST = 1e-4  # of a section: shorter pieces are given up
-MARGIN = 1.15  # of the rate of convergence that the next piece is planned with
+ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
+SMALLEST = 1e-300
+LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
+SHORTER, LONGER = 0.6, 2.5  # lengths of a piece after one that failed and after one that did not, at most
+MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
 PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
 NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
 
@@ -117,18 +121,19 @@ class Piece:
 
     def S(self, coordinates: Array) -> Array:
         """Amplitudes at coordinates."""
-        return np.asarray(np.polynomial.chebyshev.chebval(self.matrices.local(coordinates), self.S_coefficients))
+        return self._values(coordinates, self.S_coefficients)
 
     def Omega(self, coordinates: Array) -> Array:
         """Frequencies at coordinates."""
-        return np.asarray(np.polynomial.chebyshev.chebval(self.matrices.local(coordinates), self.Omega_coefficients))
+        return self._values(coordinates, self.Omega_coefficients)
 
-    def slope(self, coordinate: float) -> float:
-        """dS/d coordinate."""
-        derivative = np.polynomial.chebyshev.chebder(self.S_coefficients)
-        local = self.matrices.local(np.array([coordinate]))
-        value = np.polynomial.chebyshev.chebval(local, derivative)[0]
-        return float(2.0 * value / (self.matrices.end - self.matrices.start))
+    def slopes(self, coordinates: Array) -> Array:
+        """dS/d coordinate at coordinates."""
+        scale = 2.0 / (self.matrices.end - self.matrices.start)
+        return scale * self._values(coordinates, chebyshev.derivative(self.S_coefficients.size - 1) @ self.S_coefficients)
+
+    def _values(self, coordinates: Array, coefficients: Array) -> Array:
+        return np.asarray(chebyshev.basis(self.matrices.local(coordinates), coefficients.size - 1) @ coefficients)
 
 
 @dataclass(frozen=True)
@@ -151,29 +156,46 @@ class Interpolated:
 
 @dataclass
 class _Plan:
-    """The next length and degree to try, from the convergence of the last piece: the state of one section's loop."""
+    """The next length and degree to try, from how the last series converged: the state of the loop of `interpolate`.
+
+    `radius` is the distance of the nearest singularity, were it at right angles to the branch: infinite at first.
+    `longest` and `lowest` limit length and degree after a failure.
+    """
 
     tolerance: float
-    radius: float = 0.0  # distance of the nearest singularity, were it at right angles to the branch
-    lengths: dict[int, float] = field(default_factory=dict)
+    radius: float = np.inf
+    longest: float = np.inf
+    lowest: int = DEGREES[0]
 
     def next(self, remaining: float) -> tuple[float, int]:
         """Length and degree of the next piece: the rest of the section in equal pieces of the lowest degree."""
-        if self.radius == 0.0:
-            return FIRST_LENGTH * remaining, DEGREES[1]
+        if self.radius == np.inf and self.longest == np.inf:
+            return FIRST_LENGTH * remaining, self.lowest
         for degree in DEGREES:
-            if self._length(degree) >= remaining:
+            needed = remaining if degree == DEGREES[-1] else LOWER * remaining
+            if degree >= self.lowest and self._length(degree) >= needed:
                 return remaining, degree
-        return remaining / np.ceil(remaining / self._length(DEGREES[-1])), DEGREES[-1]
+        return float(remaining / np.ceil(remaining / self._length(DEGREES[-1]))), DEGREES[-1]
 
     def _length(self, degree: int) -> float:
-        rate = MARGIN * self.tolerance ** (-1.0 / degree)
-        return 4.0 * self.radius / (rate - 1.0 / rate)
+        rate = (MARGIN / self.tolerance) ** (1.0 / degree)
+        return min(4.0 * self.radius / (rate - 1.0 / rate), self.longest)
 
-    def learn(self, length: float, degree: int, missed: float) -> None:
-        """Update from the relative size of the last coefficients."""
-        rate = max(max(missed, EPSILON) ** (-1.0 / degree), 1.0 + 1e-3)
+    def learn(self, length: float, sizes: Array) -> None:
+        """Update from the relative sizes of the coefficients, as far as these are not rounding."""
+        envelope = np.maximum.accumulate(sizes[::-1])[::-1]
+        last = max(int(np.count_nonzero(envelope > ROUNDING)) - 1, 1)
+        rate = max(float(envelope[0] / max(envelope[last], ROUNDING)) ** (1.0 / last), 1.0 + 1e-3)
         self.radius = 0.25 * length * (rate - 1.0 / rate)
+
+    def limit(self, length: float, degree: int, failed: bool) -> None:
+        """Limit the next piece by what became of this one: the same length in a higher degree, or a shorter one."""
+        if not failed:
+            self.longest, self.lowest = LONGER * length, DEGREES[0]
+        elif degree < DEGREES[-1]:
+            self.longest, self.lowest = length, DEGREES[-1]
+        else:
+            self.longest = SHORTER * length
 
 
 def interpolate(branch: BranchSampler, tolerance: float) -> Interpolated:
@@ -188,27 +210,27 @@ def interpolate(branch: BranchSampler, tolerance: float) -> Interpolated:
     """
     pieces: list[Piece] = []
     gaps: list[Gap] = []
-    samples = 0
+    samples, plan = 0, _Plan(tolerance)
     for start, end in branch.sections:
-        plan, at, shortest = _Plan(tolerance), start, SHORTEST * (end - start)
+        at, shortest = start, SHORTEST * (end - start)
         while at < end:
             length, degree = plan.next(end - at)
             stop = end if length >= (1.0 - 1e-9) * (end - at) else at + length
+            piece = None
             try:
-                piece, missed = _piece(branch, at, stop, degree, tolerance)
+                piece, sizes = _piece(branch, at, stop, degree, tolerance)
                 samples += degree + 1
-                reason = f"the multipliers do not converge along the branch: {missed:.1e} is left"
+                plan.learn(stop - at, sizes)
+                reason = f"multipliers do not converge along the branch: {np.max(sizes[-chebyshev.TAIL :]):.1e} is left"
             except (OrbitNotFoundError, FlowError) as error:
-                piece, missed, reason = None, 1.0, str(error)
-            plan.learn(stop - at, degree, missed)
+                reason, degree = str(error), DEGREES[-1]  # a higher degree would not help
+            plan.limit(length, degree, piece is None)
             if piece is not None:
                 pieces.append(piece)
                 at = stop
             elif stop - at <= shortest:
                 gaps.append(Gap(at, stop, reason))
                 at, plan = stop, _Plan(tolerance)
-            else:
-                plan.radius = min(plan.radius, 0.5 * (stop - at))
     return Interpolated(tuple(pieces), tuple(_joined(gaps)), samples)
 
 
@@ -228,24 +250,25 @@ def _joined(gaps: Sequence[Gap]) -> Iterator[Gap]:
 
 def _piece(
     branch: BranchSampler, start: float, end: float, degree: int, tolerance: float
-) -> tuple[Piece | None, float]:
-    """The piece, None where it does not converge, and the relative size of the last coefficients."""
+) -> tuple[Piece | None, Array]:
+    """The piece, None where it does not converge, and the relative sizes of its coefficients, (degree + 1,)."""
     samples = branch.sample(start + 0.5 * (end - start) * (1.0 + chebyshev.nodes(degree)))
     values, errors = reduced_matrices(samples, branch.symplectic)
     to_coefficients = chebyshev.transform(degree)
-    coefficients = np.tensordot(to_coefficients, values, 1)
-    sizes = np.max(np.abs(coefficients), axis=(2, 3))
-    sizes = np.max(sizes / np.max(sizes, axis=0), axis=1)
+    coefficients, scalars = np.tensordot(to_coefficients, values, 1), to_coefficients @ np.stack(
+        [samples.S, samples.Omega], axis=1
+    )
+    sizes = np.concatenate([np.max(np.abs(coefficients), axis=(2, 3), initial=0.0), np.abs(scalars)], axis=1)
+    sizes = np.max(sizes / np.maximum(np.max(sizes, axis=0), SMALLEST), axis=1)
     missed = float(np.max(sizes[-chebyshev.TAIL :]))
-    if missed > tolerance:
-        quarter = degree // 4
-        before = float(np.max(sizes[2 * quarter : 3 * quarter]))
-        if not (missed <= NOISIEST and before <= PLATEAU * missed):
-            return None, missed
+    quarter = degree // 4
+    noisy = missed <= NOISIEST and float(np.max(sizes[2 * quarter : 3 * quarter])) <= PLATEAU * missed
+    if missed > tolerance and not noisy:
+        return None, sizes
     noise = np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2)))
     noise += EPSILON * np.max(np.sqrt(np.sum(values**2, axis=(2, 3))), axis=0) * degree
     series = MatrixSeries(start, end, coefficients, errors, noise)
-    return Piece(series, to_coefficients @ samples.S, to_coefficients @ samples.Omega), missed
+    return Piece(series, scalars[:, 0], scalars[:, 1]), sizes
 
 
 def reduced_matrices(samples: Samples, symplectic: bool) -> tuple[Array, Array]:

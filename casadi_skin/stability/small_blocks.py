@@ -264,8 +264,9 @@ class SingleBlock(Block):
 class PairBlock(Block):
     """Two mu that may meet: `ends` are det p and det q (det k and det (1 + k)), `meetings` f+ and f- (the discriminant).
 
-    `form` is 1 where n are null vectors of p, 2 of q, 0 where there are none; `turn` are the coordinates in which that
-    form is diagonal at the middle. See `pair_blocks`.
+    `series` are coefficients (FINE + 1, 2) of the mean of both mu and of rho; with f+ f- / rho^2 the square of half their
+    difference is known with all digits where it is small. Without null vectors rho is 1 and half the difference that of
+    k. See `Pairs`.
     """
 
     def __init__(
@@ -277,24 +278,36 @@ class PairBlock(Block):
         noise: Array,
         ends: tuple[Function, Function],
         meetings: tuple[Function, ...],
-        form: int,
-        turn: Array,
+        series: Array,
     ) -> None:
         super().__init__(start, end, parts, errors, noise)
-        self.ends, self.meetings, self.form, self.turn = ends, meetings, form, turn
+        self.ends, self.meetings = ends, meetings
         self.functions = (*meetings, *ends)
+        self._series = np.column_stack([series, *(function.coefficients for function in self.functions)])
 
     @property
     def definite(self) -> bool:
         """Whether its mu have one signature and are real."""
         return not self.meetings
 
+    def _values(self, x: Array) -> tuple[Array, Array, Array]:
+        """Mean of both mu, the square of half their difference, and the product of both mu (1 + mu), at places."""
+        values = chebyshev.basis(x, FINE) @ self._series
+        mean, rho, meetings = values[..., 0], values[..., 1], values[..., 2:-2]
+        if meetings.shape[-1] == 2:
+            square = meetings[..., 0] * meetings[..., 1] / rho**2
+        elif meetings.shape[-1] == 1:
+            square = 0.25 * meetings[..., 0]
+        else:
+            square = np.maximum(0.25 * discriminants(self.at(x)[:, 0]), 0.0)
+        return mean, square, values[..., -2] * values[..., -1]
+
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
         found = []
         for function in self.meetings:
             for x, width, crosses in function.zeros:
-                mu = 0.5 * float(np.trace(self.at(np.array([x]))[0, 0]))
+                mu = float((chebyshev.basis(x, FINE) @ self._series)[0])
                 signatures = (1, -1) if self.noise.size == 3 and -1.0 < mu < 0.0 else ()
                 found.append((self._edge(x, width, "collision", mu, signatures), crosses))
         for which, function in enumerate(self.ends):
@@ -318,32 +331,25 @@ class PairBlock(Block):
         return mu, (-int(np.sign(right @ parts[1] @ right)),)
 
     def states(self, x: Array) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        sign = np.prod([function(x) for function in self.meetings], axis=0) if self.meetings else np.ones(x.shape)
-        product = self.ends[0](x) * self.ends[1](x)
-        k = self.at(x)[:, 0]
-        # Of two real mu that are both in [-1, 0] or both outside: the sum of mu (1 + mu) tells which.
-        both = k[:, 0, 0] + k[:, 1, 1] + np.sum(k * k.swapaxes(1, 2), axis=(1, 2)) > 0.0
+        mean, square, product = self._values(x)
+        # Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) tells which.
+        both = mean + mean**2 + square > 0.0
         outside = np.where(product < 0.0, 1, np.where(both, 2, 0))
-        return sign < 0.0, np.where(sign < 0.0, 2, outside)
+        return square < 0.0, np.where(square < 0.0, 2, outside)
+
+    def mu(self, coordinates: Array) -> ComplexArray:
+        mean, square, _ = self._values(self.local(coordinates))
+        root = np.sqrt(square + 0j)
+        return np.stack([mean + root, mean - root], axis=-1)
 
     def growth(self, coordinates: Array) -> Array:
-        x = self.local(coordinates)
-        product = self.ends[0](x) * self.ends[1](x)
-        mu = self._accurate(x)
+        mean, square, product = self._values(self.local(coordinates))
+        root = np.sqrt(square + 0j)
+        mu = np.stack([mean + root, mean - root], axis=-1)
         inside = np.min((mu * (1.0 + mu)).real, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             one = _real_growth(product / inside)
         return np.asarray(np.where(product < 0.0, one, np.max(growth_of(mu), axis=1)))
-
-    def _accurate(self, x: Array) -> ComplexArray:
-        """Both mu, with all digits of a small imaginary part."""
-        parts = self.at(x)
-        if self.form == 0:
-            return np.asarray(np.linalg.eigvals(parts[:, 0]), dtype=complex)
-        form, _, s, plus, minus = null_vectors(parts[None], self.form, self.turn[None])
-        root = np.sqrt(_value(s, plus, plus) * _value(s, minus, minus) + 0j)[0]
-        rho, mean = _value(form, plus, minus)[0], _value(s, plus, minus)[0]
-        return np.stack([(mean + root) / rho, (mean - root) / rho], axis=1)
 
     def meetings_without_instability(self) -> list[tuple[float, float, float]]:
         """(coordinate, mu, distance) where the two mu of a definite pair meet within errors."""
@@ -413,30 +419,21 @@ class Pairs:
 
     def blocks(self) -> list[PairBlock | None]:
         """A block of each pair, None where its interval is too long for either form."""
-        symplectic = self.parts.shape[2] == 3
         fine = np.tensordot(chebyshev.refinement(DEGREE, FINE), self.parts, (1, 1)).swapaxes(0, 1)
         ends = self._ends(fine)
-        if symplectic:
-            meetings, forms, turns, usable = self._null_functions(fine, [coefficients for coefficients, _ in ends])
+        usable, rho = np.ones(len(self.parts), dtype=bool), np.ones(fine.shape[:2])
+        if self.parts.shape[2] == 3:
+            meetings, rho, usable = self._null_functions(fine, [coefficients for coefficients, _ in ends])
         else:
-            meetings, forms = [self._discriminant(fine)], np.zeros(len(self.parts), dtype=int)
-            turns, usable = np.tile(np.eye(2), (len(self.parts), 1, 1)), np.ones(len(self.parts), dtype=bool)
+            meetings = [self._discriminant(fine)]
+        mean = 0.5 * (fine[:, :, 0, 0, 0] + fine[:, :, 0, 1, 1])
+        series = np.tensordot(chebyshev.transform(FINE), np.stack([mean, rho], axis=2), (1, 1))
         found: list[PairBlock | None] = []
         for i in range(len(self.parts)):
-            chosen = [Function(c[:, i], e[i]) for c, e in meetings if np.isfinite(c[0, i])]
-            last = (Function(ends[0][0][:, i], ends[0][1][i]), Function(ends[1][0][:, i], ends[1][1][i]))
-            block = PairBlock(
-                float(self.starts[i]),
-                float(self.ends[i]),
-                self.parts[i],
-                self.errors[i],
-                self.noise[i],
-                last,
-                tuple(chosen),
-                int(forms[i]),
-                turns[i],
-            )
-            found.append(block if usable[i] else None)
+            functions = [tuple(Function(c[:, i], e[i]) for c, e in some if np.isfinite(c[0, i])) for some in (ends, meetings)]
+            where = float(self.starts[i]), float(self.ends[i])
+            matrices = self.parts[i], self.errors[i], self.noise[i]
+            found.append(PairBlock(*where, *matrices, *functions, series[:, i]) if usable[i] else None)
         return found
 
     def _ends(self, fine: Array) -> list[tuple[Array, Array]]:
@@ -459,12 +456,14 @@ class Pairs:
 
     def _null_functions(
         self, fine: Array, ends: Sequence[Array]
-    ) -> tuple[list[tuple[Array, Array]], NDArray[np.int64], Array, NDArray[np.bool_]]:
-        """f+ and f- by the form whose determinant has no zero: coefficients are no numbers where it is definite."""
+    ) -> tuple[list[tuple[Array, Array]], Array, NDArray[np.bool_]]:
+        """f+ and f-, no numbers where the form is definite, and rho, by the form whose determinant has no zero.
+
+        The last result tells for which pairs there is one.
+        """
         count = len(self.parts)
-        forms, usable = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
-        turns = np.tile(np.eye(2), (count, 1, 1))
-        coefficients = np.full((2, FINE + 1, count), np.nan)
+        usable = np.zeros(count, dtype=bool)
+        coefficients, rho = np.full((2, FINE + 1, count), np.nan), np.ones(fine.shape[:2])
         errors = np.zeros((2, count, DEGREE + 1))
         for index in (1, 2):
             turn = np.linalg.eigh(_symmetric(fine[:, FINE // 2, index]))[1]
@@ -477,9 +476,9 @@ class Pairs:
             for which, n in enumerate(vectors):
                 series = _series(_value(s[split], n[split], n[split]), self._errors(coarse, which, index, turn, split))
                 coefficients[which][:, split], errors[which][split] = series
-            forms[split], turns[split] = index, turn[split]
+            rho[split] = _value(form[split], vectors[0][split], vectors[1][split])
             usable |= split | definite
-        return [(coefficients[i], errors[i]) for i in (0, 1)], forms, turns, usable
+        return [(coefficients[i], errors[i]) for i in (0, 1)], rho, usable
 
     def _errors(
         self, coarse: tuple[Array, ...], which: int, index: int, turn: Array, chosen: NDArray[np.bool_]

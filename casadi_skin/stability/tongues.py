@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,26 +173,17 @@ class StabilityDiagram:
         """Coordinate where what is known ends."""
         return self.pieces[-1].matrices.end
 
-    @cached_property
-    def _starts(self) -> Array:
-        return np.array([piece.matrices.start for piece in self.pieces])
-
-    def _by_piece(self, coordinates: Array) -> list[tuple[Piece, NDArray[np.int64]]]:
-        """The pieces that coordinates are on, with the places of these."""
-        which = np.clip(np.searchsorted(self._starts, coordinates, side="right") - 1, 0, len(self.pieces) - 1)
-        return [(self.pieces[k], np.flatnonzero(which == k)) for k in np.unique(which).tolist()]
-
     def S(self, coordinates: Array) -> Array:
         """Amplitudes at coordinates, shape (points,)."""
         result = np.empty(len(coordinates))
-        for piece, chosen in self._by_piece(coordinates):
+        for piece, chosen in by_piece(self.pieces, coordinates):
             result[chosen] = piece.S(coordinates[chosen])
         return result
 
     def Omega(self, coordinates: Array) -> Array:
         """Frequencies at coordinates, shape (points,)."""
         result = np.empty(len(coordinates))
-        for piece, chosen in self._by_piece(coordinates):
+        for piece, chosen in by_piece(self.pieces, coordinates):
             result[chosen] = piece.Omega(coordinates[chosen])
         return result
 
@@ -201,7 +191,7 @@ class StabilityDiagram:
         """All mu at coordinates, and their Krein signatures, each (points, m); signature 0 where there is none."""
         size = self.pieces[0].matrices.size
         mu, signatures = np.empty((len(coordinates), size), complex), np.zeros((len(coordinates), size), np.int64)
-        for piece, chosen in self._by_piece(coordinates):
+        for piece, chosen in by_piece(self.pieces, coordinates):
             mu[chosen], signatures[chosen] = spectra(piece.matrices.at(coordinates[chosen]))
         return mu, signatures
 
@@ -247,14 +237,23 @@ def spectra(matrices: Array) -> tuple[ComplexArray, NDArray[np.int64]]:
     return mu, signatures
 
 
-def place_on(piece: Piece, coordinate: float, error: float) -> Place:
-    """A place on a piece of branch; the error of S is by slope and, near folds, by curvature."""
-    at = np.array([coordinate - error, coordinate, coordinate + error])
-    S = piece.S(np.clip(at, piece.matrices.start, piece.matrices.end))
-    S_error = max(abs(S[0] - S[1]), abs(S[2] - S[1]), abs(piece.slope(coordinate)) * error)
-    return Place(coordinate, error, float(S[1]), float(S_error), float(piece.Omega(at[1:2])[0]))
+def places(pieces: Sequence[Piece], coordinates: Array, errors: Array) -> list[Place]:
+    """Places on a branch; the error of S is by slope and, near folds, by curvature."""
+    found: list[Place | None] = [None] * len(coordinates)
+    for piece, chosen in by_piece(pieces, coordinates):
+        start, end = piece.matrices.start, piece.matrices.end
+        at, error = np.clip(coordinates[chosen], start, end), errors[chosen]
+        S = np.stack([piece.S(np.clip(at + sign * error, start, end)) for sign in (0.0, -1.0, 1.0)])
+        S_errors = np.maximum(np.max(np.abs(S[1:] - S[0]), axis=0), np.abs(piece.slopes(at)) * error)
+        rows = zip(at.tolist(), error.tolist(), S[0].tolist(), S_errors.tolist(), piece.Omega(at).tolist(), strict=True)
+        for i, row in zip(chosen.tolist(), rows, strict=True):
+            found[i] = Place(*row)
+    return [place for place in found if place is not None]
 
 
-def piece_at(pieces: Sequence[Piece], coordinate: float) -> Piece:
-    """The piece that a coordinate is on, or the nearest one."""
-    return min(pieces, key=lambda p: max(p.matrices.start - coordinate, coordinate - p.matrices.end, 0.0))
+def by_piece(pieces: Sequence[Piece], coordinates: Array) -> list[tuple[Piece, NDArray[np.int64]]]:
+    """The pieces that coordinates are on, or nearest to, with the numbers of these coordinates."""
+    starts, ends = (np.array([getattr(piece.matrices, name) for piece in pieces]) for name in ("start", "end"))
+    away = np.maximum(np.maximum(starts - coordinates[:, None], coordinates[:, None] - ends), 0.0)
+    which = np.argmin(away, axis=1)
+    return [(pieces[k], np.flatnonzero(which == k)) for k in np.unique(which).tolist()]

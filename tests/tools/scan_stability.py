@@ -72,7 +72,7 @@ FAMILIES = {
     "reciprocal_8": Family(8, 1.0, 0.0, -1.0, 1, 1.5),
     "interior_32": Family(32, 1.0, 0.5, 1.0, 5, 2.0),
     "soft_onsite_40": Family(40, 0.3, 0.15, -1.0, 1, 0.25, 5e-5),
-    "last_softening_20": Family(20, 1.0, 0.4, -1.0, 20, 1.5),
+    "last_softening_20": Family(20, 1.0, 0.4, -1.0, 20, 0.5),
 }
 
 
