@@ -230,7 +230,7 @@ class Edges:
     windows: tuple[StableWindow, ...]
 
 
-def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece]) -> Edges:
+def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece], power: int) -> Edges:
     """Edges of decided tongues, told apart by whether orbits on either side are stable."""
     unions, windows = _unions(groups, tongues)
     rows = []  # edge, whether stable before, whether stable after, number of its group
@@ -246,7 +246,7 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
         return Edges((), (), tuple(windows))
     at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
     made = [
-        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, tongues[i].width)
+        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, tongues[i].width, power)
         for place, (edge, before, after, i) in zip(at, rows, strict=True)
     ]
     changes = tuple(edge for edge in made if edge.stable_before != edge.stable_after)

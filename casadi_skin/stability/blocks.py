@@ -140,7 +140,8 @@ def comes_apart(matrices: Array) -> bool:
     basis = vectors[None].copy()
     glued = _separate_parallel(basis, mu[None], np.abs(mu.imag)[None] <= REAL)
     K, _, fine = _similar(matrices[None], basis)
-    return bool(fine[0] and np.max(np.sum(_graph(K, glued)[0], axis=2)) <= _most(mu.size))
+    same, _ = _graph(K, glued)
+    return bool(fine[0] and np.max(np.sum(same, axis=2)) <= _most(mu.size) and _contracts(K, same)[0])
 
 
 def _most(size: int) -> int:

@@ -103,7 +103,7 @@ class _Part:
     interval: Interval
     too_long: bool
     blocks: list[Block] = field(default_factory=list)
-    pairs: list[tuple[Array, Array, Array]] = field(default_factory=list)
+    pairs: list[tuple[Array, Array, Array, Array]] = field(default_factory=list)
     larger: list[Interval] = field(default_factory=list)
 
 
@@ -111,22 +111,20 @@ def _generation(intervals: Sequence[Interval], found: Crossings, whole: int) -> 
     """Look at intervals; returns their halves, or those of blocks in them, that are still to be looked at."""
     parts = [part for batch in _batches(intervals) for part in _take_apart(batch, found, whole)]
     _finish_pairs(parts)
+    Function.find_zeros([f for part in parts if not part.too_long for block in part.blocks for f in block.functions])
     waiting: list[Interval] = []
-    blocks: list[Block] = []
     for part in parts:
         if part.too_long and part.interval.is_shortest:
             reason = "more than two multipliers meet in one place, as far as they can be told apart"
             found.gaps.append(Gap(part.interval.start, part.interval.end, reason))
-        elif part.too_long:
+        elif part.too_long or (not part.interval.is_shortest and any(block.is_blurred for block in part.blocks)):
             waiting += part.interval.halves
         else:
-            blocks += part.blocks
             waiting += part.larger
-    Function.find_zeros([function for block in blocks for function in block.functions])
-    for block in blocks:
-        found.segments += block.segments
-        if isinstance(block, PairBlock) and block.definite:
-            found.passages += block.meetings_without_instability()
+            for block in part.blocks:
+                found.segments += block.segments
+                if isinstance(block, PairBlock) and block.definite:
+                    found.passages += block.meetings_without_instability()
     return waiting
 
 
@@ -172,22 +170,22 @@ def _sort(
         change = changes[:, :, members[:, None], members]
         tails = np.sqrt(np.sum(chebyshev.tail(np.tensordot(chebyshev.transform(DEGREE), k, 1)) ** 2, axis=(1, 2)))
         x, y = (float(np.linalg.norm(length[members])) for length in lengths)
-        noise = interval.series.noise * np.array([x * y, x * x, y * y])[: interval.series.noise.size] + tails
+        noise = interval.series.noise * np.array([x * y, x * x, y * y])[: interval.series.noise.size]
         if not blocks.real[i, columns[members]].all():
-            part.blocks.append(ComplexBlock(interval.start, interval.end, k, np.abs(change), noise))
+            part.blocks.append(ComplexBlock(interval.start, interval.end, k, np.abs(change), noise, tails))
             continue
         k, change = k.real, change.real
         rough = bool(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(0, 2, 3))))
         if members.size == 1:
-            block = SingleBlock(interval.start, interval.end, k, change, noise)
+            block = SingleBlock(interval.start, interval.end, k, change, noise, tails)
             if not block.is_quiet:
                 part.blocks.append(block)
         elif members.size == 2:
-            part.pairs.append((k, change, noise))
+            part.pairs.append((k, change, noise, tails))
             part.too_long |= rough and not interval.is_shortest
         elif not is_definite(k):
             coefficients = np.tensordot(chebyshev.transform(DEGREE), k, 1)
-            series = MatrixSeries(interval.start, interval.end, coefficients, change, noise)
+            series = MatrixSeries(interval.start, interval.end, coefficients, change, noise + tails)
             part.larger += Interval(series, interval.start, interval.end).halves
             part.too_long |= rough
 

@@ -35,7 +35,7 @@ def find_changes(
     tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
     tongues = tongues_of(groups, known.pieces, power, tracks)
     decided = [i for i, tongue in enumerate(tongues) if tongue.decided]
-    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces)
+    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces, power)
     return StabilityDiagram(
         changes=edges.changes,
         further=edges.further,

@@ -139,13 +139,18 @@ def _real_growth(product: Array) -> Array:
 class Block:
     """Matrices (k, p, q), or k alone, of some mu at the nodes of an interval, shape (DEGREE + 1, 3 or 1, m, m).
 
-    `errors` are matrices like their errors at the nodes, `noise` (3 or 1,) bounds on the norm of what comes to these.
+    `errors` are matrices like their errors at the nodes, `noise` and `tails` (3 or 1,) bounds on the norm of what comes
+    to these: from elsewhere, and from the series on the interval, which shorter intervals lessen.
     """
 
     functions: tuple[Function, ...] = ()
 
-    def __init__(self, start: float, end: float, parts: Numbers, errors: Array, noise: Array) -> None:
-        self.start, self.end, self.parts, self.errors, self.noise = start, end, parts, errors, noise
+    def __init__(
+        self, start: float, end: float, parts: Numbers, errors: Array, noise: Array, tails: Array
+    ) -> None:
+        self.start, self.end, self.parts, self.errors, self.tails = start, end, parts, errors, tails
+        self.noise = noise + tails
+        self._coarse = bool(np.any(tails > noise + np.max(np.abs(errors), axis=(0, 2, 3))))
 
     @cached_property
     def coefficients(self) -> Numbers:
@@ -174,6 +179,14 @@ class Block:
     def growth(self, coordinates: Array) -> Array:
         """log |lambda(M)| of the most unstable multiplier of the block at coordinates."""
         return np.asarray(np.max(growth_of(self.mu(coordinates)), axis=1))
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether a shorter interval would tell whether one of its instabilities is there."""
+        if not self._coarse:
+            return False
+        bounds = [(s.end - s.start, s.start_edge, s.end_edge) for s in self.segments]
+        return any(a is not None and b is not None and length <= a.error + b.error for length, a, b in bounds)
 
     @property
     def is_quiet(self) -> bool:
@@ -228,8 +241,9 @@ class ComplexBlock(Block):
 class SingleBlock(Block):
     """One real mu; `functions` are pi and kappa, of a map that is not symplectic mu and 1 + mu."""
 
-    def __init__(self, start: float, end: float, parts: Array, errors: Array, noise: Array) -> None:
-        super().__init__(start, end, parts, errors, noise)
+    def __init__(self, start: float, end: float, parts: Array, errors: Array, noise: Array, tails: Array) -> None:
+        super().__init__(start, end, parts, errors, noise, tails)
+        noise = self.noise
         c = np.asarray(self.coefficients[:, :, 0, 0].real)
         error = SAFETY * np.abs(errors[:, :, 0, 0]) + noise
         if noise.size == 3:
@@ -276,11 +290,12 @@ class PairBlock(Block):
         parts: Array,
         errors: Array,
         noise: Array,
+        tails: Array,
         ends: tuple[Function, Function],
         meetings: tuple[Function, ...],
         series: Array,
     ) -> None:
-        super().__init__(start, end, parts, errors, noise)
+        super().__init__(start, end, parts, errors, noise, tails)
         self.ends, self.meetings = ends, meetings
         self.functions = (*meetings, *ends)
         self._series = np.column_stack([series, *(function.coefficients for function in self.functions)])
@@ -300,7 +315,10 @@ class PairBlock(Block):
             square = 0.25 * meetings[..., 0]
         else:
             square = np.maximum(0.25 * discriminants(self.at(x)[:, 0]), 0.0)
-        return mean, square, values[..., -2] * values[..., -1]
+        product = values[..., -2] * values[..., -1]
+        if any(function.is_nothing for function in self.ends):
+            product = np.abs(product)  # a second conserved quantity: one of them stays at -1 or 0
+        return mean, square, product
 
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
@@ -409,13 +427,14 @@ def _determinant_errors(matrices: Array, errors: Array, noise: Array) -> Array:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Several pairs of mu on their intervals: matrices (pairs, J, 3 or 1, 2, 2), errors of one shape, noise (pairs, 3 or 1)."""
+    """Several pairs of mu on their intervals: matrices (pairs, J, 3 or 1, 2, 2), errors of one shape, noise and tails (pairs, 3 or 1)."""
 
     starts: Array
     ends: Array
     parts: Array
     errors: Array
     noise: Array
+    tails: Array
 
     def blocks(self) -> list[PairBlock | None]:
         """A block of each pair, None where its interval is too long for either form."""
@@ -432,7 +451,7 @@ class Pairs:
         for i in range(len(self.parts)):
             functions = [tuple(Function(c[:, i], e[i]) for c, e in some if np.isfinite(c[0, i])) for some in (ends, meetings)]
             where = float(self.starts[i]), float(self.ends[i])
-            matrices = self.parts[i], self.errors[i], self.noise[i]
+            matrices = self.parts[i], self.errors[i], self.noise[i], self.tails[i]
             found.append(PairBlock(*where, *matrices, *functions, series[:, i]) if usable[i] else None)
         return found
 
@@ -443,13 +462,13 @@ class Pairs:
         for index, shift in ((1, 0.0), (2, 0.0)) if symplectic else ((0, 0.0), (0, 1.0)):
             values = _determinants(fine[:, :, index] + shift * np.eye(2))
             coarse = self.parts[:, :, index] + shift * np.eye(2)
-            errors = _determinant_errors(coarse, self.errors[:, :, index], self.noise[:, [index]])
+            errors = _determinant_errors(coarse, self.errors[:, :, index], (self.noise + self.tails)[:, [index]])
             found.append(_series(values, errors))
         return found
 
     def _discriminant(self, fine: Array) -> tuple[Array, Array]:
         """(mu_1 - mu_2)^2 of maps that are not symplectic."""
-        k, change, noise = self.parts[:, :, 0], SAFETY * self.errors[:, :, 0], self.noise[:, [0]]
+        k, change, noise = self.parts[:, :, 0], SAFETY * self.errors[:, :, 0], (self.noise + self.tails)[:, [0]]
         by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
         by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
         return _series(discriminants(fine[:, :, 0]), by_flow + by_noise)
@@ -489,7 +508,7 @@ class Pairs:
         change = turn[chosen][:, None].swapaxes(2, 3) @ (change if index == 1 else change.swapaxes(2, 3)) @ turn[chosen][:, None]
         left = np.sum(form * n[..., None, :], axis=-1)
         size = np.linalg.norm(left, axis=-1) * np.linalg.norm(n, axis=-1)
-        return np.asarray(SAFETY * np.abs(_value(change, left, n)) + self.noise[chosen][:, [0]] * size)
+        return np.asarray(SAFETY * np.abs(_value(change, left, n)) + (self.noise + self.tails)[chosen][:, [0]] * size)
 
 
 def _series(values: Array, errors: Array) -> tuple[Array, Array]:

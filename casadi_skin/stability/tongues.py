@@ -29,12 +29,12 @@ class Place:
 class StabilityEdge:
     """Where an instability begins, ends or changes its kind.
 
-    `kind` is "real" where a multiplier leaves the unit circle through 1 (over the period; `mu` is -1 or 0),
-    "collision" where two meet, on the circle (Krein collision, -1 < mu < 0) or on the real axis. `angle` is that of
-    lambda(M), in [0, pi], where they meet; the multipliers over the period there are exp(+-i power angle).
+    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "collision" where two
+    meet, on the circle (a Krein collision, -1 < mu < 0) or on the real axis.
     `signatures` are the Krein signatures of what meets: opposite ones where a collision is on the circle, one for "real",
     none where there are none. `stable_before` and `stable_after` are those of the orbits next to it, in order of the
-    branch. `tongue` is the place in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S.
+    branch. `tongue` is the place in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
+    multipliers over the period.
     """
 
     place: Place
@@ -45,6 +45,7 @@ class StabilityEdge:
     stable_after: bool
     tongue: int
     width: float
+    power: int
 
     @property
     def S(self) -> float:
@@ -65,6 +66,13 @@ class StabilityEdge:
     def angle(self) -> float:
         """Angle of lambda(M) where multipliers meet, in [0, pi]; 0 or pi where they meet on the real axis."""
         return float(np.arccos(np.clip(1.0 + 2.0 * self.mu, -1.0, 1.0)))
+
+    @property
+    def multiplier(self) -> complex:
+        """The multiplier over the period where two meet, that of them in the upper half plane or on the real axis."""
+        root = np.sqrt(self.mu + 0j) + np.sqrt(1.0 + self.mu + 0j)
+        value = complex(root ** (2 * self.power))
+        return value if value.imag >= 0.0 else value.conjugate()
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,10 @@ from scipy.sparse import bmat, csc_matrix, diags, identity, kron
 from scipy.sparse.linalg import splu
 
 DATA = Path(__file__).parents[1] / "data" / "stability_changes"
-RESOLUTION = 1e-8
-OUTSIDE = 2e-9  # of mu: what counts as off the real axis or outside [-1, 0]
+RESOLUTION = 2e-10
+OUTSIDE = 2e-11  # imaginary part of mu: what counts as off the real axis
+NEAR_ENDS = 1e-5
+ORBIT_ERROR = 1e-11
 BATCH_ENTRIES = 20_000
 COARSE, FINE = 10, 32  # steps a quarter of the period: of the scan, and of all that is looked at closely
 PANEL_NODES = 17
@@ -72,7 +74,7 @@ FAMILIES = {
     "reciprocal_8": Family(8, 1.0, 0.0, -1.0, 1, 1.5),
     "interior_32": Family(32, 1.0, 0.5, 1.0, 5, 2.0),
     "soft_onsite_40": Family(40, 0.3, 0.15, -1.0, 1, 0.25, 5e-5),
-    "last_softening_20": Family(20, 1.0, 0.4, -1.0, 20, 0.5),
+    "last_softening_20": Family(20, 1.0, 0.4, -1.0, 20, 1.5),
 }
 
 
@@ -144,15 +146,15 @@ class Orbits:
                 error = np.max(np.abs(interpolant(middle) - self._newton(middle, interpolant(middle))))
             except ArithmeticError:
                 error = np.inf
-            if error > 1e-12:
+            if error > ORBIT_ERROR:
                 length *= 0.5
-                if length < 1e-6:
+                if length < 1e-9:
                     raise ArithmeticError(f"the family ends near S = {start}")
                 continue
             self.error = max(self.error, float(error))
             self.panels.append((start, start + length, interpolant))
             history = list(zip(places, orbits, strict=True))[-4:]
-            start, length = start + length, length * (1.5 if error < 1e-13 else 1.0)
+            start, length = start + length, length * (1.8 if error < 0.1 * ORBIT_ERROR else 1.0)
 
     def at(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (points, sites, harmonics) and frequencies (points,)."""
@@ -213,29 +215,35 @@ class Stability:
         acceleration = -(orbits.L @ start.T).T - self.family.g * S[:, None] * orbits.weights * start**3
         return np.concatenate([X, V], axis=1), acceleration
 
-    def spectra(self, S: np.ndarray, steps: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """mu in order of their real parts and signatures, without the trivial one."""
+    def spectra(self, S: np.ndarray, steps: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """mu in order of their real parts, signatures, and which are outside; without the trivial one."""
         N, found = self.family.sites, []
         batch = max(1, BATCH_ENTRIES // (2 * N * N))
         for first in range(0, S.size, batch):
             Phi, a = self.transitions(S[first : first + batch], steps)
-            A, B, C = Phi[:, :N, :N], Phi[:, :N, N:], Phi[:, N:, :N]
+            A, B, C, D = Phi[:, :N, :N], Phi[:, :N, N:], Phi[:, N:, :N], Phi[:, N:, N:]
             for i in range(len(Phi)):
                 frame = np.linalg.svd(a[i][None, :])[2][1:].T
                 K = frame.T @ (B[i].T @ (C[i] @ frame))
                 P = frame.T @ (A[i].T @ (C[i] @ frame))
+                Q = frame.T @ (B[i].T @ (D[i] @ frame))
                 mu, x = np.linalg.eig(K)
+                y = np.linalg.inv(x)
                 form = np.real(np.sum(x * (P @ x), axis=0))
+                # mu (1 + mu) = (x^T P x) (y^T Q y): its sign is better known there than mu is next to -1 and 0.
+                product = form * np.real(np.sum(y * (y @ Q), axis=1))
+                near = np.abs(mu * (1.0 + mu)) < NEAR_ENDS
+                off = np.where(near, product, np.real(mu * (1.0 + mu))) > 0.0
+                off = np.where(mu.imag == 0.0, off, np.abs(mu.imag) > OUTSIDE)
                 order = np.argsort(mu.real, kind="stable")
-                found.append((np.asarray(mu[order], complex), -np.sign(form[order]).astype(int)))
+                found.append((np.asarray(mu[order], complex), -np.sign(form[order]).astype(int), off[order]))
         self.count += S.size
         return found
 
     def states(self, S: np.ndarray, steps: int) -> list[tuple[bool, tuple[int, ...], float]]:
         """Whether stable, the signatures along the mu axis, and log |multiplier| over the period of the worst."""
         result = []
-        for mu, signatures in self.spectra(S, steps):
-            off = (np.abs(mu.imag) > OUTSIDE) | (mu.real > OUTSIDE) | (mu.real < -1.0 - OUTSIDE)
+        for mu, signatures, off in self.spectra(S, steps):
             growth = np.abs(4.0 * np.log(np.abs(np.sqrt(mu) + np.sqrt(mu + 1.0))))
             result.append((not off.any(), tuple(signatures.tolist()), float(np.max(growth[off], initial=0.0))))
         return result
