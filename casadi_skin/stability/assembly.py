@@ -126,7 +126,9 @@ def _boundaries(order: Sequence[Segment]) -> Iterator[tuple[float, list[int], li
         yield coordinate, lefts.get(coordinate, []), rights.get(coordinate, [])
 
 
-def _match(order: Sequence[Segment], coordinate: float, lefts: Sequence[int], rights: Sequence[int]) -> list[tuple[int, int]]:
+def _match(
+    order: Sequence[Segment], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
+) -> list[tuple[int, int]]:
     """Segments with the same unstable mu at a coordinate."""
     if not (lefts and rights):
         return []

@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
-from casadi_skin.stability.blocks import DEGREE, MIDDLE, Blocks, blocks_of, comes_apart
+from casadi_skin.stability.blocks import Blocks, blocks_of, comes_apart
+from casadi_skin.stability.decoupling import DEGREE, MIDDLE
 from casadi_skin.stability.interpolation import Gap, MatrixSeries
+from casadi_skin.stability.pairs import PairBlock, Pairs
 from casadi_skin.stability.rotation import Spectrum
-from casadi_skin.stability.small_blocks import Block, ComplexBlock, Function, PairBlock, Pairs, Segment, SingleBlock
+from casadi_skin.stability.small_blocks import Block, ComplexBlock, Segment, SingleBlock
+from casadi_skin.stability.zeros import Function
 
 SHORTEST = 1e-9  # of the series that an interval belongs to: what is shorter is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
@@ -93,7 +96,7 @@ def first_intervals(series: MatrixSeries) -> list[Interval]:
             break
         parts *= 2
     stops = np.linspace(series.start, series.end, parts + 1).tolist()
-    return [Interval(series, a, b) for a, b in zip(stops[:-1], stops[1:], strict=True)]
+    return [Interval(series, a, b) for a, b in pairwise(stops)]
 
 
 @dataclass
@@ -158,9 +161,7 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
             yield part
 
 
-def _sort(
-    part: _Part, blocks: Blocks, i: int, parts: Array, changes: Array, lengths: tuple[Array, Array]
-) -> None:
+def _sort(part: _Part, blocks: Blocks, i: int, parts: Array, changes: Array, lengths: tuple[Array, Array]) -> None:
     """Put the blocks of an interval where they belong."""
     interval, columns = part.interval, blocks.columns[i]
     labels = np.where(columns >= 0, blocks.labels[i][columns], -1)

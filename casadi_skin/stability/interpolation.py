@@ -1,10 +1,7 @@
 """The matrices that decide stability, as Chebyshev series in a coordinate along a branch.
 
-With Phi = [[A, B], [C, D]] over a quarter (half) of the period, the map over twice that time is M = [[I + 2K, 2Q],
-[2P, I + 2K^T]] with K = B^T C, P = A^T C and Q = B^T D. P and Q are symmetric, K is symmetric with respect to both:
-P K and K Q are symmetric, and P Q = K^T (I + K^T). All are analytic along the branch, so that a few orbits determine
-them on a stretch of it, and everything else is asked of the series. The trivial direction a, with a^T K = -a^T or 0
-and Q a = 0, is taken out: the matrices are those on what is orthogonal to a.
+They are analytic along the branch, so that a few orbits determine them on a stretch of it, and everything else is asked
+of the series.
 """
 
 from __future__ import annotations
@@ -18,6 +15,7 @@ import numpy as np
 from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.half_period import reduced_matrices
 
 DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
@@ -54,9 +52,9 @@ class Samples:
 class BranchSampler(Protocol):
     """A stretch of branch with a coordinate along it, whatever computes its orbits.
 
-    The coordinate is one to one, also where S folds, and everything is analytic in it within each of `sections`, (start,
-    end) in ascending order. `fraction` of the period is that of the transition matrices, 0.25 or 0.5; `symplectic` tells
-    whether these are.
+    The coordinate is one to one, also where S folds, and everything is analytic in it within each of `sections`,
+    (start, end) in ascending order. `fraction` of the period is that of the transition matrices, 0.25 or 0.5;
+    `symplectic` tells whether these are.
     """
 
     @property
@@ -130,7 +128,9 @@ class Piece:
     def slopes(self, coordinates: Array) -> Array:
         """dS/d coordinate at coordinates."""
         scale = 2.0 / (self.matrices.end - self.matrices.start)
-        return scale * self._values(coordinates, chebyshev.derivative(self.S_coefficients.size - 1) @ self.S_coefficients)
+        return scale * self._values(
+            coordinates, chebyshev.derivative(self.S_coefficients.size - 1) @ self.S_coefficients
+        )
 
     def _values(self, coordinates: Array, coefficients: Array) -> Array:
         return np.asarray(chebyshev.basis(self.matrices.local(coordinates), coefficients.size - 1) @ coefficients)
@@ -179,7 +179,7 @@ class _Plan:
 
     def _length(self, degree: int) -> float:
         rate = (MARGIN / self.tolerance) ** (1.0 / degree)
-        return min(4.0 * self.radius / (rate - 1.0 / rate), self.longest)
+        return float(min(4.0 * self.radius / (rate - 1.0 / rate), self.longest))
 
     def learn(self, length: float, sizes: Array) -> None:
         """Update from the relative sizes of the coefficients, as far as these are not rounding."""
@@ -253,10 +253,11 @@ def _piece(
 ) -> tuple[Piece | None, Array]:
     """The piece, None where it does not converge, and the relative sizes of its coefficients, (degree + 1,)."""
     samples = branch.sample(start + 0.5 * (end - start) * (1.0 + chebyshev.nodes(degree)))
-    values, errors = reduced_matrices(samples, branch.symplectic)
+    values, errors = reduced_matrices(samples.transitions, samples.errors, samples.directions, branch.symplectic)
     to_coefficients = chebyshev.transform(degree)
-    coefficients, scalars = np.tensordot(to_coefficients, values, 1), to_coefficients @ np.stack(
-        [samples.S, samples.Omega], axis=1
+    coefficients, scalars = (
+        np.tensordot(to_coefficients, values, 1),
+        to_coefficients @ np.stack([samples.S, samples.Omega], axis=1),
     )
     sizes = np.concatenate([np.max(np.abs(coefficients), axis=(2, 3), initial=0.0), np.abs(scalars)], axis=1)
     sizes = np.max(sizes / np.maximum(np.max(sizes, axis=0), SMALLEST), axis=1)
@@ -269,59 +270,3 @@ def _piece(
     noise += EPSILON * np.max(np.sqrt(np.sum(values**2, axis=(2, 3))), axis=0) * degree
     series = MatrixSeries(start, end, coefficients, errors, noise)
     return Piece(series, scalars[:, 0], scalars[:, 1]), sizes
-
-
-def reduced_matrices(samples: Samples, symplectic: bool) -> tuple[Array, Array]:
-    """(K, P, Q), or K alone, without the trivial direction, and matrices like their errors; (points, 3 or 1, m, m)."""
-    n = samples.transitions.shape[1] // 2
-    if symplectic:
-        values, errors = _symplectic_matrices(samples.transitions, samples.errors)
-    else:
-        values, errors = _reversible_matrices(samples.transitions, samples.errors)
-    if samples.directions is None:
-        return values, errors
-    frame = orthogonal_complements(samples.directions)[:, None]
-    across = frame.swapaxes(2, 3)
-    return np.asarray(across @ values @ frame), np.asarray(across @ errors @ frame).reshape(-1, len(values[0]), n - 1, n - 1)
-
-
-def _symplectic_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
-    """K = B^T C, P = A^T C, Q = B^T D, and their first-order changes."""
-    n = transitions.shape[1] // 2
-    A, B, C, D = _blocks(transitions, n)
-    dA, dB, dC, dD = _blocks(errors, n)
-    At, Bt, dAt, dBt = (block.swapaxes(1, 2) for block in (A, B, dA, dB))
-    values = np.stack([Bt @ C, _symmetric(At @ C), _symmetric(Bt @ D)], axis=1)
-    changes = [dBt @ C + Bt @ dC, _symmetric(dAt @ C + At @ dC), _symmetric(dBt @ D + Bt @ dD)]
-    return values, np.stack(changes, axis=1)
-
-
-def _reversible_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
-    """K = -B' C with B' the upper right block of the inverse of Phi, and its first-order change."""
-    n = transitions.shape[1] // 2
-    inverse = np.linalg.inv(transitions)
-    B, dB = inverse[:, :n, n:], -(inverse @ errors @ inverse)[:, :n, n:]
-    C, dC = transitions[:, n:, :n], errors[:, n:, :n]
-    return (-B @ C)[:, None], (-dB @ C - B @ dC)[:, None]
-
-
-def _blocks(matrices: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    return matrices[:, :n, :n], matrices[:, :n, n:], matrices[:, n:, :n], matrices[:, n:, n:]
-
-
-def _symmetric(matrices: Array) -> Array:
-    return np.asarray(0.5 * (matrices + matrices.swapaxes(-1, -2)))
-
-
-def orthogonal_complements(directions: Array) -> Array:
-    """Orthonormal bases of what is orthogonal to each direction, smooth along them; (points, n) -> (points, n, n - 1).
-
-    A reflection maps each direction to that of the middle one, whose complement is the same for all.
-    """
-    n = directions.shape[1]
-    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    middle = unit[len(unit) // 2]
-    fixed = np.linalg.qr(np.column_stack([middle, np.eye(n)]))[0][:, 1:]
-    u = unit + middle
-    u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    return np.asarray(fixed - 2.0 * u[:, :, None] * (u @ fixed)[:, None, :])

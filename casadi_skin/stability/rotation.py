@@ -1,8 +1,8 @@
 """Signed rotation angles of multipliers, followed along a branch from the linear modes that they begin as.
 
 lambda(M) = exp(i p) on the unit circle has p = signature times arccos(1 + 2 mu), and at small amplitude mode k has
-p = omega_k t, t the time that M takes. Angles of one signature keep their cyclic order; where p_k + p_l is a multiple of
-2 pi, multipliers of opposite signatures meet.
+p = omega_k t, t the time that M takes. Angles of one signature keep their cyclic order; where p_k + p_l is a multiple
+of 2 pi, multipliers of opposite signatures meet.
 """
 
 from __future__ import annotations

@@ -30,10 +30,10 @@ class StabilityEdge:
     """Where an instability begins, ends or changes its kind.
 
     `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "collision" where two
-    meet, on the circle (a Krein collision, -1 < mu < 0) or on the real axis.
-    `signatures` are the Krein signatures of what meets: opposite ones where a collision is on the circle, one for "real",
-    none where there are none. `stable_before` and `stable_after` are those of the orbits next to it, in order of the
-    branch. `tongue` is the place in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
+    meet, on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
+    what meets: opposite ones where a collision is on the circle, one for "real", none where there are none.
+    `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
+    in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
     multipliers over the period.
     """
 
@@ -79,9 +79,9 @@ class StabilityEdge:
 class Tongue:
     """A stretch of branch, from `start` to `end`, on which one group of multipliers is off the unit circle.
 
-    Where `open_start` (`open_end`) it reaches to the end of what is known of the branch, and no edge is there. `kind` is
-    that of the instability at its start: "real" or "complex". `modes` are the linear modes whose rotation angles meet,
-    twice the same for a real one, and `order` the m of p_k + p_l = 2 pi m: omega_k + omega_l = 2 m Omega at small
+    Where `open_start` (`open_end`) it reaches to the end of what is known of the branch, and no edge is there. `kind`
+    is that of the instability at its start: "real" or "complex". `modes` are the linear modes whose rotation angles
+    meet, twice the same for a real one, and `order` the m of p_k + p_l = 2 pi m: omega_k + omega_l = 2 m Omega at small
     amplitude of an odd orbit (m Omega of one that is only reversible); None where they are not known. `growth` is
     log |multiplier| over one period at its deepest place, at S = `S_deepest`. Where it is not `decided`, it is narrower
     than the errors of its edges: `growth` may be 0 or a few times what is given.
@@ -142,10 +142,11 @@ class StabilityDiagram:
     """Every change of stability along a branch, and stability as a function of the coordinate along it.
 
     `changes` are the changes between stable and unstable, in order along the branch; `further` the other edges, where
-    orbits are unstable on both sides. `tongues` are in order of their starts. Not counted are `undecided` tongues, which
-    are shallower than errors, `windows` between tongues that are narrower than these, and `passages` of multipliers of
-    one signature. `unresolved` lists what is not known. `symplectic` tells whether signatures exist; without them
-    any two mu may leave the real axis where they meet. `power` of lambda(M) gives the multipliers over the period.
+    orbits are unstable on both sides. `tongues` are in order of their starts. Not counted are `undecided` tongues,
+    which are shallower than errors, `windows` between tongues that are narrower than these, and `passages` of
+    multipliers of one signature. `unresolved` lists what is not known. `symplectic` tells whether signatures exist;
+    without them any two mu may leave the real axis where they meet. `power` of lambda(M) gives the multipliers over the
+    period, `samples` counts the orbits that were computed.
     """
 
     changes: tuple[StabilityEdge, ...]

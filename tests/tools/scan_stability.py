@@ -16,6 +16,7 @@ import json
 import sys
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -290,7 +291,7 @@ def scan(family: Family) -> dict[str, object]:
     places = np.array(sorted(states))
     depths = []
     stops = [0.0, *[edge[0] for edge in edges], family.S_max]
-    for a, b in zip(stops[:-1], stops[1:], strict=True):
+    for a, b in pairwise(stops):
         inside = (places > a) & (places <= b)
         depths.append(float(np.max(np.array(growths)[inside], initial=0.0)))
     return {
@@ -311,7 +312,9 @@ def main() -> None:
         result = scan(FAMILIES[name])
         DATA.mkdir(parents=True, exist_ok=True)
         (DATA / f"{name}.json").write_text(json.dumps(result, indent=None, separators=(",", ":")) + "\n")
-        print(name, len(result["edges"]), "edges,", len(result["passed"]), "passed,", result["seconds"], "s", flush=True)
+        print(
+            name, len(result["edges"]), "edges,", len(result["passed"]), "passed,", result["seconds"], "s", flush=True
+        )
 
 
 if __name__ == "__main__":
