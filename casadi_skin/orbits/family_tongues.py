@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from casadi_skin.bvp.symmetry import symmetry_class
-from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.branch_sampler import OrbitSampler
-from casadi_skin.orbits.multipliers import accelerations, on_all_sites
-from casadi_skin.orbits.tools import FamilyTools
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.tongues import StabilityDiagram
 from casadi_skin.threads import one_thread
@@ -31,21 +29,22 @@ def family_tongues(branch: Branch, flow_tolerance: float = FLOW_TOLERANCE) -> St
     Returns:
         Changes of stability, tongues, and what is not decided or not resolved.
     """
-    tools, points = branch.tools, [branch.start, *(orbit.point for orbit in branch.orbits)]
-    if isinstance(tools.layout, CoreWithTail):
-        points = [on_all_sites(tools, point) for point in points]
-        tools = tools.whole
-    request = replace(tools.request, tolerance=flow_tolerance)
-    chain, flow = request.chain, FamilyTools(request).flow
-    others = {k: chain.linear_frequency(k) for k in range(1, chain.sites + 1) if k != request.mode}
+    space = branch.space
+    assert isinstance(space, Family)
+    whole = space.whole
+    points = [space.on_all_positions(point) for point in (branch.start, *(orbit.point for orbit in branch.orbits))]
+    request, coordinates = replace(whole.request, tolerance=flow_tolerance), whole.coordinates
+    frequencies = linear_frequencies(request.model, coordinates.parameters)
+    others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != coordinates.mode_number}
     with one_thread():
         sampler = OrbitSampler(
-            tools.point_solver,
+            whole.point_solver,
             points,
-            flow,
-            lambda states: accelerations(tools, states),
+            Family(request).flow,
+            whole.accelerations,
             request.S_of,
             ORBIT_TOLERANCE,
-            symmetry_class(tools.model).value,
+            whole.symmetry.value,
+            coordinates.symplectic,
         )
         return find_changes(sampler, others)
