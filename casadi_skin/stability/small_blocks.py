@@ -24,7 +24,7 @@ SAFETY = 2.0  # of estimated errors of the matrices
 class Edge:
     """A place where a block changes between stable and unstable, or from one kind of instability to the other.
 
-    `kind` is "real" where `mu` passes -1 or 0, "collision" where two mu become complex or cease to be so;
+    `kind` is "real" where `mu` passes -1 or 0, "complex" where two mu become complex or cease to be so;
     `signatures` are those of what meets, () where there are none.
     """
 
@@ -140,16 +140,31 @@ class Block:
 
     @cached_property
     def segments(self) -> list[Segment]:
-        """Where the block is unstable, in order."""
-        crossed = [edge for edge, crosses in self.edges if crosses]
-        stops = [self.start, *(edge.coordinate for edge in crossed), self.end]
+        """Where the block is unstable, in order.
+
+        A place where no function changes its sign is an edge all the same where the states beside it differ: two equal
+        mu pass -1 or 0 together.
+        """
+        stops = np.array([self.start, *(edge.coordinate for edge, _ in self.edges), self.end])
+        is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
+        passed = [crosses or outside[i] != outside[i + 1] for i, (_, crosses) in enumerate(self.edges)]
+        crossed = [edge for (edge, _), passes in zip(self.edges, passed, strict=True) if passes]
+        stops = np.array([self.start, *(edge.coordinate for edge in crossed), self.end])
         bounds: list[Edge | None] = [None, *crossed, None]
-        is_complex, outside = self.states(self.local(0.5 * (np.array(stops[:-1]) + np.array(stops[1:]))))
+        is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
         found = [
-            Segment(self, stops[i], stops[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
+            Segment(
+                self,
+                float(stops[i]),
+                float(stops[i + 1]),
+                bounds[i],
+                bounds[i + 1],
+                bool(is_complex[i]),
+                int(outside[i]),
+            )
             for i in np.flatnonzero(outside).tolist()
         ]
-        for edge in (edge for edge, crosses in self.edges if not crosses):
+        for edge in (edge for (edge, _), passes in zip(self.edges, passed, strict=True) if not passes):
             place = edge.coordinate
             if not any(segment.start <= place <= segment.end for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
