@@ -13,6 +13,8 @@ from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
 
+NOISE = 1e-7  # of log |multiplier|: what rounding makes of two mu that nearly meet
+
 
 @dataclass(frozen=True)
 class Place:
@@ -112,6 +114,12 @@ class Tongue:
     growth: float
     S_deepest: float
     decided: bool
+
+    def holds(self, coordinate: float) -> bool:
+        """Whether a coordinate lies inside, or at an end where it goes on."""
+        after_start = self.start.coordinate < coordinate or (self.open_start and self.start.coordinate == coordinate)
+        before_end = coordinate < self.end.coordinate or (self.open_end and self.end.coordinate == coordinate)
+        return after_start and before_end
 
     @property
     def width(self) -> float:
@@ -221,15 +229,22 @@ class StabilityDiagram:
 
     def is_stable(self, coordinate: float) -> bool:
         """Whether a coordinate lies in no tongue."""
-        return not any(tongue.start.coordinate < coordinate < tongue.end.coordinate for tongue in self.tongues)
+        return not any(tongue.holds(coordinate) for tongue in self.tongues)
 
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""
+        return np.asarray(np.exp(np.max(self.growths(coordinates), axis=1, initial=0.0)))
+
+    def growths(self, coordinates: Array) -> Array:
+        """log |multiplier| >= 0 over a period of each mu at coordinates, 0 outside tongues, shape (points, m)."""
         inside = np.array([not self.is_stable(coordinate) for coordinate in coordinates.tolist()], dtype=bool)
-        growth = np.zeros(len(coordinates))
-        if inside.any():
-            growth[inside] = np.max(growth_of(self.spectrum(coordinates[inside])[0]), axis=1, initial=0.0)
-        return np.asarray(np.exp(self.power * growth))
+        growth = np.zeros((len(coordinates), self.pieces[0].matrices.size))
+        for piece, chosen in by_piece(self.pieces, coordinates[inside]) if inside.any() else ():
+            rows = np.flatnonzero(inside)[chosen]
+            growth[rows] = self.power * growth_of(
+                np.linalg.eigvals(piece.matrices.at(coordinates[rows])[:, 0]).astype(complex)
+            )
+        return np.where(growth > NOISE, growth, 0.0)
 
     def rotation_angles(self, coordinates: Array) -> Array:
         """Signed rotation angles in (-pi, pi], shape (points, m): signature times the angle of lambda(M).

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -547,7 +546,7 @@ def test_both_sides_of_a_change_are_as_it_says() -> None:
 def test_points_are_stable_where_the_changes_say_so() -> None:
     branch = with_changes(SOFT, 1, 0.6, 1e-11)
     assert branch.with_stability
-    np.testing.assert_array_equal(branch.stable, branch.S < branch.changes[0].value)
+    np.testing.assert_array_equal(branch.stable, branch.changes[0].value > branch.S)
 
 
 def test_complex_instabilities_are_born_where_two_mu_meet() -> None:
