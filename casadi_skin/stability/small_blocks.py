@@ -6,7 +6,7 @@ One real mu lies in (-1, 0) where pi kappa < 0, and leaves through -1 or 0 where
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -140,20 +140,35 @@ class Block:
 
     @cached_property
     def segments(self) -> list[Segment]:
-        """Where the block is unstable, in order."""
-        crossed = [edge for edge, crosses in self.edges if crosses]
+        """Where the block is unstable, in order.
+
+        An edge within its error of an end of the interval is there: the interval beside it then sees the same one, and
+        what lies between edge and end is nothing.
+        """
+        crossed = sorted(
+            (self._at_an_end(edge) for edge, crosses in self.edges if crosses), key=lambda edge: edge.coordinate
+        )
         stops = [self.start, *(edge.coordinate for edge in crossed), self.end]
         bounds: list[Edge | None] = [None, *crossed, None]
         is_complex, outside = self.states(self.local(0.5 * (np.array(stops[:-1]) + np.array(stops[1:]))))
         found = [
             Segment(self, stops[i], stops[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
             for i in np.flatnonzero(outside).tolist()
+            if stops[i] < stops[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
         ]
         for edge in (edge for edge, crosses in self.edges if not crosses):
             place = edge.coordinate
             if not any(segment.start <= place <= segment.end for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
+
+
+    def _at_an_end(self, edge: Edge) -> Edge:
+        """The edge, moved to an end of the interval where that is within its error."""
+        for end in (self.start, self.end):
+            if abs(edge.coordinate - end) <= edge.error:
+                return replace(edge, coordinate=end)
+        return edge
 
 
 class ComplexBlock(Block):
