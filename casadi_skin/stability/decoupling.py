@@ -56,7 +56,7 @@ def decoupled(
     inverse: Numbers,
     matrices: Array,
 ) -> tuple[Numbers, Numbers, Booleans]:
-    """Right and left bases of the columns, and for which intervals they are found.
+    """Right and left bases of the columns at the nodes of any degree, and for which intervals they are found.
 
     Since P K is symmetric, P makes left bases of right ones, but for mu near -1 and 0, where it is nearly singular.
     """
@@ -106,6 +106,7 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     From the middle, where T is the identity, to ever finer sets of nodes, each from what the last set predicts.
     """
     intervals, count, size = K.shape[:3]
+    degree = count - 1
     valid = columns >= 0
     places = np.where(valid, columns, 0)
     each = np.arange(intervals)[:, None]
@@ -115,9 +116,9 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     weights = np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
     inner = _within(same, columns)
     T = np.zeros((intervals, count, size, columns.shape[1]), dtype=K.dtype)
-    T[each, MIDDLE, places, np.arange(columns.shape[1])] = valid
+    T[each, degree // 2, places, np.arange(columns.shape[1])] = valid
     done = np.ones(intervals, dtype=bool)
-    for known, wanted, prediction in nested_nodes():
+    for known, wanted, prediction in nested_nodes(degree):
         guess = np.tensordot(T[:, known], prediction, (1, 1)).transpose(0, 3, 1, 2)
         T[:, wanted], converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner)
         done &= converged
@@ -125,21 +126,21 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
 
 
 @cache
-def nested_nodes() -> tuple[tuple[slice | Indices, Indices, Array], ...]:
+def nested_nodes(degree: int) -> tuple[tuple[slice | Indices, Indices, Array], ...]:
     """Nodes known, nodes wanted, and the matrix that predicts these from those, from the middle on."""
     found = []
-    step = DEGREE
-    known: Indices = np.array([MIDDLE])
+    step = degree
+    known: Indices = np.array([degree // 2])
     while step >= 1:
-        every = np.arange(0, DEGREE + 1, step)
+        every = np.arange(0, degree + 1, step)
         wanted = np.setdiff1d(every, known)
-        degree = known.size - 1
-        if degree == 0:
+        lower = known.size - 1
+        if lower == 0:
             prediction = np.ones((wanted.size, 1))
         else:
-            prediction = chebyshev.basis(chebyshev.nodes(DEGREE)[wanted], degree) @ chebyshev.transform(degree)
+            prediction = chebyshev.basis(chebyshev.nodes(degree)[wanted], lower) @ chebyshev.transform(lower)
         found.append((known, wanted, prediction))
-        known, step = np.union1d(known, every), step // 2 if step < DEGREE else DEGREE // 4
+        known, step = np.union1d(known, every), step // 2 if step < degree else degree // 4
     return tuple(found)
 
 

@@ -162,7 +162,6 @@ class Block:
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
 
-
     def _at_an_end(self, edge: Edge) -> Edge:
         """The edge, moved to an end of the interval where that is within its error."""
         for end in (self.start, self.end):

@@ -46,7 +46,9 @@ def test_a_krein_collision_is_found_however_narrow_its_window(width: float) -> N
     assert [edge.signatures for edge in diagram.changes] == [(1, -1)] * 2
     assert [(edge.stable_before, edge.stable_after) for edge in diagram.changes] == [(True, False), (False, True)]
     assert diagram.complete
-    assert not (diagram.further or diagram.undecided or diagram.windows)
+    assert not diagram.further
+    assert not diagram.undecided
+    assert not diagram.windows
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -70,7 +72,8 @@ def test_an_edge_where_two_intervals_meet_is_there_once(middle: float, width: fl
             expected = sorted([a, b, (0.9 - 0.02) / 1.7, (0.9 + 0.02) / 1.7])
             edges = sorted(edge.S for edge in (*diagram.changes, *diagram.further))
             assert edges == pytest.approx(expected, abs=1e-12)
-            assert not (diagram.undecided or diagram.windows)
+            assert not diagram.undecided
+            assert not diagram.windows
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -95,21 +98,23 @@ def test_a_pair_that_only_touches_opens_one_window() -> None:
 
 def test_a_pair_that_nearly_touches_opens_none() -> None:
     diagram = find_changes(SymplecticFamily([collision(cubic(0.25 + 3e-7, -1.0, 1.0), 1e-7), FAR]))
-    assert not (diagram.changes or diagram.undecided)
+    assert not diagram.changes
+    assert not diagram.undecided
 
 
 def test_multipliers_of_one_signature_pass_without_instability() -> None:
     diagram = find_changes(SymplecticFamily([passage(cubic(-0.4, 1.0)), FAR]))
-    assert not (diagram.changes or diagram.undecided)
+    assert not diagram.changes
+    assert not diagram.undecided
     (met,) = diagram.passages
-    assert met.place.S == pytest.approx(0.4, abs=1e-9)
+    assert abs(met.place.S - 0.4) <= 1e-9
 
 
 def test_opposite_signatures_that_pass_uncoupled_are_not_decided_and_not_counted() -> None:
     diagram = find_changes(SymplecticFamily([collision(cubic(-0.4, 1.0), 0.0), FAR]))
     assert not diagram.changes
     (tongue,) = diagram.undecided
-    assert tongue.start.S == pytest.approx(0.4, abs=1e-12)
+    assert abs(tongue.start.S - 0.4) <= 1e-12
 
 
 @pytest.mark.parametrize(("coupling", "decided"), [(1e-6, True), (1e-10, False)])
@@ -160,7 +165,7 @@ def test_a_stable_window_between_two_tongues_is_found_or_said_to_be_too_narrow()
     narrow = SymplecticFamily([first, collision(cubic(-0.8 - 1e-10, 2.0), 0.05, square=3.0)], error=1e-9)
     diagram = find_changes(narrow)
     assert places(diagram) == pytest.approx([0.25, 0.45], abs=1e-8)
-    assert diagram.windows[0].start.S == pytest.approx(0.35, abs=1e-8)
+    assert abs(diagram.windows[0].start.S - 0.35) <= 1e-8
 
 
 def test_an_orbit_that_is_not_found_leaves_an_interval_unresolved() -> None:
