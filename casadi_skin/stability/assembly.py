@@ -147,7 +147,7 @@ def _loose_edge(segment: Segment, coordinate: float) -> Edge:
     error = LOOSE * (segment.block.end - segment.block.start)
     mu = complex(np.mean(segment.block.unstable_mu(segment, coordinate)))
     if segment.is_complex:
-        return Edge(coordinate, error, "collision", mu.real, (1, -1) if segment.block.noise.size == 3 else ())
+        return Edge(coordinate, error, "complex", mu.real, (1, -1) if segment.block.noise.size == 3 else ())
     return Edge(coordinate, error, "real", float(np.round(mu.real)), ())
 
 

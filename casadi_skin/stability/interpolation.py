@@ -97,7 +97,7 @@ class MatrixSeries:
         """The matrices, shape (points, 3 or 1, m, m)."""
         weights = chebyshev.basis(self.local(coordinates), self.coefficients.shape[0] - 1)
         flat = weights @ self.coefficients.reshape(self.coefficients.shape[0], -1)
-        return np.asarray(flat.reshape(-1, *self.coefficients.shape[1:]))
+        return np.asarray(flat.reshape(len(weights), *self.coefficients.shape[1:]))
 
     def errors_at(self, coordinates: Array) -> Array:
         """Matrices like their errors, between nodes by straight lines, shape (points, 3 or 1, m, m)."""

@@ -77,7 +77,7 @@ class PairBlock(Block):
             for x, width, crosses in function.zeros:
                 mu = float((chebyshev.basis(x, FINE) @ self._series)[0])
                 met = (1, -1) if self.noise.size == 3 and -1.0 < mu < 0.0 else ()
-                found.append((self._edge(x, width, "collision", mu, met), crosses))
+                found.append((self._edge(x, width, "complex", mu, met), crosses))
         for which, function in enumerate(self.ends):
             for x, width, crosses in function.zeros:
                 end, signatures = self._leaving(x, which)

@@ -24,7 +24,7 @@ SAFETY = 2.0  # of estimated errors of the matrices
 class Edge:
     """A place where a block changes between stable and unstable, or from one kind of instability to the other.
 
-    `kind` is "real" where `mu` passes -1 or 0, "collision" where two mu become complex or cease to be so;
+    `kind` is "real" where `mu` passes -1 or 0, "complex" where two mu become complex or cease to be so;
     `signatures` are those of what meets, () where there are none.
     """
 
@@ -143,20 +143,27 @@ class Block:
         """Where the block is unstable, in order.
 
         An edge within its error of an end of the interval is there: the interval beside it then sees the same one, and
-        what lies between edge and end is nothing.
+        what lies between edge and end is nothing. A place where no function changes its sign is an edge all the same
+        where the states beside it differ: two equal mu pass -1 or 0 together.
         """
-        crossed = sorted(
-            (self._at_an_end(edge) for edge, crosses in self.edges if crosses), key=lambda edge: edge.coordinate
+        edges = sorted(
+            ((self._at_an_end(edge), crosses) for edge, crosses in self.edges), key=lambda item: item[0].coordinate
         )
-        stops = [self.start, *(edge.coordinate for edge in crossed), self.end]
+        stops = np.array([self.start, *(edge.coordinate for edge, _ in edges), self.end])
+        lengths, (_, outside) = np.diff(stops), self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
+        differ = (outside[:-1] != outside[1:]) & (lengths[:-1] > 0.0) & (lengths[1:] > 0.0)
+        passed = [crosses or bool(differ[i]) for i, (_, crosses) in enumerate(edges)]
+        crossed = [edge for (edge, _), passes in zip(edges, passed, strict=True) if passes]
+        places = [self.start, *(edge.coordinate for edge in crossed), self.end]
         bounds: list[Edge | None] = [None, *crossed, None]
-        is_complex, outside = self.states(self.local(0.5 * (np.array(stops[:-1]) + np.array(stops[1:]))))
+        stops = np.array(places)
+        is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
         found = [
-            Segment(self, stops[i], stops[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
+            Segment(self, places[i], places[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
             for i in np.flatnonzero(outside).tolist()
-            if stops[i] < stops[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
+            if places[i] < places[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
         ]
-        for edge in (edge for edge, crosses in self.edges if not crosses):
+        for edge in (edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes):
             place = edge.coordinate
             if not any(segment.start <= place <= segment.end for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))

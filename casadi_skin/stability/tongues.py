@@ -29,8 +29,8 @@ class Place:
 class StabilityEdge:
     """Where an instability begins, ends or changes its kind.
 
-    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "collision" where two
-    meet, on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
+    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
+    on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
     what meets: opposite ones where a collision is on the circle, one for "real", none where there are none.
     `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
     in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
@@ -51,6 +51,21 @@ class StabilityEdge:
     def S(self) -> float:
         """Amplitude."""
         return self.place.S
+
+    @property
+    def value(self) -> float:
+        """S, which a family is followed in."""
+        return self.place.S
+
+    @property
+    def error(self) -> float:
+        """Estimated error of S."""
+        return self.place.S_error
+
+    @property
+    def S_width(self) -> float:
+        """Length of the interval of S that holds the edge."""
+        return 2.0 * self.place.S_error
 
     @property
     def S_error(self) -> float:
@@ -204,14 +219,17 @@ class StabilityDiagram:
             mu[chosen], signatures[chosen] = spectra(piece.matrices.at(coordinates[chosen]))
         return mu, signatures
 
+    def is_stable(self, coordinate: float) -> bool:
+        """Whether a coordinate lies in no tongue."""
+        return not any(tongue.start.coordinate < coordinate < tongue.end.coordinate for tongue in self.tongues)
+
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""
-        mu, _ = self.spectrum(coordinates)
-        growth = np.max(growth_of(mu), axis=1, initial=0.0)
-        inside = np.zeros(len(coordinates), dtype=bool)
-        for tongue in self.tongues:
-            inside |= (coordinates > tongue.start.coordinate) & (coordinates < tongue.end.coordinate)
-        return np.asarray(np.exp(np.where(inside, self.power * growth, 0.0)))
+        inside = np.array([not self.is_stable(coordinate) for coordinate in coordinates.tolist()], dtype=bool)
+        growth = np.zeros(len(coordinates))
+        if inside.any():
+            growth[inside] = np.max(growth_of(self.spectrum(coordinates[inside])[0]), axis=1, initial=0.0)
+        return np.asarray(np.exp(self.power * growth))
 
     def rotation_angles(self, coordinates: Array) -> Array:
         """Signed rotation angles in (-pi, pi], shape (points, m): signature times the angle of lambda(M).

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.family_tongues import family_tongues
 from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge
 
@@ -27,7 +28,9 @@ NAMES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for
 def diagram_of(name: str) -> StabilityDiagram:
     family = SCANS[name]["family"]
     chain = Chain(family["sites"], family["alpha"], family["gamma"], family["g"])
-    return family_tongues(follow_family(chain, family["mode"], family["S_max"], stability=False))
+    branch = follow_family(chain, family["mode"], family["S_max"], stability=False)
+    assert isinstance(branch.space, Family)
+    return family_tongues(branch.space, (branch.start, *(orbit.point for orbit in branch.orbits)))
 
 
 def without_partner(scan: dict[str, Any], diagram: StabilityDiagram) -> tuple[list[float], list[StabilityEdge]]:

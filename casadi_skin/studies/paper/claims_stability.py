@@ -26,8 +26,8 @@ def _multipliers(data: PaperData) -> Iterator[Claim]:
     branch = data.end_breather
     first = branch.changes[0]
     yield claim(
-        "Fig. 5(a)", "j = 1, g = -1 is stable at weak amplitude", "stable", f"stable up to S = {first.S:.6f}",
-        first.stable_before, "where the energy has a maximum along the family", first.S_width,
+        "Fig. 5(a)", "j = 1, g = -1 is stable at weak amplitude", "stable", f"stable up to S = {first.value:.6f}",
+        first.stable_before, "where the energy has a maximum along the family", first.error,
     )  # fmt: skip
     at_one, at_three = (branch.at(S=S).floquet() for S in (1.0, 3.0))
     yield claim(
@@ -42,7 +42,7 @@ def _multipliers(data: PaperData) -> Iterator[Claim]:
         f"largest {at_three.max_abs_multiplier:.9f}",
         at_three.unstable_real > 0 and at_three.unstable_complex > 0, error=TOLERANCE,
     )  # fmt: skip
-    windows = ", ".join(f"{c.S:.4f} ({c.kind})" for c in branch.changes)
+    windows = ", ".join(f"{c.value:.4f} ({c.kind})" for c in branch.changes)
     yield claim(
         "Fig. 5(a)", "stable and unstable windows alternate at moderate amplitude", "alternating",
         f"{len(branch.changes)} changes located to S = 3: {windows}", len(branch.changes) >= 3,
@@ -69,7 +69,7 @@ def _weak_amplitude(data: PaperData) -> Iterator[Claim]:
     onsets = {}
     for sign, families in (("+", data.hardening), ("-", data.softening)):
         for mode, branch in families.items():
-            onsets[f"j = {mode}, g = {sign}1"] = branch.changes[0].S if branch.changes else np.inf
+            onsets[f"j = {mode}, g = {sign}1"] = branch.changes[0].value if branch.changes else np.inf
     early = {name: S for name, S in onsets.items() if S < 0.2}
     yield claim(
         "Sec. III, Fig. 3", "modes at weak amplitude are generally stable", "generally stable",

@@ -13,6 +13,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
+from casadi_skin.figures.tongues import moduli as moduli_line
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.reduction import ComplexArray
@@ -53,14 +54,12 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
         outer = np.abs(floquet.others[floquet.outside])
         S += [orbit.S] * (2 * outer.size)
         moduli += [*outer, *1.0 / outer]
-    on_circle = [0.0, *(change.S for change in branch.changes)]
-    largest = np.concatenate([branch.max_abs_multiplier, np.ones(len(on_circle))])
-    at = np.concatenate([branch.S, on_circle])
-    order = np.argsort(at, kind="stable")
+    diagram = branch.stability_diagram
+    assert diagram is not None
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    axes.plot(at[order], largest[order], color="black", lw=1.0, label=f"largest {MODULUS}", zorder=2)
+    axes.plot(*moduli_line(diagram).T, color="black", lw=1.0, label=f"largest {MODULUS}", zorder=2)
     axes.plot(S, moduli, ".", ms=2.5, color="0.35", label=f"{MODULUS} off the unit circle", zorder=3)
-    ends = [0.0, *(change.S for change in branch.changes), float(branch.S.max())]
+    ends = [0.0, *(change.value for change in branch.changes), float(branch.S.max())]
     stable = [bool(branch.stable[0]), *(bool(change.stable_after) for change in branch.changes)]
     for left, right, is_stable in zip(ends[:-1], ends[1:], stable, strict=True):
         if is_stable:
