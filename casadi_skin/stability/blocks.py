@@ -38,7 +38,8 @@ class Blocks:
     interval has fewer. `right` (intervals, J, m, c) and `left` (intervals, J, c, m) are the bases: left @ right is the
     identity and left @ K @ right block diagonal. `real` (intervals, m) tells which mu have real columns. Where `done`
     is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the
-    interval are those at the middle.
+    interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and `near`
+    tells which mu may come to -1 or 0.
     """
 
     labels: Indices
@@ -50,14 +51,47 @@ class Blocks:
     mu: ComplexArray
     vectors: Numbers
     rates: Numbers
+    basis: Numbers
+    inverse: Numbers
+    near: Booleans
 
     def parts(self, matrices: Array) -> Numbers:
         """K, P and Q, or K alone, on the columns: (intervals, J, 3 or 1, m, m) -> (intervals, J, 3 or 1, c, c)."""
-        X, Y = self.right, self.left
-        parts = [Y @ matrices[:, :, 0] @ X]
-        if matrices.shape[2] == 3:
-            parts += [X.swapaxes(2, 3) @ matrices[:, :, 1] @ X, Y @ matrices[:, :, 2] @ Y.swapaxes(2, 3)]
-        return np.stack(parts, axis=2)
+        return _parts(matrices, self.right, self.left)
+
+    def finer(self, i: int, chosen: Indices, matrices: Array) -> tuple[Numbers, Numbers, Numbers] | None:
+        """Chosen columns of one interval anew, from the matrices at the nodes of a higher degree.
+
+        Arguments:
+            i: number of the interval.
+            chosen: mu of whole blocks, shape (c,).
+            matrices: shape (J, 3 or 1, m, m).
+
+        Returns:
+            Their parts (J, 3 or 1, c, c) and bases; None where these are not found.
+        """
+        same = self.labels[i][:, None] == self.labels[i]
+        K = self.inverse[i] @ matrices[:, 0] @ self.basis[i]
+        where = chosen[None], self.near[i][None], self.basis[i][None], self.inverse[i][None]
+        right, left, fine = decoupled(K[None], same[None], *where, matrices[None])
+        if not fine[0]:
+            return None
+        right, left = _scaled(right, left)
+        return _parts(matrices[None], right, left)[0], right[0], left[0]
+
+
+def _parts(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
+    parts = [left @ matrices[:, :, 0] @ right]
+    if matrices.shape[2] == 3:
+        parts += [right.swapaxes(2, 3) @ matrices[:, :, 1] @ right, left @ matrices[:, :, 2] @ left.swapaxes(2, 3)]
+    return np.stack(parts, axis=2)
+
+
+def _scaled(right: Numbers, left: Numbers) -> tuple[Numbers, Numbers]:
+    """Bases whose columns and rows are of one length at the middle."""
+    scale = np.sqrt(np.linalg.norm(left[:, left.shape[1] // 2], axis=2))[:, None]
+    scale[scale == 0.0] = 1.0
+    return right * scale[..., None, :], left / scale[..., :, None]
 
 
 def blocks_of(matrices: Array) -> list[tuple[Indices, Blocks]]:
@@ -106,18 +140,20 @@ def _blocks(matrices: Array, mu: ComplexArray, vectors: Numbers, real: Booleans)
         i = np.flatnonzero(fine)
         right[i], left[i], fine[i] = decoupled(K[i], same[i], columns[i], near[i], vectors[i], inverse[i], matrices[i])
     right[~fine], left[~fine] = 0.0, 0.0
-    scale = np.sqrt(np.linalg.norm(left[:, MIDDLE], axis=2))[:, None]
-    scale[scale == 0.0] = 1.0
+    right, left = _scaled(right, left)
     return Blocks(
         labels=np.argmax(same, axis=2),
         columns=columns,
-        right=right * scale[..., None, :],
-        left=left / scale[..., :, None],
+        right=right,
+        left=left,
         real=real,
         done=fine,
         mu=np.asarray(mu, dtype=complex),
         vectors=original,
         rates=rates,
+        basis=vectors,
+        inverse=inverse,
+        near=near,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.blocks import Blocks, blocks_of, comes_apart
-from casadi_skin.stability.decoupling import DEGREE, MIDDLE
+from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Indices
 from casadi_skin.stability.interpolation import Gap, MatrixSeries
 from casadi_skin.stability.pairs import PairBlock, Pairs
 from casadi_skin.stability.rotation import Spectrum
@@ -26,6 +26,7 @@ from casadi_skin.stability.zeros import Function
 SHORTEST = 1e-9  # of the series that an interval belongs to: what is shorter is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
 ACCURATE = 1e-9  # of a block's entries: what its series may leave out
+FINE = 2 * DEGREE  # degree of the series of a block that needs more than the others of its interval
 MOST = 4096  # intervals of a series to begin with
 
 
@@ -46,7 +47,11 @@ class Interval:
     @property
     def places(self) -> Array:
         """Coordinates of the nodes, shape (DEGREE + 1,)."""
-        return self.start + 0.5 * (self.end - self.start) * (1.0 + chebyshev.nodes(DEGREE))
+        return self.nodes(DEGREE)
+
+    def nodes(self, degree: int) -> Array:
+        """Coordinates of the nodes of any degree."""
+        return self.start + 0.5 * (self.end - self.start) * (1.0 + chebyshev.nodes(degree))
 
     @property
     def is_shortest(self) -> bool:
@@ -165,30 +170,67 @@ def _sort(part: _Part, blocks: Blocks, i: int, parts: Array, changes: Array, len
     """Put the blocks of an interval where they belong."""
     interval, columns = part.interval, blocks.columns[i]
     labels = np.where(columns >= 0, blocks.labels[i][columns], -1)
+    rough = []
     for label in np.unique(labels[labels >= 0]).tolist():
         members = np.flatnonzero(labels == label)
         k = parts[:, :, members[:, None], members]
         change = changes[:, :, members[:, None], members]
-        tails = np.sqrt(np.sum(chebyshev.tail(np.tensordot(chebyshev.transform(DEGREE), k, 1)) ** 2, axis=(1, 2)))
+        tails = _tails(k)
         x, y = (float(np.linalg.norm(length[members])) for length in lengths)
         noise = interval.series.noise * np.array([x * y, x * x, y * y])[: interval.series.noise.size]
         if not blocks.real[i, columns[members]].all():
             part.blocks.append(ComplexBlock(interval.start, interval.end, k, np.abs(change), noise, tails))
             continue
         k, change = k.real, change.real
-        rough = bool(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(0, 2, 3))))
         if members.size == 1:
             block = SingleBlock(interval.start, interval.end, k, change, noise, tails)
             if not block.is_quiet:
                 part.blocks.append(block)
+        elif members.size > 2 and is_definite(k):
+            pass
+        elif _is_rough(k, tails) and not interval.is_shortest:
+            rough.append((members, change, noise))
         elif members.size == 2:
             part.pairs.append((k, change, noise, tails))
-            part.too_long |= rough and not interval.is_shortest
-        elif not is_definite(k):
-            coefficients = np.tensordot(chebyshev.transform(DEGREE), k, 1)
-            series = MatrixSeries(interval.start, interval.end, coefficients, change, noise + tails)
-            part.larger += Interval(series, interval.start, interval.end).halves
-            part.too_long |= rough
+        else:
+            part.larger += _halves_of_block(interval, k, change, noise + tails)
+    if rough:
+        _refine(part, blocks, i, rough)
+
+
+def _refine(part: _Part, blocks: Blocks, i: int, rough: Sequence[tuple[Indices, Array, Array]]) -> None:
+    """Give series of a higher degree to some blocks of an interval, whose halves are then looked at on their own."""
+    interval = part.interval
+    members = np.concatenate([each for each, *_ in rough])
+    found = blocks.finer(i, blocks.columns[i][members], interval.series.at(interval.nodes(FINE)))
+    first = 0
+    for each, change, noise in rough:
+        inside = slice(first, first + each.size)
+        first += each.size
+        if found is not None:
+            k = found[0][:, :, inside, inside].real
+            tails = _tails(k)
+        if found is None or _is_rough(k, tails):
+            part.too_long = True
+            return
+        part.larger += _halves_of_block(interval, k, change, noise + tails)
+
+
+def _tails(k: Array) -> Array:
+    """Norms of what the series of the matrices of a block leave out, (J, 3 or 1, c, c) -> (3 or 1,)."""
+    coefficients = np.tensordot(chebyshev.transform(len(k) - 1), k, 1)
+    return np.asarray(np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2))))
+
+
+def _is_rough(k: Array, tails: Array) -> bool:
+    return bool(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(0, 2, 3))))
+
+
+def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) -> tuple[Interval, Interval]:
+    """Both halves of an interval, with the matrices of one of its blocks alone."""
+    coefficients = np.tensordot(chebyshev.transform(len(k) - 1), k, 1)
+    series = MatrixSeries(interval.start, interval.end, coefficients, change, noise)
+    return Interval(series, interval.start, interval.end).halves
 
 
 def _finish_pairs(parts: Sequence[_Part]) -> None:

@@ -15,6 +15,7 @@ DEGREE = 16  # of the series on an interval
 MIDDLE = DEGREE // 2
 ITERATIONS = 60
 CONVERGED = 1e-13
+SETTLED = 1e-9  # a step that rounding keeps from becoming smaller: its square is nothing to a block
 CONTRACTING = 0.5  # of the first step to the last of a few more, for all mu
 STEPS = 3
 SMALL = 1e-3  # steps below this contract
@@ -55,7 +56,7 @@ def decoupled(
     inverse: Numbers,
     matrices: Array,
 ) -> tuple[Numbers, Numbers, Booleans]:
-    """Right and left bases of the columns, and for which intervals they are found.
+    """Right and left bases of the columns at the nodes of any degree, and for which intervals they are found.
 
     Since P K is symmetric, P makes left bases of right ones, but for mu near -1 and 0, where it is nearly singular.
     """
@@ -105,6 +106,7 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     From the middle, where T is the identity, to ever finer sets of nodes, each from what the last set predicts.
     """
     intervals, count, size = K.shape[:3]
+    degree = count - 1
     valid = columns >= 0
     places = np.where(valid, columns, 0)
     each = np.arange(intervals)[:, None]
@@ -114,9 +116,9 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     weights = np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
     inner = _within(same, columns)
     T = np.zeros((intervals, count, size, columns.shape[1]), dtype=K.dtype)
-    T[each, MIDDLE, places, np.arange(columns.shape[1])] = valid
+    T[each, degree // 2, places, np.arange(columns.shape[1])] = valid
     done = np.ones(intervals, dtype=bool)
-    for known, wanted, prediction in nested_nodes():
+    for known, wanted, prediction in nested_nodes(degree):
         guess = np.tensordot(T[:, known], prediction, (1, 1)).transpose(0, 3, 1, 2)
         T[:, wanted], converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner)
         done &= converged
@@ -124,21 +126,21 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
 
 
 @cache
-def nested_nodes() -> tuple[tuple[slice | Indices, Indices, Array], ...]:
+def nested_nodes(degree: int) -> tuple[tuple[slice | Indices, Indices, Array], ...]:
     """Nodes known, nodes wanted, and the matrix that predicts these from those, from the middle on."""
     found = []
-    step = DEGREE
-    known: Indices = np.array([MIDDLE])
+    step = degree
+    known: Indices = np.array([degree // 2])
     while step >= 1:
-        every = np.arange(0, DEGREE + 1, step)
+        every = np.arange(0, degree + 1, step)
         wanted = np.setdiff1d(every, known)
-        degree = known.size - 1
-        if degree == 0:
+        lower = known.size - 1
+        if lower == 0:
             prediction = np.ones((wanted.size, 1))
         else:
-            prediction = chebyshev.basis(chebyshev.nodes(DEGREE)[wanted], degree) @ chebyshev.transform(degree)
+            prediction = chebyshev.basis(chebyshev.nodes(degree)[wanted], lower) @ chebyshev.transform(lower)
         found.append((known, wanted, prediction))
-        known, step = np.union1d(known, every), step // 2 if step < DEGREE else DEGREE // 4
+        known, step = np.union1d(known, every), step // 2 if step < degree else degree // 4
     return tuple(found)
 
 
@@ -151,6 +153,7 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
     here, turn, weights = K.reshape(-1, size, size), T.copy(), weights.reshape(-1, size, width)
     rows, numbers = np.repeat(places, shape[1], axis=0), np.arange(len(T))[:, None]
     inner = np.repeat(inner, shape[1], axis=0).astype(float)
+    before = np.full(len(T), np.inf)
     for _ in range(ITERATIONS):
         product = here @ turn
         block = product[numbers[: len(rows)], rows]
@@ -160,11 +163,13 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
             step = np.multiply(product, weights, out=product)
             turn += step
             largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
-        T[active], converged[active] = turn, largest <= CONVERGED
-        going = (largest > CONVERGED) & (largest < 1.0)
+        enough = (largest <= CONVERGED) | ((largest <= SETTLED) & (largest > CONTRACTING * before))
+        T[active], converged[active] = turn, enough
+        going = ~enough & (largest < 1.0)
         if not going.any():
             break
         if not going.all():
             active, here, turn, weights = active[going], here[going], turn[going], weights[going]
             rows, inner = rows[going], inner[going]
+        before = largest[going]
     return T.reshape(*shape, size, width), np.asarray(converged.reshape(shape).all(axis=1))

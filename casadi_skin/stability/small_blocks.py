@@ -6,7 +6,7 @@ One real mu lies in (-1, 0) where pi kappa < 0, and leaves through -1 or 0 where
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -142,33 +142,39 @@ class Block:
     def segments(self) -> list[Segment]:
         """Where the block is unstable, in order.
 
-        A place where no function changes its sign is an edge all the same where the states beside it differ: two equal
-        mu pass -1 or 0 together.
+        An edge within its error of an end of the interval is there: the interval beside it then sees the same one, and
+        what lies between edge and end is nothing. A place where no function changes its sign is an edge all the same
+        where the states beside it differ: two equal mu pass -1 or 0 together.
         """
-        stops = np.array([self.start, *(edge.coordinate for edge, _ in self.edges), self.end])
-        is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
-        passed = [crosses or outside[i] != outside[i + 1] for i, (_, crosses) in enumerate(self.edges)]
-        crossed = [edge for (edge, _), passes in zip(self.edges, passed, strict=True) if passes]
-        stops = np.array([self.start, *(edge.coordinate for edge in crossed), self.end])
+        edges = sorted(
+            ((self._at_an_end(edge), crosses) for edge, crosses in self.edges), key=lambda item: item[0].coordinate
+        )
+        stops = np.array([self.start, *(edge.coordinate for edge, _ in edges), self.end])
+        lengths, (_, outside) = np.diff(stops), self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
+        differ = (outside[:-1] != outside[1:]) & (lengths[:-1] > 0.0) & (lengths[1:] > 0.0)
+        passed = [crosses or bool(differ[i]) for i, (_, crosses) in enumerate(edges)]
+        crossed = [edge for (edge, _), passes in zip(edges, passed, strict=True) if passes]
+        places = [self.start, *(edge.coordinate for edge in crossed), self.end]
         bounds: list[Edge | None] = [None, *crossed, None]
+        stops = np.array(places)
         is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
         found = [
-            Segment(
-                self,
-                float(stops[i]),
-                float(stops[i + 1]),
-                bounds[i],
-                bounds[i + 1],
-                bool(is_complex[i]),
-                int(outside[i]),
-            )
+            Segment(self, places[i], places[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
             for i in np.flatnonzero(outside).tolist()
+            if places[i] < places[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
         ]
-        for edge in (edge for (edge, _), passes in zip(self.edges, passed, strict=True) if not passes):
+        for edge in (edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes):
             place = edge.coordinate
             if not any(segment.start <= place <= segment.end for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
+
+    def _at_an_end(self, edge: Edge) -> Edge:
+        """The edge, moved to an end of the interval where that is within its error."""
+        for end in (self.start, self.end):
+            if abs(edge.coordinate - end) <= edge.error:
+                return replace(edge, coordinate=end)
+        return edge
 
 
 class ComplexBlock(Block):

@@ -5,7 +5,8 @@ method on sparse equations; the variational flow over a quarter of the period is
 8 (Kahan and Li 1997) in fixed steps; stability is read off the eigenvalues of B^T C. The scan goes in even steps of S.
 Between two stable points where the order of Krein signatures along the mu axis differs, two multipliers have passed
 each other: halving then looks for the window in which they are off the circle, however narrow. Edges of windows are
-halved to `RESOLUTION`.
+halved to `RESOLUTION`. What rounding makes of a place is measured: how far from an edge flows of two step sizes still
+tell the wrong side of it.
 
     python tests/tools/scan_stability.py NAME ...      # writes tests/data/stability_changes/NAME.json
 """
@@ -31,6 +32,8 @@ NEAR_ENDS = 1e-5
 ORBIT_ERROR = 1e-11
 BATCH_ENTRIES = 20_000
 COARSE, FINE = 10, 32  # steps a quarter of the period: of the scan, and of all that is looked at closely
+OTHER = 39  # steps of another flow, for errors of places
+DOUBLINGS = 13  # of RESOLUTION, up to which an edge is asked on which side of it a place is
 PANEL_NODES = 17
 # Kahan and Li (1997), 17 stages, order 8; as in Hairer, Lubich and Wanner, Geometric Numerical Integration, V.3.2.
 HALF = (
@@ -144,7 +147,8 @@ class Orbits:
                     orbits.append(self._newton(float(S), guess))
                 interpolant = BarycentricInterpolator(places, np.array(orbits))
                 middle = 0.5 * (places[7] + places[8])
-                error = np.max(np.abs(interpolant(middle) - self._newton(middle, interpolant(middle))))
+                orbit = self._newton(middle, interpolant(middle))
+                error = np.max(np.abs(interpolant(middle) - orbit)) / np.max(np.abs(orbit))
             except ArithmeticError:
                 error = np.inf
             if error > ORBIT_ERROR:
@@ -257,7 +261,6 @@ def _differ(first: tuple[bool, tuple[int, ...], float], second: tuple[bool, tupl
 
 def scan(family: Family) -> dict[str, object]:
     """All that is found on a family."""
-    clock = time.time()
     orbits = Orbits(family)
     stability = Stability(orbits)
     some = np.linspace(0.05, 1.0, 8) * family.S_max
@@ -287,6 +290,8 @@ def scan(family: Family) -> dict[str, object]:
         states.update(zip(middles.tolist(), stability.states(middles, FINE), strict=True))
         waiting = [part for (a, b), m in zip(interesting, middles.tolist(), strict=True) for part in ((a, m), (m, b))]
     edges.sort()
+    errors = edge_errors(stability, edges)
+    passed = [S for S in passed if all(abs(S - 0.5 * (a + b)) > e for (a, b, _), e in zip(edges, errors, strict=True))]
     growths = [state[2] for _, state in sorted(states.items())]
     places = np.array(sorted(states))
     depths = []
@@ -296,25 +301,48 @@ def scan(family: Family) -> dict[str, object]:
         depths.append(float(np.max(np.array(growths)[inside], initial=0.0)))
     return {
         "family": {k: getattr(family, k) for k in ("sites", "alpha", "gamma", "g", "mode", "S_max", "step")},
-        "edges": edges,
+        "edges": [[*edge, error] for edge, error in zip(edges, errors, strict=True)],
         "depths": depths,
         "passed": sorted(passed),
         "orbit_error": orbits.error,
         "flow_error": flow_error,
         "points": stability.count,
-        "seconds": round(time.time() - clock, 1),
     }
+
+
+def edge_errors(stability: Stability, edges: list) -> list[float]:
+    """How far from each edge a place may be on the wrong side of it, by rounding and by the flow's steps."""
+    places, expected, owners, away = [], [], [], []
+    for i, (a, b, stable) in enumerate(edges):
+        before = edges[i - 1][1] if i else 0.0
+        after = edges[i + 1][0] if i + 1 < len(edges) else stability.family.S_max
+        for distance in RESOLUTION * 2.0 ** np.arange(DOUBLINGS + 1):
+            sides = ((a - distance, not stable, a - before), (b + distance, stable, after - b))
+            for place, state, room in sides:
+                if distance < 0.5 * room:
+                    places.append(place)
+                    expected.append(state)
+                    owners.append(i)
+                    away.append(distance)
+    errors = [RESOLUTION] * len(edges)
+    for steps in (FINE, OTHER) if places else ():
+        for state, wanted, i, distance in zip(
+            stability.states(np.array(places), steps), expected, owners, away, strict=True
+        ):
+            if state[0] != wanted:
+                errors[i] = max(errors[i], 2.0 * float(distance))
+    return errors
 
 
 def main() -> None:
     """Scan the families named on the command line, all of them where none is."""
     for name in sys.argv[1:] or FAMILIES:
+        clock = time.time()
         result = scan(FAMILIES[name])
         DATA.mkdir(parents=True, exist_ok=True)
         (DATA / f"{name}.json").write_text(json.dumps(result, indent=None, separators=(",", ":")) + "\n")
-        print(
-            name, len(result["edges"]), "edges,", len(result["passed"]), "passed,", result["seconds"], "s", flush=True
-        )
+        words = f"{len(result['edges'])} edges, {len(result['passed'])} passed, {time.time() - clock:.0f} s"
+        print(name, words, flush=True)
 
 
 if __name__ == "__main__":

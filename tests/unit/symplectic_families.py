@@ -64,7 +64,8 @@ class SymplecticFamily:
     """Blocks side by side, mixed by a change of coordinates that turns along the branch.
 
     M = exp(J diag(A, B)) for each s, from Phi = exp(J diag(A, B)/2). `swapped` multiplies Phi by a matrix that makes M
-    into -M: what happened at mu = 0 then happens at mu = -1.
+    into -M: what happened at mu = 0 then happens at mu = -1. `error` is what the flow says of its errors, `noise` what
+    they are: entries that differ from one coordinate to the next without any order.
     """
 
     blocks: Sequence[Entries]
@@ -72,6 +73,7 @@ class SymplecticFamily:
     amplitude: Callable[[Array], Array] = field(default=lambda s: s)
     missing: tuple[float, float] | None = None
     error: float = 0.0
+    noise: float = 0.0
     sections: Sequence[tuple[float, float]] = ((0.0, 1.0),)
     fraction: float = 0.25
     symplectic: bool = True
@@ -88,7 +90,9 @@ class SymplecticFamily:
         k = np.arange(n)
         mix = np.cos(1.0 + np.add.outer(k**2, 3.0 * k)) / n
         turn = expm(0.3 * (1.0 + s) * mix)
-        return Phi @ block_diag(np.linalg.inv(turn), turn.T)
+        generator = np.random.default_rng(hash(s) % 2**32)
+        wrong = self.noise * generator.uniform(-1.0, 1.0, Phi.shape)
+        return Phi @ block_diag(np.linalg.inv(turn), turn.T) + wrong
 
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates."""
