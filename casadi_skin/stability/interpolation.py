@@ -227,10 +227,10 @@ def interpolate(branch: BranchSampler, tolerance: float) -> Interpolated:
             plan.limit(length, degree, piece is None)
             if piece is not None:
                 pieces.append(piece)
-                at = stop
+                at, shortest = stop, SHORTEST * (end - start)
             elif stop - at <= shortest:
                 gaps.append(Gap(at, stop, reason))
-                at, plan = stop, _Plan(tolerance)
+                at, plan, shortest = stop, _Plan(tolerance), 2.0 * shortest  # long gaps in few steps
     return Interpolated(tuple(pieces), tuple(_joined(gaps)), samples)
 
 
