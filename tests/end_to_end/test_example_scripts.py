@@ -53,6 +53,7 @@ def drawn(path: Path) -> bool:
     return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_follow_one_family(load: Load, tmp_path: Path) -> None:
     branch = load("follow_one_family").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

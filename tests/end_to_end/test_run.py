@@ -123,16 +123,20 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
         main(["run", str(write_scene(tmp_path / "b.toml", rest="[stability]\n")), "--out", str(tmp_path / "b")])
 
 
-def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
+METHODS = (
+    'corrector = "ipopt"',
+    'transcription = "gauss"\ncorrector = "newton"',
+    'flow = "gauss"',
+    'corrector = "newton"',
+    'flow = "cvodes"',
+    'flow = "rk4"',
+)
+
+
+@pytest.mark.parametrize("methods", [METHODS[:3], pytest.param(METHODS, marks=pytest.mark.slow)], ids=["some", "all"])
+def test_the_methods_of_a_scene_agree(tmp_path: Path, methods: tuple[str, ...]) -> None:
     found = []
-    for method in (
-        'corrector = "ipopt"',
-        'corrector = "newton"',
-        'transcription = "gauss"\ncorrector = "newton"',
-        'flow = "cvodes"',
-        'flow = "gauss"',
-        'flow = "rk4"',
-    ):
+    for method in methods:
         rest = f"[stability]\nevents = false\n[accuracy]\ntolerance = 1e-9\n[method]\n{method}\n"
         scene = write_scene(tmp_path / "scene.toml", sites=3, g=1.0, mode="3", rest=rest)
         out = tmp_path / method[:18].replace('"', "").replace(" ", "")

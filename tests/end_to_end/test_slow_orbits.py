@@ -151,7 +151,7 @@ def test_the_example_of_a_slow_softening_site(tmp_path: Path) -> None:
     [
         (3.0, "trigonometric"),
         (3.5, "trigonometric"),
-        (3.5, "gauss"),
+        pytest.param(3.5, "gauss", marks=pytest.mark.slow),
         pytest.param(3.0, "gauss", marks=pytest.mark.slow),
         pytest.param(3.0, "radau", marks=pytest.mark.slow),
         pytest.param(3.5, "radau", marks=pytest.mark.slow),

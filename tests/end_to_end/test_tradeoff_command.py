@@ -98,14 +98,14 @@ def test_a_few_settings_and_what_an_interruption_leaves(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 130
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--quiet"]) == 130
     told = capsys.readouterr()
     assert told.err == f"interrupted after 4 settings; the results so far are in {out}\n"
     assert {path.name for path in out.iterdir()} == FILES - {"flows.csv"}
     assert len(read(out / "tradeoff.csv")) == 4
 
     monkeypatch.setattr(study_module, "measure", real)
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--overwrite", "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
     assert len(read(out / "tradeoff.csv")) == 3 + methods
     assert len(read(out / "flows.csv")) == flows

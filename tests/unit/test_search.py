@@ -102,7 +102,9 @@ def test_derivatives_are_exact() -> None:
 
 def test_one_site_is_duffing() -> None:
     """S at which the frequency is 2: the closed form of Duffing's oscillator, solved here by bisection."""
-    result = search_orbit(Chain(1, 1.0, 0.0, 1.0), objective="S", free=("S",), bounds={"S": (0.1, 5), "Omega": (2, 3)})
+    result = search_orbit(
+        Chain(1, 1.0, 0.0, 1.0), objective="S", free=("S",), bounds={"S": (0.1, 5), "Omega": (2, 3)}, starts=2
+    )
     assert result.status is SearchStatus.ON_BOUND
     assert result.best.active == ("Omega >= 2",)
     assert abs(duffing_frequency(3.0, 1.0, amplitude=float(np.sqrt(result.best.S))) - 2.0) < 1e-9
