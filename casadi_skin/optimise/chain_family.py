@@ -18,8 +18,9 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.observables import FamilyEquations, FreeNumber, Member
+from casadi_skin.optimise.observables import FamilyEquations, FreeNumber
 from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.orbit import Orbit
 
 STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 
@@ -141,10 +142,14 @@ class ChainFamily:
             model = replace(model, rhs=model.rhs - uneven * model.state, hamiltonian=None)
         return model, chain.g * S
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Member] | None:
+    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
         """The orbits at amplitudes; None of a nonuniform chain. Raises ValueError and ArithmeticError."""
         if len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) > 1:
             return None
-        at, chain = sorted(set(amplitudes)), self.at(values)
-        branch = follow_family(chain, self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
-        return [Member.of(branch.at(S=S).point) for S in amplitudes]
+        at = sorted(set(amplitudes))
+        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
+        return [branch.at(S=S) for S in amplitudes]
+
+    def nodes(self, orbit: Orbit, theta: Array) -> Array:
+        """q of a member at phases, shape (components, phases)."""
+        return orbit.point.problem.sample(orbit.point.z, theta).T

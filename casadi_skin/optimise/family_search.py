@@ -20,11 +20,12 @@ from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.observables import FreeNumber, Member, Observables
+from casadi_skin.optimise.observables import FreeNumber, Observables
 from casadi_skin.optimise.optimality import FLAT, optimality
 from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.solvers.newton import NewtonCorrector
 
 Family = ChainFamily | ModelFamily
@@ -147,8 +148,8 @@ class FamilySearch:
             found[name] = float(values[0]) if free_number.names == (name,) else values
         return found
 
-    def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Member] | None:
-        """The orbits of the family at these free numbers, see `Family.members`; raises ArithmeticError."""
+    def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Orbit] | None:
+        """The orbits of the family at these free numbers, see `ChainFamily.members`; raises ArithmeticError."""
         values = self.values(free)
         S = values.pop("S", None)
         wanted = self.amplitudes if S is None else (S,)
