@@ -43,7 +43,8 @@ class ModelFamily:
             accepted = "a guess of an orbit, or a model of second order that declares reversal with even positions and "
             raise ValueError(f"guess: given none for {model.name}; accepted: {accepted}half_period with all signs -1")
         if model.normalisation is not None:
-            raise ValueError(f"normalisation: given with {model.name}; accepted in a search: none, S is a sum of squares")
+            accepted = "a model without: S is the sum of squares"
+            raise ValueError(f"normalisation: given with {model.name}; accepted in a search: {accepted}")
         energy = () if model.hamiltonian is None else ("energy", "energy_slope")
         reserved = {*QUANTITIES, *RESERVED} - {"energy", "energy_slope"} | set(energy)
         for name in (*model.parameter_names, *model.outputs):
