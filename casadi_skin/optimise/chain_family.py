@@ -121,21 +121,24 @@ class ChainFamily:
 
     # Numbers --------------------------------------------------------------------------------------------------------
 
-    def at(self, values: Mapping[str, Any]) -> Chain:
-        """The chain of these parameters; of a nonuniform one, that with the mean alpha."""
-        chain = self.model
-        alpha = float(np.mean(values.get("alpha_n", values.get("alpha", chain.alpha))))
-        return replace(
-            chain, alpha=alpha, gamma=float(values.get("gamma", chain.gamma)), g=float(values.get("g", chain.g))
-        )
+    def at(self, values: Mapping[str, Any]) -> Chain | None:
+        """The chain of these parameters; None of a nonuniform one."""
+        uniform = len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) == 1
+        return self._mean(values) if uniform else None
+
+    def _mean(self, values: Mapping[str, Any]) -> Chain:
+        """The chain with the mean stiffness."""
+        alpha = float(np.mean(values.get("alpha_n", values.get("alpha", self.model.alpha))))
+        gamma, g = (float(values.get(name, getattr(self.model, name))) for name in ("gamma", "g"))
+        return replace(self.model, alpha=alpha, gamma=gamma, g=g)
 
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         """Factors that make displacements of q, shape (components,)."""
-        return np.asarray(np.sqrt(S) * self.at(values).rho)
+        return np.asarray(np.sqrt(S) * self._mean(values).rho)
 
     def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
         """The equations of q as a model with one parameter, and the value of that at S."""
-        chain = self.at(values)
+        chain = self._mean(values)
         model = chain.gauge_model()
         if "alpha_n" in values:
             uneven = ca.SX(np.asarray(values["alpha_n"]) - chain.alpha)
@@ -144,10 +147,10 @@ class ChainFamily:
 
     def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
         """The orbits at amplitudes; None of a nonuniform chain. Raises ValueError and ArithmeticError."""
-        if len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) > 1:
+        at, chain = sorted(set(amplitudes)), self.at(values)
+        if chain is None:
             return None
-        at = sorted(set(amplitudes))
-        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
+        branch = follow_family(chain, self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
         return [branch.at(S=S) for S in amplitudes]
 
     def nodes(self, orbit: Orbit, theta: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -91,6 +91,10 @@ class ModelFamily:
             own={name: partial(Observables.at_rest, expression=e) for name, e in outputs.items()},
         )
 
+    def at(self, values: Mapping[str, Any]) -> OdeModel:
+        nominal = tuple(float(values.get(name, value)) for name, value in self.values.items())
+        return replace(self.model, nominal=nominal, checked=False)
+
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         return np.full(self.size, math.sqrt(S))
 
@@ -98,8 +102,8 @@ class ModelFamily:
         return _scaled(self, tuple(sorted(values.items()))), S
 
     def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit]:
-        at, parameters = sorted(set(amplitudes)), {**self.values, **values}
-        branch = follow_family(self.model, self.mode, at[-1], at=at, tolerance=tolerance, parameters=parameters)
+        at = sorted(set(amplitudes))
+        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance)
         return [branch.at(S=S) for S in amplitudes]
 
     def nodes(self, orbit: Orbit, theta: Array) -> Array:
