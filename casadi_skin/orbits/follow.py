@@ -158,17 +158,17 @@ class Following:
         return self.finished(end, detail, self._misses(end))
 
     def _misses(self, end: End | None) -> dict[str, tuple[float, ...]]:
-        """Values asked for without a solution: those that the continuation missed, and at its end all others."""
-        if self._stopped:
-            return {}
+        """Values asked for without a solution: those that the continuation missed, and at its end all others.
+
+        Where a condition stopped the branch, those that it had passed before.
+        """
         missed = [] if self._continuation is None else self._continuation.missed
-        misses, whole = {}, end is End.REACHED
+        misses, whole = {}, end is End.REACHED and not self._stopped
         for name, values in self._asked().items():
-            had = {self._value(name, s) for s in self.solutions} if whole else set()
-            targets = {value: self.space.target(name, value) for value in values}
-            found = {v for v, t in targets.items() if t in missed} | (
-                {v for v in values if v not in had} if whole else set()
-            )
+            had = {self._value(name, s) for s in self.solutions}
+            found = {v for v in values if self.space.target(name, v) in missed or (whole and v not in had)}
+            if self._stopped:
+                found = {v for v in found if min(had) <= v <= max(had)}
             if found:
                 misses[name] = tuple(sorted(found))
         return misses

@@ -6,9 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin import BoundaryValueProblem
+from casadi_skin import BoundaryValueProblem, Orbit, find_orbit
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.follow import Following, following_space
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.journal import restore, solution_record
 
 
 def buckling() -> BoundaryValueProblem:
@@ -126,3 +129,53 @@ def test_errors_hold_along_the_branch() -> None:
         error = np.abs(solution.evaluate(x)[:, 0] - exact).max() / np.abs(exact).max()
         assert error <= max(solution.error, 1e-13)
         assert solution.error <= 1e-8
+
+
+def van_der_pol() -> Orbit:
+    """The limit cycle at mu = 1."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    guess = lambda t: [2 * np.cos(t), -2 * np.sin(t)]  # noqa: E731
+    return find_orbit(model, guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
+
+
+@pytest.mark.parametrize("kind", ["solutions", "orbits"])
+def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
+    """Folds, values asked for and multipliers among it."""
+    first, name, to, at = (cubic, "a", 4.0, [0.0]) if kind == "solutions" else (van_der_pol(), "mu", 1.6, [1.3])
+    stability = kind == "orbits"
+
+    def space() -> BoundarySpace:
+        return following_space(first, name, to, at=at, max_points=500, max_step=0.2)
+
+    following = Following(space(), stability)
+    whole = [result for result in following if isinstance(result, Solution)]
+    records = [solution_record("branch", solution, stability) for solution in whole]
+    for part in (0.0, 0.4, 0.7):
+        kept = round(part * len(whole))
+        while not whole[kept].point.walked:
+            kept -= 1
+        again = restore(records[: kept + 1], "branch", space(), stability, stability)
+        assert isinstance(again, Following)
+        assert len(list(again)) == len(whole) - kept - 1
+        branch = again.branch()
+        assert branch.complete
+        np.testing.assert_array_equal(branch.values, following.branch().values)
+        assert len(branch.folds) == len(following.branch().folds) == (2 if kind == "solutions" else 0)
+        asked = [solution.parameters[name] for solution in branch.solutions if solution.point.requested]
+        assert asked == at * (3 if kind == "solutions" else 1)
+        if stability:
+            np.testing.assert_array_equal(branch.max_abs_multiplier, following.branch().max_abs_multiplier)
+
+
+def test_orbits_at_a_period_of_a_branch() -> None:
+    branch = van_der_pol().follow("mu", 2.0)
+    by_period = branch.at(period=7.0)
+    assert by_period.period == 7.0
+    assert by_period.parameters["mu"] == pytest.approx(branch.at(Omega=2 * np.pi / 7.0).parameters["mu"], rel=1e-9)
+    again = find_orbit(by_period.model, by_period, parameters={"mu": by_period.parameters["mu"]}, tolerance=1e-8)
+    assert again.period == pytest.approx(7.0, rel=1e-8)
+    with pytest.raises(ValueError, match="at: given amplitude; accepted: mu, Omega, period"):
+        branch.at(amplitude=1.0)
+    with pytest.raises(ValueError, match="at: given mu and period; accepted: one of mu"):
+        branch.at(1.5, period=7.0)

@@ -44,6 +44,7 @@ def second_order(name: str, q: ca.SX, force: ca.SX, *parameters: ca.SX, odd: boo
 
 def apart(found: ComplexArray, expected: ComplexArray) -> float:
     """Largest distance of values that are not in the same order."""
+    assert found.shape == expected.shape
     distances = np.abs(found[:, None] - expected)
     return float(np.max(distances[linear_sum_assignment(distances)], initial=0.0))
 
@@ -224,7 +225,7 @@ def test_forces_that_are_neither_odd_nor_polynomials() -> None:
     toda = second_order(
         "Toda", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential
     )
-    branch = follow_family(toda, 2, 0.5, at=(0.5,), tolerance=1e-9, corrector="newton")
+    branch = follow_family(toda, 1, 0.5, at=(0.5,), tolerance=1e-9, corrector="newton")
     assert branch.complete
 
     def force(x: Array) -> Array:

@@ -220,6 +220,13 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
     assert [o.Omega for o in branch.orbits if o.point.requested] == [1.5]
     with pytest.raises(ArithmeticError, match=r"at: no orbit was found at Omega = 1\.48"):
         branch.at(Omega=wanted)
+    for limit, misses in ((1.47, {}), (1.49, {"Omega": (wanted,)})):
+        stopped = follow_family(
+            Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton",
+            until=lambda orbit, limit=limit: orbit.Omega > limit,
+        )  # fmt: skip
+        assert stopped.misses == misses
+        assert stopped.complete == (not misses)
 
 
 @pytest.mark.parametrize(
