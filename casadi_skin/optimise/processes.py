@@ -94,7 +94,9 @@ class Runner:
         for done, ended in enumerate(self._ended(solve, jobs), start=1):
             yield ended
             if self.report is not None and not self.interrupted:
-                self.report(SearchProgress(ended.start.number, len(jobs), done, *ended.last, name=ended.start.name))
+                iteration, objective, violation = ended.last
+                where = (ended.start.number, len(jobs), done, iteration, objective, violation, ended.start.name)
+                self.report(SearchProgress(*where))
 
     def _ended(self, solve: Solve, jobs: Sequence[Any]) -> Generator[Any]:
         if self.executor is not None:
