@@ -15,7 +15,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.trigonometric import prolongation_matrix
 from casadi_skin.optimise.nlp import Limits, Nlp
-from casadi_skin.optimise.observables import Member
+from casadi_skin.orbits.orbit import Orbit
 
 if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch
@@ -26,7 +26,6 @@ OPTIONS: Mapping[str, Any] = {
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.compl_inf_tol": 1e-9,
     "ipopt.max_iter": 200,
-    "ipopt.mumps_pivtol": 1e-2,  # with 1e-6 the first multipliers are noise, and some starts run away
     "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the start, or 1: far from orbits nothing is bounded
     "ipopt.diverging_iterates_tol": 1e8,
 }
@@ -107,14 +106,14 @@ class FamilyNlp(Nlp):
 
     # Points ---------------------------------------------------------------------------------------------------------
 
-    def packed(self, free: Sequence[float], members: Sequence[Member]) -> Array:
+    def packed(self, free: Sequence[float], members: Sequence[Orbit]) -> Array:
         """Unknowns from the free numbers and the orbits; tangents are solved for."""
         from scipy.sparse.linalg import splu
 
         theta = (np.arange(self.harmonics) + 0.5) * np.pi / (2 * self.harmonics)
         x = np.concatenate([free, np.zeros(int(np.prod(self._shape)))])
         for part, member in zip(self._parts(x), members, strict=True):
-            part[0] = np.append(member.sample(theta).T.ravel(), member.Omega**2)
+            part[0] = np.append(self.search.family.nodes(member, theta).ravel(), member.Omega**2)
         if self.has_tangent:
             residual, jacobian, state = self.residual(x), self.jacobian(x), self._shape[2]
             for k, part in enumerate(self._parts(x)):

@@ -16,15 +16,17 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
 from casadi_skin.models.expressions import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.observables import FreeNumber, Member, Observables
+from casadi_skin.optimise.observables import FreeNumber, Observables
 from casadi_skin.optimise.optimality import FLAT, optimality
-from casadi_skin.optimise.result import CosineOrbit, Optimum, PlainCheck
+from casadi_skin.optimise.result import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.solvers.newton import NewtonCorrector
 
 Family = ChainFamily | ModelFamily
@@ -147,8 +149,8 @@ class FamilySearch:
             found[name] = float(values[0]) if free_number.names == (name,) else values
         return found
 
-    def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Member] | None:
-        """The orbits of the family at these free numbers, see `Family.members`; raises ArithmeticError."""
+    def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Orbit] | None:
+        """The orbits of the family at these free numbers, see `ChainFamily.members`; raises ArithmeticError."""
         values = self.values(free)
         S = values.pop("S", None)
         wanted = self.amplitudes if S is None else (S,)
@@ -217,7 +219,8 @@ class FamilySearch:
         for k, Omega in enumerate(nlp.frequencies(x)):
             S = nlp.amplitude(x, k)
             scale = self.family.scale(values, S)
-            orbits.append(CosineOrbit.of(S, float(Omega), nlp.state_of(x, k) * scale[:, None]))
+            displacements = nlp.state_of(x, k) * scale[:, None]
+            orbits.append(CosineOrbit.at_nodes(self.family.at(values), S, float(Omega), displacements))
         checks = tuple(self._check(nlp, x, k) for k in range(len(orbits)))
         return Optimum.of(
             nlp, solution, found, self.free_names, orbits=tuple(orbits), quantities=tuple(nlp.values(x)), checks=checks,

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import cosine_matrix
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Nlp, Solution
 from casadi_skin.optimise.optimality import Kkt, Optimality
@@ -33,45 +31,6 @@ class SearchStatus(Enum):
     UNBOUNDED = "the objective is unbounded"
     INTERRUPTED = "interrupted"
     FAILED = "no start converged"
-
-
-@dataclass(frozen=True, eq=False)
-class CosineOrbit:
-    """An orbit y_n(t) = sum_k c_kn cos((2k+1) Omega t), all velocities zero at t = 0.
-
-    Attributes:
-        S: total amplitude, the sum of y_n(0)^2.
-        Omega: frequency.
-        coefficients: c_kn, shape (harmonics, components).
-    """
-
-    S: float
-    Omega: float
-    coefficients: Array
-
-    @classmethod
-    def of(cls, S: float, Omega: float, values: Array) -> CosineOrbit:
-        """From displacements at the nodes, (components, harmonics); the largest at t = 0 becomes positive."""
-        harmonics = values.shape[1]
-        found = (2.0 / harmonics) * cosine_matrix(harmonics) @ values.T
-        start = found.sum(axis=0)
-        return cls(S, Omega, np.asarray(found * np.sign(start[np.argmax(np.abs(start))])))
-
-    @property
-    def period(self) -> float:
-        """2 pi/Omega."""
-        return 2.0 * np.pi / self.Omega
-
-    def evaluate(self, t: ArrayLike) -> Array:
-        """Displacements y_n(t), shape (time, component)."""
-        odd = 2 * np.arange(self.coefficients.shape[0]) + 1
-        times = np.atleast_1d(np.asarray(t, dtype=float))
-        return np.asarray(np.cos(np.outer(self.Omega * times, odd)) @ self.coefficients)
-
-    @cached_property
-    def profile(self) -> Array:
-        """Displacements at t = 0, shape (components,)."""
-        return np.asarray(self.coefficients.sum(axis=0))
 
 
 @dataclass(frozen=True)

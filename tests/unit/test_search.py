@@ -182,10 +182,10 @@ def test_uneven_chain_meets_its_target() -> None:
     assert 0 < best.objective < 0.1
     # Equations of motion in physical coordinates, at instants that are no nodes.
     for orbit in best.orbits:
-        odd = 2 * np.arange(orbit.coefficients.shape[0]) + 1
+        odd = 2 * np.arange(orbit.harmonics) + 1
         theta = np.array([0.1, 0.7, 1.3])
-        y = np.cos(np.outer(theta, odd)) @ orbit.coefficients
-        acceleration = -(np.cos(np.outer(theta, odd)) * (odd * orbit.Omega) ** 2) @ orbit.coefficients
+        y = np.cos(np.outer(theta, odd)) @ orbit.cosines
+        acceleration = -(np.cos(np.outer(theta, odd)) * (odd * orbit.Omega) ** 2) @ orbit.cosines
         padded = np.pad(y, ((0, 0), (1, 1)))
         force = 1.3 * padded[:, :-2] + 0.7 * padded[:, 2:] - (2 + best.alpha_n) * y - y**3
         assert np.max(np.abs(acceleration - force)) < 1e-6
