@@ -7,18 +7,16 @@ objective or a condition uses a slope, its tangent.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.trigonometric import prolongation_matrix
+from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.nlp import Limits, Nlp
 from casadi_skin.orbits.orbit import Orbit
-
-if TYPE_CHECKING:
-    from casadi_skin.optimise.family_search import FamilySearch
 
 SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: what the square root is kept away from
 OPTIONS: Mapping[str, Any] = {
@@ -34,7 +32,7 @@ OPTIONS: Mapping[str, Any] = {
 class FamilyNlp(Nlp):
     """The nonlinear programme of a search on a number of harmonics."""
 
-    def __init__(self, search: FamilySearch, harmonics: int) -> None:
+    def __init__(self, search: FamilyStatement, harmonics: int) -> None:
         self.search, self.harmonics = search, harmonics
         free, orbits = search.symbols(harmonics)
         objective = ca.SX(search.evaluated(search.objective, orbits))

@@ -19,7 +19,7 @@ from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.result import Optimum, PlainCheck
+from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes

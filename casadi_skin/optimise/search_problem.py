@@ -13,7 +13,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
 from casadi_skin.optimise.optimality import optimality
-from casadi_skin.optimise.result import Optimum
+from casadi_skin.optimise.optimum import Optimum
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
 FEASIBLE = 1e-9  # violation of a constraint, relative to its terms
