@@ -7,6 +7,7 @@ import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -297,7 +298,12 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module", params=KINDS)
+def kinds(quick: str) -> list[Any]:
+    """All kinds, of which one is quick."""
+    return [pytest.param(kind, marks=() if kind == quick else pytest.mark.slow) for kind in KINDS]
+
+
+@pytest.fixture(scope="module")
 def long_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
     """A scene beside its uninterrupted run, a number of records at which it is stopped, and its table of points."""
     model, text, records, table = KINDS[request.param]
@@ -317,7 +323,15 @@ def the_same_bytes(directory: Path, whole: Path) -> None:
 
 
 @pytest.mark.usefixtures("pictures", "interruptible")
-@pytest.mark.parametrize("stop", [killed, None], ids=["killed", "interrupted"])
+@pytest.mark.parametrize(
+    ("long_run", "stop"),
+    [
+        *(pytest.param(*kind.values, killed, marks=kind.marks) for kind in kinds("cycles")),
+        *(pytest.param(*kind.values, None, marks=kind.marks) for kind in kinds("a family of pendula")),
+    ],
+    ids=[f"{kind}-{word}" for word in ("killed", "interrupted") for kind in KINDS],
+    indirect=["long_run"],
+)
 def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
     tmp_path: Path, long_run: tuple[Path, int, str], stop: Callable[[int, Path, Path], int] | None,
     capsys: pytest.CaptureFixture[str],
@@ -365,10 +379,11 @@ def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
 
 
-@pytest.mark.usefixtures("pictures")
+@pytest.mark.usefixtures("pictures", "interruptible")
 def test_a_journal_of_another_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out"
-    assert killed(4, scene, out) == -signal.SIGKILL
+    assert ended(signal.SIGINT, 4, scene, out) == 130
+    capsys.readouterr()
     record = json.dumps({"type": "point"}).encode()
     (out / "journal.msgpack").write_bytes(len(record).to_bytes(4, "little") + record)
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2

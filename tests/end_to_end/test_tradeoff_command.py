@@ -75,16 +75,20 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.usefixtures("pictures")
-@pytest.mark.parametrize(("methods", "flows"), [(2, 1), pytest.param(8, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("modes", "methods", "flows"), [("2", 2, 1), pytest.param("[1, 2]", 8, 4, marks=pytest.mark.slow)]
+)
 def test_a_few_settings_and_what_an_interruption_leaves(
     scene: Path,
     tmp_path: Path,
+    modes: str,
     methods: int,
     flows: int,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     few(monkeypatch)
+    scene.write_text(TINY + FAMILY.replace("[1, 2]", modes), encoding="utf-8")
     monkeypatch.setattr(study_module, "orbit_settings", lambda *asked: settings.orbit_settings(*asked)[:methods])
     monkeypatch.setattr(study_module, "flow_settings", lambda *asked: settings.flow_settings(*asked)[:flows])
     real, count = study_module.measure, 0
