@@ -19,6 +19,8 @@ from casadi_skin.figures import frequency_figure, multiplier_figure, profile_fig
 from casadi_skin.figures.style import blank, finished, style
 from casadi_skin.theory import multiple_scales
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 SOFT = Chain(8, 1.0, 0.25, -1.0)
 
 
@@ -273,6 +275,7 @@ def without_numbers() -> Figure:
         return finished(figure, [axes], 1)
 
 
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
 @pytest.mark.parametrize(
     "draw", [without_numbers, pytest.param(lambda: spectrum_figure(Chain(1, 1.0, 0.0, 1.0)), marks=pytest.mark.slow)]
 )

@@ -32,6 +32,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.progress import Progress
 from casadi_skin.results.extremes import extremes
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 SITES = 8
 
 
@@ -325,7 +327,11 @@ def frames(path: Path) -> list[np.ndarray]:
     return found
 
 
-def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_films_of_every_kind_of_orbit_move(
+    families: list[Branch], cycles: Branch, tmp_path: Path, quick: bool
+) -> None:
     x, t = ca.SX.sym("x"), ca.SX.sym("t")
     relaxed = OdeModel("relaxation", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
     wells = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-6).at(0.02)
@@ -335,6 +341,8 @@ def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branc
         ("positions", wells),
         ("one_state", find_orbit(relaxed, lambda t: [np.cos(t)])),
     ):
+        if quick and name != "plane":
+            continue
         pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=4))
         assert len(pictures) == 4
         below_the_clock = [picture[picture.shape[0] // 3 :] for picture in pictures]
