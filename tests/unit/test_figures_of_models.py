@@ -329,9 +329,7 @@ def frames(path: Path) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_films_of_every_kind_of_orbit_move(
-    families: list[Branch], cycles: Branch, tmp_path: Path, quick: bool
-) -> None:
+def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path, quick: bool) -> None:
     x, t = ca.SX.sym("x"), ca.SX.sym("t")
     relaxed = OdeModel("relaxation", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
     wells = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-6).at(0.02)
