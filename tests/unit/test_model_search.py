@@ -212,7 +212,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     assert len(str(caught.value).splitlines()) == 1
 
 
-# Families in odd cosines ------------------------------------------------------------------------------------------------
+# Families in odd cosines ----------------------------------------------------------------------------------------------
 
 CHAIN = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
