@@ -10,12 +10,11 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import accepted_names, number, numbers, short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.expressions import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.model_family import ModelFamily
-from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.observables import FreeNumber, Observables
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 
@@ -146,7 +145,7 @@ class FamilyStatement:
     def _expression(self, place: str, quantity: Quantity, orbits: tuple[Observables, ...]) -> ca.SX:
         if isinstance(quantity, str):
             if quantity not in orbits[0].names:
-                raise ValueError(f"{place}: given {short_repr(quantity)}; {nearest_name(quantity, orbits[0].names)}")
+                raise ValueError(f"{place}: given {short_repr(quantity)}; {accepted_names(quantity, orbits[0].names)}")
             if self.several and not orbits[0].is_shared(quantity):
                 given = f"{short_repr(quantity)} with a list of S"
                 raise ValueError(f"{place}: given {given}; accepted: a function of the orbits")

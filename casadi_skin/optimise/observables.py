@@ -14,8 +14,8 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import accepted_names
 from casadi_skin.bvp.trigonometric import cosine_matrix, second_derivative_matrix
-from casadi_skin.optimise.names import nearest_name
 
 # Attributes of `Observables` that are no quantities.
 RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
@@ -122,7 +122,7 @@ class Observables:
         if name in equations.own:
             return equations.own[name](self)
         if name not in equations.names:
-            raise AttributeError(f"observable: given {name}; {nearest_name(name, equations.names)}")
+            raise AttributeError(f"observable: given {name}; {accepted_names(name, equations.names)}")
         return QUANTITIES[name](self)
 
     @property

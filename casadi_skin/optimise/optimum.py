@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin.arguments import accepted_names
 from casadi_skin.bvp.problem import Array
 from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.names import nearest_name
 from casadi_skin.optimise.nlp import Nlp, Solution
 from casadi_skin.optimise.optimality import Kkt, Optimality
 from casadi_skin.orbits.orbit import Orbit
@@ -95,7 +95,7 @@ class Optimum:
     def __getattr__(self, name: str) -> Any:
         quantities = self.__dict__.get("quantities", ({},))[0]
         if name not in quantities:
-            raise AttributeError(f"optimum: given {name}; {nearest_name(name, quantities)}")
+            raise AttributeError(f"optimum: given {name}; {accepted_names(name, quantities)}")
         return quantities[name]
 
     def is_near(self, other: Optimum, tolerance: float) -> bool:

@@ -18,7 +18,7 @@ from multiprocessing.managers import SyncManager
 from types import FrameType
 from typing import Any
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import short_repr, whole
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.threads import one_thread
 
@@ -59,8 +59,7 @@ class Runner:
     """
 
     def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
-        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-            raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
+        whole("workers", workers, 1)
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
             raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
