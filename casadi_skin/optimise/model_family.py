@@ -103,7 +103,7 @@ class ModelFamily:
 
     def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit]:
         at = sorted(set(amplitudes))
-        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance)
+        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance, corrector="newton")
         return [branch.at(S=S) for S in amplitudes]
 
     def nodes(self, orbit: Orbit, theta: Array) -> Array:
