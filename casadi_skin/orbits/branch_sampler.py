@@ -204,6 +204,12 @@ class OrbitSampler:
             Omega=np.array([state.Omega for state in states]),
         )
 
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, between the points of the branch."""
+        section = min(self._sections, key=lambda s: max(s.ends[0] - coordinate, coordinate - s.ends[1]))
+        z, _ = section.predicted(section.place(coordinate))
+        return self._amplitude(float(z[section.problem.parameter_index]))
+
     def _with_better(self, problem: Problem, z: Array, solve: Solve) -> OrbitState:
         """An orbit with a better one, whose difference shows the error that orbits of the section make."""
         better = self.levels.refined(problem, z, self.point_solver.tangent(problem, z, solve))[1]

@@ -70,7 +70,7 @@ class SymplecticFamily:
 
     blocks: Sequence[Entries]
     swapped: bool = False
-    amplitude: Callable[[Array], Array] = field(default=lambda s: s)
+    S: Callable[[Array], Array] = field(default=lambda s: s)
     missing: tuple[float, float] | None = None
     error: float = 0.0
     noise: float = 0.0
@@ -102,8 +102,12 @@ class SymplecticFamily:
                 raise OrbitNotFoundError(f"no orbit between {low} and {high}")
         transitions = np.array([self.transition(s) for s in coordinates.tolist()])
         errors = self.error * np.cos(np.arange(transitions[0].size)).reshape(transitions[0].shape)
-        S = self.amplitude(coordinates)
+        S = self.S(coordinates)
         return Samples(transitions, np.tile(errors, (len(S), 1, 1)), None, S, np.ones_like(S))
+
+    def amplitude(self, coordinate: float) -> float:
+        """S at a coordinate."""
+        return float(self.S(np.array([coordinate]))[0])
 
 
 @dataclass
@@ -124,3 +128,7 @@ class ReversibleFamily:
             transitions.append(expm(0.5 * np.block([[zero, np.eye(len(W))], [-W, zero]])))
         S = np.array(coordinates)
         return Samples(np.array(transitions), np.zeros_like(transitions), None, S, np.ones_like(S))
+
+    def amplitude(self, coordinate: float) -> float:
+        """S at a coordinate."""
+        return coordinate

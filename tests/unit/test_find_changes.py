@@ -185,7 +185,7 @@ def test_the_result_does_not_depend_on_the_sections() -> None:
 
 def test_a_fold_in_the_amplitude_does_no_harm() -> None:
     blocks = [collision(cubic(-0.6, 2.0), 0.05), FAR]
-    diagram = find_changes(SymplecticFamily(blocks, amplitude=lambda s: s * (0.6 - s)))  # the fold is at 0.3
+    diagram = find_changes(SymplecticFamily(blocks, S=lambda s: s * (0.6 - s)))  # the fold is at 0.3
     assert [edge.place.coordinate for edge in diagram.changes] == pytest.approx([0.25, 0.35], abs=1e-12)
 
 
