@@ -75,7 +75,6 @@ def _looked_at(
             found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
             break
     found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
-    known.gaps, found.gaps = joined(known.gaps), joined(found.gaps)
     return known, found
 
 
@@ -83,7 +82,7 @@ def _unknown(known: Interpolated, found: Crossings) -> set[float]:
     """Coordinates where what is known of the branch, or of its multipliers, ends."""
     starts = {piece.matrices.start for piece in known.pieces}
     ends = {piece.matrices.end for piece in known.pieces}
-    return (starts ^ ends) | {coordinate for gap in found.gaps for coordinate in (gap.start, gap.end)}
+    return (starts ^ ends) | {coordinate for gap in (*known.gaps, *found.gaps) for coordinate in (gap.start, gap.end)}
 
 
 def _tracks(known: Interpolated, found: Crossings, modes: Mapping[int, float], fraction: float) -> Tracks | None:
@@ -96,7 +95,11 @@ def _tracks(known: Interpolated, found: Crossings, modes: Mapping[int, float], f
 
 def _unresolved(branch: BranchSampler, known: Interpolated, found: Crossings) -> Iterator[Unresolved]:
     """Stretches that are not known, with the amplitudes at their ends."""
-    for gap in sorted([*known.gaps, *found.gaps], key=lambda gap: gap.start):
+    rest = [gap for gap in found.gaps if gap.reason == NOT_LOOKED_AT]
+    if rest:  # as one, though in between some blocks may have been looked at
+        rest = [Gap(min(gap.start for gap in rest), max(gap.end for gap in rest), NOT_LOOKED_AT)]
+    others = [gap for gap in (*known.gaps, *found.gaps) if gap.reason != NOT_LOOKED_AT]
+    for gap in sorted([*joined(others), *rest], key=lambda gap: gap.start):
         S_start, S_end = (_amplitude(branch, known.pieces, at) for at in (gap.start, gap.end))
         yield Unresolved(S_start, S_end, gap.start, gap.end, gap.reason)
 

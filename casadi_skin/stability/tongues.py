@@ -118,6 +118,11 @@ class Tongue:
         """Length in S."""
         return abs(self.end.S - self.start.S)
 
+    def holds(self, coordinate: float) -> bool:
+        """Whether orbits at a coordinate are unstable in it: its edges are not, ends of the branch inside it are."""
+        after = coordinate > self.start.coordinate or (self.open_start and coordinate == self.start.coordinate)
+        return after and (coordinate < self.end.coordinate or (self.open_end and coordinate == self.end.coordinate))
+
     @property
     def max_abs_multiplier(self) -> float:
         """Largest modulus of a multiplier in it."""
@@ -221,7 +226,7 @@ class StabilityDiagram:
 
     def is_stable(self, coordinate: float) -> bool:
         """Whether a coordinate lies in no tongue."""
-        return not any(tongue.start.coordinate < coordinate < tongue.end.coordinate for tongue in self.tongues)
+        return not any(tongue.holds(coordinate) for tongue in self.tongues)
 
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""

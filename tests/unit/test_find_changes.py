@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
+from casadi_skin.stability import crossings
 from casadi_skin.stability.find_changes import find_changes
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.interpolation import Interpolated, Samples, interpolate
 from casadi_skin.stability.tongues import StabilityDiagram
 
 Array = np.ndarray
@@ -194,3 +198,56 @@ def test_without_a_symplectic_structure_any_two_mu_may_leave_the_axis(lower: flo
     diagram = find_changes(ReversibleFamily(lambda s: np.array([[1.5 + s, 0.01], [lower, 2.2 - s]])))
     agree(diagram, expected, 1e-10)
     assert all(edge.signatures == () for edge in diagram.changes)
+
+
+@dataclass
+class Failing(SymplecticFamily):
+    """What goes wrong between two coordinates."""
+
+    failure: Exception | None = None
+
+    def sample(self, coordinates: Array) -> Samples:
+        """Samples, but for those that fail or are no numbers."""
+        wrong = (coordinates > 0.6) & (coordinates < 0.65)
+        if wrong.any() and self.failure is not None:
+            raise self.failure
+        samples = super().sample(coordinates)
+        samples.transitions[wrong] = np.nan
+        return samples
+
+
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        (np.linalg.LinAlgError("Singular matrix"), "Singular matrix"),
+        (FlowError("the flow\n stops"), "the flow stops"),
+        (RuntimeError("CasADi"), "CasADi"),
+        (None, "not finite"),
+    ],
+)
+def test_what_fails_on_the_way_is_a_gap_with_the_reason(failure: Exception | None, words: str) -> None:
+    diagram = find_changes(Failing([collision(cubic(-0.6, 2.0), 0.01), FAR], failure=failure))
+    agree(diagram, [0.29, 0.31], 1e-12)
+    (gap,) = diagram.unresolved
+    assert words in gap.reason
+    assert 0.55 < gap.S_start <= 0.6 < 0.65 <= gap.S_end < 0.7
+
+
+def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eigenvalues are not found of any matrix near 0.62."""
+    original = crossings.blocks_of
+
+    def failing(matrices: Array) -> object:
+        if np.any(np.abs(matrices[:, :, 0, 0, 0] - where) < 1e-3):
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return original(matrices)
+
+    family = SymplecticFamily([collision(cubic(-0.6, 2.0), 0.01), FAR])
+    known = Interpolated()
+    (piece, *_) = [p for p in interpolate(family, 1e-11, known) if p.matrices.start <= 0.62 <= p.matrices.end]
+    where = float(piece.matrices.at(np.array([0.62]))[0, 0, 0, 0])
+    monkeypatch.setattr(crossings, "blocks_of", failing)
+    diagram = find_changes(family)
+    assert diagram.unresolved
+    assert all("did not converge" in gap.reason for gap in diagram.unresolved)
+    assert any(gap.S_start <= 0.62 <= gap.S_end for gap in diagram.unresolved)
