@@ -225,7 +225,11 @@ def _sort(part: _Part, blocks: Blocks, i: int, parts: Array, changes: Array, len
         k, change = k.real, change.real
         if members.size == 1:
             block = SingleBlock(interval.start, interval.end, k, change, noise, tails)
-            if not block.is_quiet:
+            if block.is_quiet:
+                continue
+            if block.is_coarse and _is_rough(k, tails) and not interval.is_shortest:
+                rough.append((members, change, noise))
+            else:
                 part.blocks.append(block)
         elif members.size > 2 and is_definite(k):
             pass

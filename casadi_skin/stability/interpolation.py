@@ -20,6 +20,7 @@ from casadi_skin.stability.half_period import reduced_matrices
 DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
 SHORTEST = 1e-3  # of a section: shorter pieces are given up
+SKIPPED = 0.03  # of a section, at most: what is given up at a time in the middle of a gap
 ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
 SMALLEST = 1e-300
 LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
@@ -231,11 +232,12 @@ def interpolate(branch: BranchSampler, tolerance: float, known: Interpolated) ->
             plan.limit(length, degree, piece is None)
             if piece is not None:
                 known.pieces.append(piece)
-                at = stop
+                at, shortest = stop, SHORTEST * (end - start)
                 yield piece
             elif stop - at <= shortest:
                 known.gaps.append(Gap(at, stop, reason))
-                at, plan = stop, _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
+                at, shortest = stop, min(2.0 * shortest, SKIPPED * (end - start))
+                plan = _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
 
 
 def in_words(error: Exception) -> str:

@@ -75,7 +75,7 @@ class Block:
     def __init__(self, start: float, end: float, parts: Numbers, errors: Array, noise: Array, tails: Array) -> None:
         self.start, self.end, self.parts, self.errors, self.tails = start, end, parts, errors, tails
         self.noise = noise + tails
-        self._coarse = bool(np.any(tails > noise + np.max(np.abs(errors), axis=(0, 2, 3))))
+        self.is_coarse = bool(np.any(tails > noise + np.max(np.abs(errors), axis=(0, 2, 3))))
 
     @cached_property
     def coefficients(self) -> Numbers:
@@ -108,7 +108,7 @@ class Block:
     @property
     def is_blurred(self) -> bool:
         """Whether a shorter interval would tell whether one of its instabilities is there."""
-        if not self._coarse:
+        if not self.is_coarse:
             return False
         bounds = [(s.end - s.start, s.start_edge, s.end_edge) for s in self.segments]
         return any(a is not None and b is not None and length <= a.error + b.error for length, a, b in bounds)

@@ -13,6 +13,8 @@ from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
 
+NOISE = 1e-7  # of log |multiplier|: what rounding makes of two mu that nearly meet
+
 
 @dataclass(frozen=True)
 class Place:
@@ -113,15 +115,16 @@ class Tongue:
     S_deepest: float
     decided: bool
 
+    def holds(self, coordinate: float) -> bool:
+        """Whether a coordinate lies inside, or at an end where it goes on."""
+        after_start = self.start.coordinate < coordinate or (self.open_start and self.start.coordinate == coordinate)
+        before_end = coordinate < self.end.coordinate or (self.open_end and self.end.coordinate == coordinate)
+        return after_start and before_end
+
     @property
     def width(self) -> float:
         """Length in S."""
         return abs(self.end.S - self.start.S)
-
-    def holds(self, coordinate: float) -> bool:
-        """Whether orbits at a coordinate are unstable in it: its edges are not, ends of the branch inside it are."""
-        after = coordinate > self.start.coordinate or (self.open_start and coordinate == self.start.coordinate)
-        return after and (coordinate < self.end.coordinate or (self.open_end and coordinate == self.end.coordinate))
 
     @property
     def max_abs_multiplier(self) -> float:
@@ -230,11 +233,18 @@ class StabilityDiagram:
 
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""
+        return np.asarray(np.exp(np.max(self.growths(coordinates), axis=1, initial=0.0)))
+
+    def growths(self, coordinates: Array) -> Array:
+        """log |multiplier| >= 0 over a period of each mu at coordinates, 0 outside tongues, shape (points, m)."""
         inside = np.array([not self.is_stable(coordinate) for coordinate in coordinates.tolist()], dtype=bool)
-        growth = np.zeros(len(coordinates))
-        if inside.any():
-            growth[inside] = np.max(growth_of(self.spectrum(coordinates[inside])[0]), axis=1, initial=0.0)
-        return np.asarray(np.exp(self.power * growth))
+        growth = np.zeros((len(coordinates), self.pieces[0].matrices.size))
+        for piece, chosen in by_piece(self.pieces, coordinates[inside]) if inside.any() else ():
+            rows = np.flatnonzero(inside)[chosen]
+            growth[rows] = self.power * growth_of(
+                np.linalg.eigvals(piece.matrices.at(coordinates[rows])[:, 0]).astype(complex)
+            )
+        return np.where(growth > NOISE, growth, 0.0)
 
     def rotation_angles(self, coordinates: Array) -> Array:
         """Signed rotation angles in (-pi, pi], shape (points, m): signature times the angle of lambda(M).
