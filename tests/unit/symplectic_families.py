@@ -65,7 +65,8 @@ class SymplecticFamily:
 
     M = exp(J diag(A, B)) for each s, from Phi = exp(J diag(A, B)/2). `swapped` multiplies Phi by a matrix that makes M
     into -M: what happened at mu = 0 then happens at mu = -1. `error` is what the flow says of its errors, `noise` what
-    they are: entries that differ from one coordinate to the next without any order.
+    they are: entries that differ from one coordinate to the next without any order. `bias` of what the flow says of its
+    errors is in the matrices everywhere.
     """
 
     blocks: Sequence[Entries]
@@ -74,6 +75,7 @@ class SymplecticFamily:
     missing: tuple[float, float] | None = None
     error: float = 0.0
     noise: float = 0.0
+    bias: float = 0.0
     sections: Sequence[tuple[float, float]] = ((0.0, 1.0),)
     fraction: float = 0.25
     symplectic: bool = True
@@ -102,6 +104,7 @@ class SymplecticFamily:
                 raise OrbitNotFoundError(f"no orbit between {low} and {high}")
         transitions = np.array([self.transition(s) for s in coordinates.tolist()])
         errors = self.error * np.cos(np.arange(transitions[0].size)).reshape(transitions[0].shape)
+        transitions += self.bias * errors
         S = self.S(coordinates)
         return Samples(transitions, np.tile(errors, (len(S), 1, 1)), None, S, np.ones_like(S))
 

@@ -12,7 +12,7 @@ from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, clu
 from casadi_skin.stability import crossings
 from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.flow import FlowError
-from casadi_skin.stability.interpolation import Interpolated, Samples, interpolate
+from casadi_skin.stability.interpolation import Interpolated, MatrixSeries, Samples, interpolate
 from casadi_skin.stability.tongues import StabilityDiagram
 
 Array = np.ndarray
@@ -133,6 +133,41 @@ def test_noise_of_the_flow_moves_edges_by_no_more_than_their_errors(noise: float
     diagram = find_changes(SymplecticFamily(blocks, error=noise, noise=noise))
     agree(diagram, [0.29, 0.31, 0.7, 0.71], 300.0 * noise)
     assert max(edge.S_error for edge in diagram.changes) <= 1e4 * noise
+
+
+def test_an_error_of_the_flow_that_is_the_same_everywhere_moves_edges_by_no_more_than_their_errors() -> None:
+    blocks = [collision(cubic(-0.6, 2.0), 0.01), real(cubic(-0.7, 1.0), cubic(-0.71, 1.0)), FAR]
+    diagram = find_changes(SymplecticFamily(blocks, error=1e-8, bias=-1.0))
+    agree(diagram, [0.29, 0.31, 0.7, 0.71], 1e-6)
+    assert max(abs(places(diagram) - np.array([0.29, 0.31, 0.7, 0.71]))) > 1e-10
+
+
+def test_a_pair_that_touches_within_the_flows_error_is_not_decided() -> None:
+    """It would touch at 1/2 if its coupling were larger by 5e-11."""
+    touching = collision(cubic(0.25 + 3e-10, -1.0, 1.0), 1e-10)
+    diagram = find_changes(SymplecticFamily([touching, FAR], error=1e-8))
+    assert not diagram.changes
+    (tongue,) = diagram.undecided
+    assert abs(tongue.start.S - 0.5) < 1e-3
+    assert not find_changes(SymplecticFamily([touching, FAR])).undecided
+
+
+def test_work_is_done_from_small_coordinates_on_and_ends_where_it_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    windows = [collision(cubic(-0.4, 2.0), 0.01), collision(cubic(-1.8, 2.0), 0.01, square=3.0)]
+    family = SymplecticFamily([*windows, FAR])
+    monkeypatch.setattr(crossings, "BATCH_WORK", 1.0)
+    monkeypatch.setattr(crossings, "first_intervals", eight_intervals)
+    agree(find_changes(family), [0.19, 0.21, 0.89, 0.91], 1e-12)
+    diagram = find_changes(family, work=3000.0)
+    agree(diagram, [0.19, 0.21], 1e-12)
+    (gap,) = diagram.unresolved
+    assert 0.21 < gap.S_start < 0.89
+    assert gap.S_end == 1.0
+
+
+def eight_intervals(series: MatrixSeries) -> list[crossings.Interval]:
+    stops = np.linspace(series.start, series.end, 9).tolist()
+    return [crossings.Interval(series, a, b) for a, b in pairwise(stops)]
 
 
 @pytest.mark.parametrize("swapped", [False, True])
