@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from small_models import fput, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, follow_family
@@ -178,10 +179,11 @@ def test_small_long_and_lopsided_chains_are_known_from_start_to_end(chain: Chain
 def agrees(branch: Branch, diagram: StabilityDiagram) -> None:
     """Orbits of a branch without folds have the multipliers that the diagram has at their S."""
     assert np.all(np.diff(branch.S) > 0.0)
-    coordinates = np.linspace(diagram.start, diagram.end, 40_001)
-    S = diagram.S(coordinates)
     for orbit in branch.orbits:
-        here = np.array([np.interp(orbit.S, S, coordinates)])
+        ends = float(diagram.S(np.array([diagram.start]))[0]), float(diagram.S(np.array([diagram.end]))[0])
+        S = float(np.clip(orbit.S, *ends))
+        place = brentq(lambda at, S=S: diagram.S(np.array([at]))[0] - S, diagram.start, diagram.end, xtol=1e-13)
+        here = np.array([place])
         found = float(diagram.max_abs_multiplier(here)[0])
         assert abs(found - np.max(np.abs(orbit.floquet().multipliers))) <= 1e-6 * found + 10.0 * orbit.multiplier_error
 
