@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
+    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
@@ -25,12 +26,16 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.orbit import Orbit
 
 __all__ = [
+    "Bond",
     "BoundaryValueProblem",
     "Branch",
     "Chain",
+    "Lattice",
     "OdeModel",
     "Orbit",
+    "Site",
     "SymmetryClass",
+    "Uniform",
     "__version__",
     "export_c",
     "export_fmu",
@@ -48,12 +53,16 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     places = {
+        "Bond": "lattice.lattice",
         "BoundaryValueProblem": "orbits.boundary_value_problem",
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
+        "Lattice": "lattice.lattice",
         "OdeModel": "models.ode",
         "Orbit": "orbits.orbit",
+        "Site": "lattice.lattice",
         "SymmetryClass": "bvp.symmetry",
+        "Uniform": "lattice.lattice",
         "export_c": "export.c_code",
         "export_fmu": "export.fmu.archive",
         "find_orbit": "orbits.find_orbit",

@@ -1,0 +1,262 @@
+"""What a lattice is declared by: sites of a cell, bonds, cells along each direction, boundaries, values by cell."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.arguments import check_name, number, short_repr, whole
+from casadi_skin.formula import CONSTANTS, FUNCTIONS, Formula, FormulaError, parse_formula
+
+Array = NDArray[np.float64]
+FIXED, FREE, PERIODIC = "fixed", "free", "periodic"
+BOUNDARIES = (FIXED, FREE, PERIODIC)
+INDICES = ("n", "m")  # the number of the cell along each direction, from 1
+RESERVED = ("y", "v", "d", "t", *INDICES, *CONSTANTS, *FUNCTIONS)
+MOST_SITES = 100_000  # of a lattice
+
+
+@dataclass(frozen=True)
+class Site:
+    """A site of a cell: mass * y'' = -onsite - damping * v + drive + forces of bonds; dimensionless.
+
+    Attributes:
+        name: what bonds call it.
+        onsite: restoring force, a formula in y.
+        mass: a formula in parameters.
+        damping: factor of -v, a formula in y and v.
+        drive: force, a formula in t.
+
+    Every formula may have parameters in it, and n and m, the numbers of the cell along each direction from 1.
+    """
+
+    name: str
+    onsite: str = "0"
+    mass: str = "1"
+    damping: str = "0"
+    drive: str = "0"
+
+
+@dataclass(frozen=True)
+class Bond:
+    """A bond of one site to another, in the cell that is `offset` away, with a force F(d) of d = y_end - y_start.
+
+    Attributes:
+        start: name of the site in a cell.
+        end: name of the site in the other cell.
+        offset: cells along each direction.
+        force: F, a formula in d.
+        gain: the force on `start` is gain[0] * F(d), that on `end` is -gain[1] * F(d); formulas in parameters.
+
+    Index and values by cell are those of the cell of `start`; outside of a wall, of the cell beside it.
+    """
+
+    start: str
+    end: str
+    offset: tuple[int, ...]
+    force: str = "d"
+    gain: tuple[str, str] = ("1", "1")
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Values by cell drawn evenly from `low` to `high` by numpy's default generator with a seed."""
+
+    low: float
+    high: float
+    seed: int
+
+    def values(self, cells: tuple[int, ...]) -> Array:
+        """One value a cell, shape of `cells`."""
+        return np.random.default_rng(self.seed).uniform(self.low, self.high, cells)
+
+
+Value: TypeAlias = float | str | Sequence[float] | Sequence[Sequence[float]] | Uniform
+
+
+@dataclass(frozen=True)
+class Link:
+    """One bond of the whole lattice: indices of its ends, None at a wall, and the cell whose values it has."""
+
+    bond: int
+    cell: tuple[int, ...]
+    start: int | None
+    end: int | None
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A lattice as it was declared, checked.
+
+    Attributes:
+        cells: number of cells along each direction, one or two.
+        sites: of one cell.
+        bonds: between these.
+        boundary: "fixed", "free" or "periodic" along each direction.
+        parameters: numbers by name; by cell a list, a formula in n and m, or a `Uniform`.
+
+    Raises ValueError and TypeError, naming the place, what was given and what is accepted.
+    """
+
+    cells: tuple[int, ...]
+    sites: tuple[Site, ...]
+    bonds: tuple[Bond, ...]
+    boundary: tuple[str, ...]
+    parameters: Mapping[str, Value]
+
+    def __post_init__(self) -> None:
+        if len(self.cells) not in (1, 2):
+            raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: one or two whole numbers")
+        for count in self.cells:
+            whole("cells", count, 1, MOST_SITES)
+        if not self.sites:
+            raise ValueError("sites: given none; accepted: one site a cell or more")
+        if self.size > MOST_SITES:
+            raise ValueError(f"cells: given {self.size} sites in all; accepted: up to {MOST_SITES}")
+        if len(self.boundary) != len(self.cells):
+            accepted = f"one word, or {len(self.cells)}: one along each direction"
+            raise ValueError(f"boundary: given {short_repr(self.boundary)}; accepted: {accepted}")
+        for word in self.boundary:
+            check_name("boundary", word, BOUNDARIES)
+        self._check_names()
+        for i, bond in enumerate(self.bonds, start=1):
+            self._check_bond(f"bond {i}", bond)
+        _ = self.formulas, self.by_cell
+
+    @property
+    def size(self) -> int:
+        """Number of sites in all."""
+        return math.prod(self.cells) * len(self.sites)
+
+    def _check_names(self) -> None:
+        names = [site.name for site in self.sites]
+        for i, name in enumerate(names):
+            if not isinstance(name, str) or not name.isidentifier() or name in names[:i]:
+                raise ValueError(f"site {i + 1} name: given {short_repr(name)}; accepted: a name of its own")
+        for name in self.parameters:
+            if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or name in RESERVED:
+                accepted = f"names but for {', '.join(RESERVED[:6])}, pi and functions"
+                raise ValueError(f"parameters: given the name {short_repr(name)}; accepted: {accepted}")
+
+    def _check_bond(self, place: str, bond: Bond) -> None:
+        names = [site.name for site in self.sites]
+        check_name(f"{place} from", bond.start, names)
+        check_name(f"{place} to", bond.end, names)
+        if len(bond.offset) != len(self.cells) or not all(isinstance(k, int) for k in bond.offset):
+            accepted = f"{len(self.cells)} whole number{'s'[: len(self.cells) - 1]}, one along each direction"
+            raise ValueError(f"{place} offset: given {short_repr(list(bond.offset))}; accepted: {accepted}")
+        around = [k % c if b == PERIODIC else k for k, c, b in zip(bond.offset, self.cells, self.boundary, strict=True)]
+        if bond.start == bond.end and not any(around):
+            words = f"{list(bond.offset)}, which leads from each {bond.start} to itself"
+            raise ValueError(f"{place} offset: given {words}; accepted: one that leads to another site")
+        if len(bond.gain) != 2:
+            raise ValueError(f"{place} gain: given {short_repr(list(bond.gain))}; accepted: two formulas")
+
+    # Formulas -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def formulas(self) -> dict[tuple[str, int, str], Formula]:
+        """Formulas of sites and bonds by kind, number from 0 and field; the gains are "gain 1" and "gain 2"."""
+        found, known = {}, (*self.parameters, *INDICES[: len(self.cells)])
+        variables = {"onsite": ("y",), "mass": (), "damping": ("y", "v"), "drive": ("t",)}
+        for i, site in enumerate(self.sites):
+            for field, names in variables.items():
+                found["site", i, field] = read_formula(f"site {i + 1} {field}", getattr(site, field), (*names, *known))
+        for i, bond in enumerate(self.bonds):
+            found["bond", i, "force"] = read_formula(f"bond {i + 1} force", bond.force, ("d", *known))
+            for k, gain in enumerate(bond.gain, start=1):
+                found["bond", i, f"gain {k}"] = read_formula(f"bond {i + 1} gain {k}", gain, known)
+        return found
+
+    @cached_property
+    def by_cell(self) -> dict[str, Array | Formula]:
+        """Parameters with a value for each cell: arrays of the shape of `cells`, or formulas."""
+        found: dict[str, Array | Formula] = {}
+        for name, value in self.parameters.items():
+            place = f"parameters {name}"
+            if isinstance(value, str):
+                known = (*self.scalars, *found, *INDICES[: len(self.cells)])
+                found[name] = read_formula(place, value, known)
+            elif isinstance(value, Uniform):
+                for field in fields(value):
+                    number(f"{place} {field.name}", getattr(value, field.name))
+                whole(f"{place} seed", value.seed, 0)
+                found[name] = value.values(self.cells)
+            elif name not in self.scalars:
+                found[name] = self._array(place, value)
+        return found
+
+    @cached_property
+    def scalars(self) -> dict[str, float]:
+        """Parameters that are one number for all cells."""
+        plain = {k: v for k, v in self.parameters.items() if not isinstance(v, str | Uniform | Sequence | np.ndarray)}
+        return {name: number(f"parameters {name}", value) for name, value in plain.items()}
+
+    def _array(self, place: str, value: object) -> Array:
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            array = np.array(np.nan)
+        if array.shape != self.cells or not np.all(np.isfinite(array)):
+            shape = " lists of ".join(map(str, self.cells))
+            given = f"numbers of shape {list(array.shape)}" if array.ndim else short_repr(value)
+            raise ValueError(f"{place}: given {given}; accepted: {shape} finite numbers, one a cell")
+        return array
+
+    # The whole lattice ----------------------------------------------------------------------------------------------
+
+    def all_cells(self) -> Iterator[tuple[int, ...]]:
+        """Numbers of all cells from 0, the last direction fastest."""
+        return itertools.product(*(range(count) for count in self.cells))
+
+    def index(self, cell: tuple[int, ...], site: int) -> int:
+        """Index of a site of a cell among all positions."""
+        return int(np.ravel_multi_index(cell, self.cells)) * len(self.sites) + site
+
+    def links(self) -> Iterator[Link]:
+        """All bonds of the lattice, those to walls too."""
+        numbers = {site.name: i for i, site in enumerate(self.sites)}
+        for b, bond in enumerate(self.bonds):
+            start, end = numbers[bond.start], numbers[bond.end]
+            for cell in self.all_cells():
+                there = self._neighbour(cell, bond.offset, 1)
+                if there is not None:
+                    i = self.index(cell, start)
+                    yield Link(b, cell, i, self.index(there, end) if there else None)
+                if self._neighbour(cell, bond.offset, -1) == ():
+                    yield Link(b, cell, None, self.index(cell, end))
+
+    def _neighbour(self, cell: tuple[int, ...], offset: tuple[int, ...], sense: int) -> tuple[int, ...] | None:
+        """The cell that is so far away; () behind a fixed wall, and None where the bond is absent."""
+        found, wall = [], False
+        for here, step, count, boundary in zip(cell, offset, self.cells, self.boundary, strict=True):
+            there = here + sense * step
+            if boundary == PERIODIC:
+                there %= count
+            elif not 0 <= there < count:
+                if boundary == FREE:
+                    return None
+                wall = True
+            found.append(there)
+        return () if wall else tuple(found)
+
+
+def read_formula(place: str, text: object, known: Sequence[str]) -> Formula:
+    """A formula in known names; raises ValueError that begins with the place."""
+    if isinstance(text, int | float) and not isinstance(text, bool):
+        text = repr(number(place, text))
+    if not isinstance(text, str):
+        raise TypeError(f"{place}: given {short_repr(text)}; accepted: a formula in quotes, or a number")
+    try:
+        formula = parse_formula(text)
+        formula.check_names(known)
+    except FormulaError as error:
+        raise ValueError(f"{place}: {error}") from None
+    return formula

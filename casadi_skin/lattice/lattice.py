@@ -1,0 +1,81 @@
+"""Lattices as data: sites of a cell, bonds between them, boundaries; one or two dimensions; dimensionless."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+
+from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value
+from casadi_skin.lattice.driving import forcing_period_of
+from casadi_skin.lattice.equations import Equations
+from casadi_skin.lattice.structure import Structure, structure_of
+from casadi_skin.models.ode import OdeModel
+
+__all__ = ["Bond", "Lattice", "Site", "Uniform"]
+
+
+class Lattice(OdeModel):
+    """A lattice as a model: mass * y'' = -onsite - damping * y' + drive + forces of bonds at every site.
+
+    Without damping and drive the model is of second order, and its reversal, its oddness and its conserved energy are
+    declared where `structure` shows that they hold. Positions are called y_1, y_2, ..., of several sites in a cell
+    y_a_1, y_b_1, ..., in two dimensions y_1_1, y_1_2, ...; velocities v_1, ...
+
+    Arguments:
+        cells: cells along each direction, a whole number or one or two of them.
+        sites: the sites of one cell.
+        bonds: the bonds from the sites of one cell.
+        boundary: "fixed" (missing neighbours are held at 0), "free" (their bonds are absent) or "periodic"; one word
+            for all directions, or one for each.
+        parameters: their values by name: a number, which can be followed; or by cell a list, a formula in n and m, or
+            a `Uniform`.
+        name: of the model.
+        forcing_period: of the drives, a formula in parameters; left out, it is that of the sines and cosines of t in
+            them where these have one.
+
+    Raises:
+        ValueError, TypeError: naming the place, what was given and what is accepted.
+    """
+
+    declaration: Declaration
+    equations: Equations
+    structure: Structure
+
+    def __init__(
+        self,
+        cells: int | Sequence[int],
+        sites: Sequence[Site],
+        bonds: Sequence[Bond] = (),
+        boundary: str | Sequence[str] = FIXED,
+        parameters: Mapping[str, Value] | None = None,
+        name: str = "lattice",
+        forcing_period: str | None = None,
+    ) -> None:
+        along = (cells,) if isinstance(cells, int) else tuple(cells)
+        walls = (boundary,) * len(along) if isinstance(boundary, str) else tuple(boundary)
+        declaration = Declaration(along, tuple(sites), tuple(bonds), walls, dict(parameters or {}))
+        equations = Equations(declaration)
+        object.__setattr__(self, "declaration", declaration)
+        object.__setattr__(self, "equations", equations)
+        period = forcing_period_of(equations, forcing_period)
+        structure = structure_of(equations)
+        object.__setattr__(self, "structure", structure)
+        common: dict[str, Any] = {
+            "name": name, "parameters": equations.parameters, "nominal": equations.nominal, "checked": False,
+        }  # fmt: skip
+        if equations.autonomous:
+            n = declaration.size
+            super().__init__(
+                state=equations.y, rhs=equations.accelerations, order=2, velocity=equations.v,
+                reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n) if structure.odd else None,
+                hamiltonian=structure.energy, **common,
+            )  # fmt: skip
+        else:
+            state, rhs = ca.vertcat(equations.y, equations.v), ca.vertcat(equations.v, equations.accelerations)
+            time = None if period is None else equations.t
+            super().__init__(state=state, rhs=rhs, time=time, forcing_period=period, **common)
+
+    def __repr__(self) -> str:
+        return f"Lattice({self.name}, cells = {list(self.declaration.cells)}, {self.declaration.size} sites)"

@@ -1,0 +1,222 @@
+"""Lattices as models: the same numbers as equations written by hand, what they find out by themselves, refusals."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from lattices import GAINS, chain, dimer, fput, plane
+
+from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def accelerations(model: OdeModel, y: Any, parameters: Any = ()) -> Any:
+    """The accelerations at positions, by the model's nominal parameters unless others are given."""
+    rhs = ca.Function("f", [model.state, model.parameters], [model.rhs])
+    return np.array(rhs(y, parameters or model.nominal)).ravel()
+
+
+def by_hand(name: str) -> OdeModel:
+    """A model of examples/models/lattices.py."""
+    specification = importlib.util.spec_from_file_location("hand", EXAMPLES / "models" / "lattices.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    model: OdeModel = getattr(module, name)()
+    return model
+
+
+# The same numbers -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sites", "gamma", "mode", "g"), [(24, 0.25, 1, -1.0), (24, -0.25, 24, 1.0), (48, 0.6, 1, -1.0)]
+)
+def test_the_chain_as_a_lattice_has_the_numbers_of_the_chain(sites: int, gamma: float, mode: int, g: float) -> None:
+    models = Chain(sites, 1.0, gamma, g), chain(sites, 1.0, gamma, g)
+    options = {"mode": mode, "amplitude_max": 1.0, "stability": True, "events": False, "tolerance": 1e-9}
+    ours, theirs = (follow_family(model, at=(0.2, 1.0), **options) for model in models)
+    for S in (0.2, 1.0):
+        a, b = ours.at(S=S), theirs.at(S=S)
+        assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
+        assert b.energy == pytest.approx(a.energy, rel=1e-10)
+        mine, other = (np.sort_complex(np.round(o.floquet().mu, 11)) for o in (a, b))
+        assert np.max(np.abs(mine - other)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "S", "lattice"),
+    [
+        ("fput", "last", 1.0, fput(24, "fixed")),
+        (
+            "pendula",
+            "first",
+            10.0,
+            Lattice(16, [Site("a", "sin(y)")], [Bond("a", "a", (1,), "k*d")], "fixed", {"k": 0.2}),
+        ),
+    ],
+)
+def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: float, lattice: Lattice) -> None:
+    options = {"mode": mode, "amplitude_max": S, "at": (S,), "stability": True, "events": False, "tolerance": 1e-9}
+    a, b = (follow_family(model, **options).at(S=S) for model in (by_hand(name), lattice))
+    assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
+    assert b.energy == pytest.approx(a.energy, rel=1e-13)
+    assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), (32, 0.1043149731)])
+def test_the_pi_mode_of_fput_loses_stability_at_the_published_energy(sites: int, energy: float) -> None:
+    S = 0.3 if sites == 8 else 0.06
+    branch = follow_family(fput(sites, "periodic"), mode="last", amplitude_max=S, tolerance=1e-9, stability=True)
+    found = branch.changes[0].S
+    assert 2.0 * found + 4.0 * found**2 / sites == pytest.approx(energy, abs=2e-10)  # of y_n = (-1)^n sqrt(S/N)
+
+
+def test_the_pi_mode_of_fput_has_its_exact_period() -> None:
+    branch = follow_family(fput(8, "periodic"), mode="last", amplitude_max=2.0, at=(2.0,), tolerance=1e-12)
+    assert branch.at(S=2.0).period == pytest.approx(2.38401101455, abs=1e-11)  # amplitude 0.5, elliptic functions
+
+
+def test_values_by_cell_and_boundaries_against_sums_by_hand() -> None:
+    k, e = [1.0, 2.0, 0.5, 3.0], Uniform(-0.1, 0.1, seed=5)
+    site = Site("a", "(k + e + n/10)*y", mass="m0*s")
+    parameters = {"k": k, "e": e, "m0": 2.0, "s": "1 + n/4"}
+    y, n = np.array([0.3, -0.2, 0.7, 0.1]), np.arange(1, 5)
+    onsite = (np.array(k) + np.random.default_rng(5).uniform(-0.1, 0.1, (4,)) + n / 10) * y
+    for boundary, padded in (
+        ("fixed", np.array([0.0, *y, 0.0])), ("periodic", np.array([y[-1], *y, y[0]])),
+        ("free", np.array([y[0], *y, y[-1]])),
+    ):  # fmt: skip
+        lattice = Lattice(4, [site], [Bond("a", "a", (1,), "d + d^3", ("2", "3"))], boundary, parameters)
+        d = np.diff(padded)
+        force = d + d**3
+        expected = (-onsite + 2.0 * force[1:] - 3.0 * force[:-1]) / (2.0 * (1 + n / 4))
+        assert accelerations(lattice, y) == pytest.approx(expected, rel=1e-14)
+
+
+def test_a_plane_against_sums_by_hand() -> None:
+    lattice, y = plane((3, 2)), np.random.default_rng(1).normal(size=(3, 2))
+    padded = np.pad(y, 1)
+    dx, dy = np.diff(padded[:, 1:-1], axis=0), np.diff(padded[1:-1], axis=1)
+    expected = -(y - y**3) + 0.7 * dx[1:] - 1.3 * dx[:-1] + 0.85 * dy[:, 1:] - 1.15 * dy[:, :-1]
+    assert accelerations(lattice, y.ravel()) == pytest.approx(expected.ravel(), rel=1e-13)
+    assert lattice.state_names[:3] == ("y_1_1", "y_1_2", "y_2_1")
+
+
+# What lattices find out -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lattice", "lean"),
+    [
+        (chain(8, 1.0, 0.25, -1.0), (5 / 3) ** 3.5),
+        (plane(), (1.3 / 0.7) ** 2.5 * (1.15 / 0.85) ** 2),
+        (fput(5, "free"), 1.0),
+    ],
+)
+def test_the_gauge_is_that_of_the_bonds(lattice: Lattice, lean: float) -> None:
+    assert lattice.structure.log_weights is not None
+    assert np.exp(0.5 * np.max(lattice.structure.log_weights)) == pytest.approx(lean, rel=1e-12)
+    assert lattice.structure.hamiltonian
+    assert lattice.hamiltonian is not None
+
+
+def test_gains_that_disagree_around_a_loop_have_no_gauge() -> None:
+    ring = Lattice(6, [Site("a", "y + y^3")], [Bond("a", "a", (1,), gain=GAINS)], "periodic", {"gamma": 0.2})
+    assert ring.structure.log_weights is None
+    assert ring.hamiltonian is None
+    with pytest.raises(ValueError, match=r"omega\^2 = .*j of a linear mode is complex; accepted: real ones"):
+        follow_family(ring, mode=1, amplitude_max=1.0)
+
+
+def test_two_bonds_of_different_gains_are_reversible_only_and_one_of_the_same_is_hamiltonian() -> None:
+    linear, cubic = Bond("a", "a", (1,), "d", ("0.8", "1.2")), Bond("a", "a", (1,), "d^3")
+    reversible = Lattice(8, [Site("a", "y")], [linear, cubic])
+    same = Lattice(8, [Site("a", "y")], [Bond("a", "a", (1,), "d + d^3", ("0.8", "1.2"))])
+    for lattice, hamiltonian in ((reversible, False), (same, True)):
+        branch = follow_family(lattice, mode=1, amplitude_max=0.1)
+        assert lattice.structure.hamiltonian is hamiltonian is branch.space.coordinates.symplectic
+    assert "no Krein signatures" in dict(reversible.structure.lines())["dynamics"]
+
+
+def test_what_holds_at_the_declared_values_alone_is_not_declared() -> None:
+    bonds = [Bond("a", "a", (1,), gain=("p", "1")), Bond("a", "a", (2,))]
+    assert Lattice(5, [Site("a", "y")], bonds, "fixed", {"p": 1.0}).hamiltonian is None
+
+
+@pytest.mark.parametrize(
+    ("onsite", "force", "odd", "polynomial"),
+    [("y + y^3", "d", True, True), ("y + y^2", "d", False, True), ("sin(y)", "d", True, False), ("y", "exp(d) - 1", False, False)],
+)  # fmt: skip
+def test_oddness_and_polynomials(onsite: str, force: str, odd: bool, polynomial: bool) -> None:
+    lattice = Lattice(4, [Site("a", onsite)], [Bond("a", "a", (1,), force)])
+    assert (lattice.structure.odd, lattice.structure.polynomial) == (odd, polynomial)
+    assert (lattice.half_period is not None) == odd
+    lattice.check_symmetries()
+
+
+def test_momentum_and_mirrors() -> None:
+    assert fput(6, "periodic").structure.momentum
+    assert not fput(6, "fixed").structure.momentum
+    assert plane((3, 3)).structure.mirrors == ()
+    assert dimer(4).structure.mirrors == ()
+    reciprocal = Lattice((3, 2), [Site("a", "y")], [Bond("a", "a", (1, 0)), Bond("a", "a", (0, 1), "2*d")])
+    assert reciprocal.structure.mirrors == (1, 2)
+    assert Lattice((3, 2), [Site("a", "n*y")], [Bond("a", "a", (1, 0))]).structure.mirrors == (2,)
+
+
+def test_a_gauge_that_overflows_leaves_the_energy_out() -> None:
+    assert chain(400, 1.0, 0.9, 1.0).hamiltonian is None
+    assert chain(400, 1.0, 0.25, 1.0).hamiltonian is not None
+
+
+# Refusals -------------------------------------------------------------------------------------------------------------
+
+A = Site("a", "y")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"bonds": [Bond("a", "b", (1,))]}, 'bond 1 to: given \'b\''),
+        ({"bonds": [Bond("a", "a", (1,)), Bond("c", "a", (1,))]}, "bond 2 from: given 'c'"),
+        ({"bonds": [Bond("a", "a", (1, 0))]}, r"bond 1 offset: given \[1, 0\]; accepted: 1 whole number,"),
+        ({"bonds": [Bond("a", "a", (0,))]}, r"bond 1 offset: given \[0\], which leads from each a to itself"),
+        ({"bonds": [Bond("a", "a", (4,))], "boundary": "periodic"}, "leads from each a to itself"),
+        ({"bonds": [Bond("a", "a", (1,), "d + x")]}, 'bond 1 force: column 5: given the name "x"; accepted: d, c, n, pi'),
+        ({"bonds": [Bond("a", "a", (1,), gain=("1", "1 - c"))]}, 'bond 1 gain 2: given "1 - c", which is 0 in cell 1'),
+        ({"bonds": [Bond("a", "a", (1,), "log(d)")]}, 'bond 1 force: given "log\\(d\\)", which is -inf in cell 1'),
+        ({"sites": [Site("a", "1/y")]}, 'site 1 onsite: given "1/y", which is inf in cell 1; accepted: .*finite at rest'),
+        ({"sites": [Site("a", mass="2 - n")]}, 'site 1 mass: given "2 - n", which is 0 in cell 2; accepted: a mass > 0'),
+        ({"sites": [A, A]}, "site 2 name: given 'a'"),
+        ({"sites": []}, "sites: given none"),
+        ({"cells": [2, 2, 2]}, "cells: given"),
+        ({"cells": 0}, "cells: given 0"),
+        ({"boundary": "perodic"}, "did you mean periodic"),
+        ({"boundary": ["free", "free"]}, "boundary: given .*accepted: one word"),
+        ({"parameters": {"y": 1.0}}, "parameters: given the name 'y'"),
+        ({"parameters": {"k": [1.0, 2.0]}}, r"parameters k: given numbers of shape \[2\]; accepted: 4 finite numbers"),
+        ({"parameters": {"k": "1 + z"}}, 'parameters k: column 5: given the name "z"'),
+        ({"parameters": {"k": float("nan")}}, "parameters k: given nan"),
+        ({"forcing_period": "1"}, "forcing_period: given '1' without a drive"),
+        ({"sites": [Site("a", "y", drive="t")]}, 'site 1 drive: given "t"; accepted: sines and cosines'),
+        ({"sites": [Site("a", "y", drive="cos(t) + sin(2*t)")]}, "drives of frequencies 1 and 2; accepted"),
+    ],
+)  # fmt: skip
+def test_refusals_are_one_line_with_the_place(given: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {"cells": 4, "sites": [A], "parameters": {"c": 1.0}} | given
+    with pytest.raises((ValueError, TypeError), match=message) as caught:
+        Lattice(**arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unstable_linear_lattice_is_refused_by_its_families() -> None:
+    with pytest.raises(ValueError, match=r"mode 1 of lattice does not oscillate: omega\^2 = -"):
+        follow_family(chain(4, -3.0, 0.2, 1.0), mode=1, amplitude_max=1.0)
