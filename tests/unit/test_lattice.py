@@ -153,8 +153,13 @@ def test_what_holds_at_the_declared_values_alone_is_not_declared() -> None:
 
 @pytest.mark.parametrize(
     ("onsite", "force", "odd", "polynomial"),
-    [("y + y^3", "d", True, True), ("y + y^2", "d", False, True), ("sin(y)", "d", True, False), ("y", "exp(d) - 1", False, False)],
-)  # fmt: skip
+    [
+        ("y + y^3", "d", True, True),
+        ("y + y^2", "d", False, True),
+        ("sin(y)", "d", True, False),
+        ("y", "exp(d) - 1", False, False),
+    ],
+)
 def test_oddness_and_polynomials(onsite: str, force: str, odd: bool, polynomial: bool) -> None:
     lattice = Lattice(4, [Site("a", onsite)], [Bond("a", "a", (1,), force)])
     assert (lattice.structure.odd, lattice.structure.polynomial) == (odd, polynomial)
@@ -190,11 +195,11 @@ A = Site("a", "y")
         ({"bonds": [Bond("a", "a", (1, 0))]}, r"bond 1 offset: given \[1, 0\]; accepted: 1 whole number,"),
         ({"bonds": [Bond("a", "a", (0,))]}, r"bond 1 offset: given \[0\], which leads from each a to itself"),
         ({"bonds": [Bond("a", "a", (4,))], "boundary": "periodic"}, "leads from each a to itself"),
-        ({"bonds": [Bond("a", "a", (1,), "d + x")]}, 'bond 1 force: column 5: given the name "x"; accepted: d, c, n, pi'),
+        ({"bonds": [Bond("a", "a", (1,), "d + x")]}, 'bond 1 force: column 5: given the name "x"; accepted: d, c, n'),
         ({"bonds": [Bond("a", "a", (1,), gain=("1", "1 - c"))]}, 'bond 1 gain 2: given "1 - c", which is 0 in cell 1'),
         ({"bonds": [Bond("a", "a", (1,), "log(d)")]}, 'bond 1 force: given "log\\(d\\)", which is -inf in cell 1'),
-        ({"sites": [Site("a", "1/y")]}, 'site 1 onsite: given "1/y", which is inf in cell 1; accepted: .*finite at rest'),
-        ({"sites": [Site("a", mass="2 - n")]}, 'site 1 mass: given "2 - n", which is 0 in cell 2; accepted: a mass > 0'),
+        ({"sites": [Site("a", "1/y")]}, 'site 1 onsite: given "1/y", which is inf in cell 1; .*finite at rest'),
+        ({"sites": [Site("a", mass="2 - n")]}, 'site 1 mass: given "2 - n", which is 0 in cell 2; .*a mass > 0'),
         ({"sites": [A, A]}, "site 2 name: given 'a'"),
         ({"sites": []}, "sites: given none"),
         ({"cells": [2, 2, 2]}, "cells: given"),
