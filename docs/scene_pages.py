@@ -25,7 +25,7 @@ def scene_tables(schema: dict[str, Any]) -> str:
     definitions = schema["$defs"]
     scene = definitions["Scene"]
     keys = {name: value for name, value in scene["properties"].items() if _table(value) is None}
-    models = {name for choice in scene["anyOf"] for name in choice["required"]}
+    models = [f"`[{name}]`" for choice in scene["anyOf"] for name in choice["required"]]
     parts = ["## Outside of any table", _rows(keys, [])]
     for name, value in scene["properties"].items():
         table = _table(value)
@@ -33,11 +33,16 @@ def scene_tables(schema: dict[str, Any]) -> str:
             continue
         definition = definitions[table]
         needed = (
-            f"Required: one of {' and '.join(f'`[{m}]`' for m in sorted(models))}." if name in models else "Optional."
+            f"Required: one of {', '.join(models[:-1])} and {models[-1]}." if f"`[{name}]`" in models else "Optional."
         )
         parts += [f"## `[{name}]`", f"{_first_line(definition['description'])} {needed}"]
         if definition["properties"]:
             parts.append(_rows(definition["properties"], definition["required"]))
+        for key, inner in definition["properties"].items():
+            item = definitions.get(_table(inner.get("items", {})) or "")
+            if item is not None:
+                parts += [f"## `[[{name}.{key}]]`", f"{_first_line(item['description'])} Part of `[{name}]`."]
+                parts.append(_rows(item["properties"], item["required"]))
     return "\n\n".join(parts)
 
 

@@ -61,10 +61,10 @@ class Structure:
         """Pairs (subject, words) for people."""
         return [
             ("gauge", self._gauge()),
-            ("dynamics", self._dynamics()),
+            ("flow", self._flow()),
             ("forces", f"{'polynomial' if self.polynomial else 'not polynomial'}, {'odd' if self.odd else 'not odd'}"),
             ("conserved", self._conserved()),
-            ("mirror symmetry", ", ".join(f"direction {k}" for k in self.mirrors) or "none"),
+            ("mirrors", f"along direction {' and '.join(map(str, self.mirrors))}" if self.mirrors else "none"),
         ]
 
     def _gauge(self) -> str:
@@ -74,7 +74,7 @@ class Structure:
         return "none needed: bonds act alike both ways" if span == 0 else (
             f"a diagonal one; displacements lean by a factor of up to {np.exp(min(span, 700.0)):.3g}")  # fmt: skip
 
-    def _dynamics(self) -> str:
+    def _flow(self) -> str:
         if not self.reversible:
             return " and ".join(w for w, holds in (("damped", self.damped), ("driven", self.driven)) if holds)
         if self.hamiltonian:

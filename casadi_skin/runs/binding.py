@@ -19,9 +19,10 @@ from casadi_skin.models.saved import read_model
 from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
-from casadi_skin.runs.request import Request, chain_of
+from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.scene import OrbitTable, Scene, SceneError
 from casadi_skin.scene.faults import check_known, refusal, toml_repr
+from casadi_skin.scene.lattice_tables import LatticeTable
 from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelTable
 
 KINDS = (OdeModel, BoundaryValueProblem)
@@ -40,7 +41,10 @@ def bind(scene: Scene, scene_path: Path) -> Request:
 
     Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
     """
-    request = _bound_chain(scene) if scene.model is None else _bound_file(scene, scene.model, scene_path)
+    if scene.model is not None:
+        request = _bound_file(scene, scene.model, scene_path)
+    else:
+        request = _bound_chain(scene) if scene.lattice is None else _bound_lattice(scene, scene.lattice)
     if scene.orbit is not None:
         _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
         (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
@@ -55,6 +59,14 @@ def bind(scene: Scene, scene_path: Path) -> Request:
 def _bound_chain(scene: Scene) -> Request:
     chain = chain_of(scene)
     return Request(scene, chain, {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g})
+
+
+def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
+    try:
+        lattice = lattice_of(table)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"[lattice] {error}") from None
+    return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
 
 
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
@@ -76,7 +88,7 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
 def _placed(message: str, table: str = "family") -> str:
     """A message about an argument of a family, with the table that it is in; one about the model with `table`."""
     argument, _, words = message.partition(": ")
-    if argument == "model":
+    if argument in ("model", "lattice"):
         return f"[{table}]: {words}"
     return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[{table}]: {message}"
 

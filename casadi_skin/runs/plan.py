@@ -13,6 +13,7 @@ from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.orbits.boundary_space import DEGREE, FIRST
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.find_orbit import UNFOLDING
@@ -61,6 +62,8 @@ def _model_lines(request: Request) -> Lines:
     model = request.model
     if isinstance(model, Chain):
         return [("chain", f"N = {model.sites}, alpha = {model.alpha:g}, gamma = {model.gamma:g}, g = {model.g:g}")]
+    if isinstance(model, Lattice):
+        return _lattice_lines(model, request.parameters)
     words = {
         "time reversal": model.reversal is not None,
         "half-period symmetry": model.half_period is not None,
@@ -73,6 +76,18 @@ def _model_lines(request: Request) -> Lines:
         ("states", _listed(model.state_names)),
         ("parameters", _named(request.parameters) or "none"),
         ("declared", declared or "no symmetry, no conserved quantity"),
+    ]
+
+
+def _lattice_lines(lattice: Lattice, parameters: Mapping[str, float]) -> Lines:
+    """What a lattice was declared as, and what it shows of itself."""
+    declared = lattice.declaration
+    size = f"{' x '.join(map(str, declared.cells))} cells of {len(declared.sites)}, {declared.size} sites"
+    by_cell = f"; by cell {', '.join(declared.by_cell)}" if declared.by_cell else ""
+    return [
+        ("lattice", f"{size}, {len(declared.bonds)} bonds a cell; ends {', '.join(declared.boundary)}"),
+        ("parameters", (_named(parameters) or "none") + by_cell),
+        *lattice.structure.lines(),
     ]
 
 

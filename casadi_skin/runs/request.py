@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
@@ -17,18 +18,19 @@ from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.method import Method, Targets
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.scene import OrbitTable, Scene
+from casadi_skin.scene.lattice_tables import LatticeTable, UniformTable
 from casadi_skin.scene.model_tables import CONSERVED
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A scene with its model: a chain, a model of one's own, or a boundary-value problem of it.
+    """A scene with its model: a chain, a lattice, a model of one's own, or a boundary-value problem of it.
 
     Attributes:
         scene: what is asked for.
         model: the `Chain` or the `OdeModel` as it was given.
         parameters: values of all parameters of a model by name.
-        path: the file of the model; None for a chain.
+        path: the file of the model; None for a chain and a lattice.
         source: its text.
         problem: the boundary-value problem, where the file states one.
         guess: where its solution is sought.
@@ -114,3 +116,17 @@ def chain_of(scene: Scene) -> Chain:
         raise ValueError("[chain]: missing; accepted: a scene of a chain")
     sites: Any = scene.chain.sites  # a whole number, or inf
     return Chain(sites, scene.chain.alpha, scene.chain.gamma, scene.chain.g)
+
+
+def lattice_of(table: LatticeTable) -> Lattice:
+    """The lattice of a scene; raises ValueError and TypeError, with the place in the table."""
+    sites = [Site(s.name, str(s.onsite), str(s.mass), str(s.damping), str(s.drive)) for s in table.site]
+    bonds = []
+    for bond in table.bond:
+        offset = (bond.offset,) if isinstance(bond.offset, int) else bond.offset
+        bonds.append(Bond(bond.start, bond.end, offset, str(bond.force), (str(bond.gain[0]), str(bond.gain[1]))))
+    values: dict[str, Any] = dict(table.parameters)
+    for name, value in values.items():
+        if isinstance(value, UniformTable):
+            values[name] = Uniform(value.low, value.high, value.seed)
+    return Lattice(table.cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)

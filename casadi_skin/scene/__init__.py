@@ -4,6 +4,7 @@ Loads no numerics, so that reading a scene is instant.
 """
 
 from casadi_skin.scene.faults import SceneError
+from casadi_skin.scene.lattice_tables import LatticeTable
 from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
 from casadi_skin.scene.reading import parse_scene, read_scene, read_text, scene_schema
 from casadi_skin.scene.scene import Scene
@@ -29,6 +30,7 @@ __all__ = [
     "DynamicsTable",
     "ExportTable",
     "FamilyTable",
+    "LatticeTable",
     "MethodTable",
     "ModelTable",
     "OrbitTable",

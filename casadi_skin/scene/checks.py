@@ -97,8 +97,9 @@ def _check_sought(scene: Scene) -> None:
     if len(sought) > 1:
         words = " or ".join(f"[{name}]" for name in sought[:2])
         raise refusal(f"[{sought[1]}]", f"beside [{sought[0]}]", f"{words} in one scene")
-    if scene.solution is not None and scene.chain is not None:
-        raise refusal("[solution]", "beside [chain]", "beside [model], whose file states a boundary-value problem")
+    if scene.solution is not None and scene.model is None:
+        beside = "[chain]" if scene.lattice is None else "[lattice]"
+        raise refusal("[solution]", f"beside {beside}", "beside [model], whose file states a boundary-value problem")
     if scene.solution is not None and scene.model is not None and scene.model.file.endswith(".json"):
         given = f'with file = "{scene.model.file}"'
         raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")

@@ -35,7 +35,8 @@ def check_known(place: str, name: str, known: Sequence[str]) -> None:
 
 
 def accepted_words(table: type[Table], key: str) -> str:
-    meta: Meta = get_type_hints(table, include_extras=True)[key].__metadata__[-1]
+    name = dict(zip(table.__struct_encode_fields__, table.__struct_fields__, strict=True))[key]
+    meta: Meta = get_type_hints(table, include_extras=True)[name].__metadata__[-1]
     return meta.description or ""
 
 

@@ -3,7 +3,7 @@
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,12 @@ from casadi_skin.scene.faults import (
     toml_repr,
     with_kind,
 )
+from casadi_skin.scene.lattice_tables import BondTable, SiteTable
 from casadi_skin.scene.scene import TABLES, Scene
 from casadi_skin.scene.tables import ChainTable, Table
+
+MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
+LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -58,7 +62,7 @@ def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene, for editors that complete and check TOML."""
     schema = msgspec.json.schema(Scene)
     definition = schema["$defs"]["Scene"]
-    definition["anyOf"] = [{"required": ["chain"]}, {"required": ["model"]}]
+    definition["anyOf"] = [{"required": [name]} for name in MODELS]
     return schema
 
 
@@ -83,32 +87,41 @@ def _check_names(raw: dict[str, Any]) -> None:
             fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
             near = nearest(name, places)
             raise SceneError(fault + did_you_mean(near and places[near], ", ".join(places.values())))
-    if "chain" in raw and "model" in raw:
-        raise refusal("[chain]", "beside [model]", "[chain] or [model] in one scene")
-    if "chain" not in raw and "model" not in raw:
+    models = [name for name in MODELS if name in raw]
+    if len(models) > 1:
+        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
+    if not models:
         keys = ", ".join(ChainTable.__struct_fields__)
-        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, or a table [model] with file")
+        others = "a table [lattice] with cells and site, or a table [model] with file"
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
     for name, table in TABLES.items():
         if name in raw:
-            _check_keys(name, table, raw[name])
+            _check_keys(f"[{name}]", table, raw[name])
+    for name, part in LATTICE_PARTS.items():
+        items = raw.get("lattice", {}).get(name, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise refusal(f"[lattice] {name}", with_kind(items), accepted_words(TABLES["lattice"], name))
+        for i, item in enumerate(items, start=1):
+            _check_keys(f"[[lattice.{name}]] {i}", part, item)
 
 
-def _check_keys(name: str, table: type[Table], given: object) -> None:
+def _check_keys(place: str, table: type[Table], given: object) -> None:
     if not isinstance(given, dict):
-        raise refusal(f"[{name}]", with_kind(given), f"one table [{name}]")
-    known = table.__struct_fields__
+        raise refusal(place, with_kind(given), f"one table {place}")
+    known = table.__struct_encode_fields__
     for key, value in given.items():
         if key not in known:
             near = nearest(key, known)
             hint = did_you_mean(near and f"'{near}'", ", ".join(known) or "no keys")
-            raise SceneError(f"[{name}] {cut(key)}: unknown key{hint}")
+            raise SceneError(f"{place} {cut(key)}: unknown key{hint}")
         for number in _leaves(value):
             # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
             if isinstance(number, int) and abs(number) > sys.float_info.max:
-                raise refusal(f"[{name}] {key}", toml_repr(number), accepted_words(table, key))
+                raise refusal(f"{place} {key}", toml_repr(number), accepted_words(table, key))
     for field in msgspec.structs.fields(table):
-        if field.required and field.name not in given:
-            raise SceneError(f"[{name}] {field.name}: missing; accepted: {accepted_words(table, field.name)}")
+        if field.required and field.encode_name not in given:
+            words = accepted_words(table, field.encode_name)
+            raise SceneError(f"{place} {field.encode_name}: missing; accepted: {words}")
 
 
 def _leaves(value: object) -> Iterator[object]:
@@ -126,6 +139,13 @@ def _convert(raw: dict[str, Any]) -> Scene:
         return msgspec.convert(raw, Scene)
     except msgspec.ValidationError as error:
         message = str(error)
+    part = re.search(r"`\$\.lattice\.(\w+)\[(\d+)\]\.(\w+)", message)
+    if part is not None:
+        name, item, key = part.groups()
+        value = raw["lattice"][name][int(item)][key]
+        raise refusal(
+            f"[[lattice.{name}]] {int(item) + 1} {key}", with_kind(value), accepted_words(LATTICE_PARTS[name], key)
+        )
     path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
     if path is None:  # none is known; its own words are better than a wrong place
         raise SceneError(message)

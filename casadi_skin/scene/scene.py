@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
+from casadi_skin.scene.lattice_tables import LatticeTable
 from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
 from casadi_skin.scene.tables import (
     AccuracyTable,
@@ -22,9 +23,10 @@ from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, SearchTabl
 
 
 class Scene(Table, frozen=True):
-    """All that one run is asked for, of a `chain` or a `model`; what is None is neither built nor computed."""
+    """All that one run is asked for, of a chain, a lattice or a model; what is None is neither built nor computed."""
 
     chain: ChainTable | None = None
+    lattice: LatticeTable | None = None
     model: ModelTable | None = None
     spectrum: SpectrumTable | None = None
     family: FamilyTable | None = None
@@ -71,6 +73,7 @@ class Scene(Table, frozen=True):
 TABLES: Mapping[str, type[Table]] = MappingProxyType(
     {
         "chain": ChainTable,
+        "lattice": LatticeTable,
         "model": ModelTable,
         "spectrum": SpectrumTable,
         "family": FamilyTable,

@@ -143,7 +143,7 @@ def test_two_bonds_of_different_gains_are_reversible_only_and_one_of_the_same_is
     for lattice, hamiltonian in ((reversible, False), (same, True)):
         branch = follow_family(lattice, mode=1, amplitude_max=0.1)
         assert lattice.structure.hamiltonian is hamiltonian is branch.space.coordinates.symplectic
-    assert "no Krein signatures" in dict(reversible.structure.lines())["dynamics"]
+    assert "no Krein signatures" in dict(reversible.structure.lines())["flow"]
 
 
 def test_what_holds_at_the_declared_values_alone_is_not_declared() -> None:

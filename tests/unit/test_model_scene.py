@@ -138,12 +138,15 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
-        ("[orbit]\nstart = [1]\n", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table "),
-        ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain] or [model] in one scene"),
+        ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, a table [lattice] with cells and "),
+        (
+            "[orbit]\nstart = [1]\n",
+            "[chain]: missing; accepted: a table with sites, alpha, gamma, g, a table [lattice]",
+        ),
+        ("[chain]\n[model]\n", "[chain]: given beside [model]; accepted: [chain], [lattice] or [model] in one scene"),
         (scene_of("a", "[family]\n"), "[family] mode: missing; accepted: a mode from 1 to sites (of a "),
         ("[modle]\n", "[modle]: unknown table; did you mean [model]? (accepted: [chain], "),
-        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [chain], [model], "),
+        ("[model]\n[orbt]\n", "[orbt]: unknown table; did you mean [orbit]? (accepted: [chain], [lattice], "),
         ("[model]\nfiles = 'a.py'\n", "[model] files: unknown key; did you mean 'file'? (accepted: file, name, "),
         ("[model]\n", "[model] file: missing; accepted: a Python file, or a .json file written by save_model"),
         ('[model]\nfile = "a.py"\n', "[model] name: missing; accepted: with a Python file the name of the model in it"),
@@ -210,7 +213,7 @@ def test_faults_that_show_without_the_model(text: str, message: str) -> None:
 def test_the_schema_has_one_scene_of_a_chain_or_a_model() -> None:
     schema = json.loads(json.dumps(scene_schema()))
     assert schema["$ref"] == "#/$defs/Scene"
-    assert schema["$defs"]["Scene"]["anyOf"] == [{"required": ["chain"]}, {"required": ["model"]}]
+    assert schema["$defs"]["Scene"]["anyOf"] == [{"required": [name]} for name in ("chain", "lattice", "model")]
     assert not schema["$defs"]["OrbitTable"]["additionalProperties"]
 
 

@@ -28,7 +28,7 @@ from casadi_skin.scene import (
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
 NAMES = (
-    *("chain", "model", "spectrum", "family", "orbit", "solution", "continuation", "stability", "dynamics"),
+    *("chain", "lattice", "model", "spectrum", "family", "orbit", "solution", "continuation", "stability", "dynamics"),
     *("search", "export", "accuracy", "method"),
 )
 TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
@@ -191,7 +191,10 @@ def test_same_request_ignores_the_title_alone() -> None:
             "at_Omega, at_period, period_max, max_points, film)",
         ),
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
-        ("", "[chain]: missing; accepted: a table with sites, alpha, gamma, g, or a table [model] with file"),
+        (
+            "",
+            "[chain]: missing; accepted: a table with sites, alpha, gamma, g, a table [lattice] with cells and site, or a table [model] with file",
+        ),
         ("[chain]\nsites = 3\nalpha = 1\ng = 1", "[chain] gamma: missing; accepted: a number >= -1 and <= 1"),
         (CHAIN + "[family]\nmode = 1", "[family] amplitude_max: missing; accepted: a finite number > 0"),
         ("chain = 3", "[chain]: given 3 (a whole number); accepted: one table [chain]"),
@@ -621,7 +624,7 @@ def test_a_file_that_is_not_utf8(tmp_path: Path) -> None:
 
 def test_the_schema_says_what_the_messages_say() -> None:
     tables = json.loads(json.dumps(scene_schema()))["$defs"]
-    assert tables["Scene"]["anyOf"] == [{"required": ["chain"]}, {"required": ["model"]}]
+    assert tables["Scene"]["anyOf"] == [{"required": [name]} for name in ("chain", "lattice", "model")]
     assert not tables["FamilyTable"]["additionalProperties"]
     sites = tables["ChainTable"]["properties"]["sites"]
     whole, infinite = sites["anyOf"]

@@ -1,0 +1,94 @@
+"""Scenes of lattices: what `check` prints, what `run` writes, and where faults are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadi_skin.cli import main
+
+CHAIN = """
+[lattice]
+cells = 12
+parameters = { alpha = 1.0, gamma = 0.25, g = -1.0 }
+
+[[lattice.site]]
+name = "a"
+onsite = "alpha*y + g*y^3"
+
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [1]
+force = "d"
+gain = ["1 - gamma", "1 + gamma"]
+
+[spectrum]
+
+[family]
+mode = 1
+amplitude_max = 1.0
+at = [0.2]
+
+[stability]
+events = false
+"""
+SHORT = "[chain]\nsites = 12\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[spectrum]" + CHAIN.partition("[spectrum]")[2]
+
+
+def column(path: Path, name: str) -> np.ndarray:
+    """A column of a CSV file."""
+    return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True)[name])
+
+
+def test_a_lattice_runs_as_the_chain_does(tmp_path: Path) -> None:
+    for name, text in (("long", CHAIN), ("short", SHORT)):
+        (tmp_path / f"{name}.toml").write_text(text)
+        assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
+    for quantity, allowed in (("S", 1e-15), ("Omega", 1e-13), ("energy", 1e-12), ("max_multiplier", 1e-9)):
+        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("long", "short"))
+        assert mine == pytest.approx(theirs, rel=allowed)
+    mine, theirs = (column(tmp_path / name / "spectrum.csv", "omega") for name in ("long", "short"))
+    assert mine == pytest.approx(theirs, rel=1e-13)
+
+
+def test_check_prints_what_the_lattice_shows_of_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scene.toml").write_text(CHAIN)
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for words in (
+        "12 cells of 1, 12 sites, 1 bonds a cell; ends fixed", "alpha = 1, gamma = 0.25, g = -1",
+        "a diagonal one; displacements lean by a factor of up to 16.6", "Hamiltonian and reversible",
+        "polynomial, odd", "conserved energy", "mirrors none",
+    ):  # fmt: skip
+        assert words in printed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"alpha*y', '"alhpa*y', '[lattice] site 1 onsite: column 1: given the name "alhpa"; accepted: y, alpha'),
+        ('force = "d"', 'forec = "d"', "[[lattice.bond]] 1 forec: unknown key; did you mean 'force'?"),
+        ("offset = [1]", "offset = [1.5]", "[[lattice.bond]] 1 offset: given [1.5] (an array); accepted: a list of"),
+        ('to = "a"', 'to = "b"', "[lattice] bond 1 to: given 'b'; accepted: a"),
+        ('name = "a"', "", "[[lattice.site]] 1 name: missing; accepted: a name"),
+        ("cells = 12", "cells = 0", "[lattice] cells: given 0; accepted: a whole number >= 1, or a list"),
+        ('"1 - gamma"', '"1 - 4*gamma"', '[lattice] bond 1 gain 1: given "1 - 4*gamma", which is 0 in cell 1'),
+        ("g = -1.0", "g = [1.0]", "[lattice] parameters g: given numbers of shape [1]; accepted: 12 finite numbers"),
+        ("alpha = 1.0", "alpha = -3", "does not oscillate: omega^2 = -"),
+        ("[[lattice.site]]", "[lattice.site]", "[lattice] site: given a table; accepted: one table [[lattice.site]]"),
+        ("[lattice]", '[lattice]\nboundary = "perodic"', 'given "perodic"; did you mean "periodic"?'),
+        ("[spectrum]", "[model]\nfile = 'm.py'", "[lattice]: given beside [model]; accepted: [chain], [lattice] or"),
+        ("[family]", "[solution]\nguess = 'g'\n[family]", "[solution]"),
+    ],
+)
+def test_faults_are_told_in_one_line_with_the_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
+) -> None:
+    (tmp_path / "scene.toml").write_text(CHAIN.replace(old, new, 1))
+    assert main(["check", str(tmp_path / "scene.toml")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
