@@ -47,7 +47,7 @@ def test_a_lattice_runs_as_the_chain_does(tmp_path: Path) -> None:
     for name, text in (("long", CHAIN), ("short", SHORT)):
         (tmp_path / f"{name}.toml").write_text(text)
         assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
-    for quantity, allowed in (("S", 1e-15), ("Omega", 1e-13), ("energy", 1e-12), ("max_multiplier", 1e-9)):
+    for quantity, allowed in (("S", 1e-15), ("Omega", 1e-13), ("energy", 1e-12), ("max_abs_multiplier", 1e-9)):
         mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("long", "short"))
         assert mine == pytest.approx(theirs, rel=allowed)
     mine, theirs = (column(tmp_path / name / "spectrum.csv", "omega") for name in ("long", "short"))

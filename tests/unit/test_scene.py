@@ -193,7 +193,8 @@ def test_same_request_ignores_the_title_alone() -> None:
         (CHAIN + '"a\\n\\u2028b" = 1', "[chain] a\\n\\u2028b: unknown key; accepted: sites, alpha, gamma, g"),
         (
             "",
-            "[chain]: missing; accepted: a table with sites, alpha, gamma, g, a table [lattice] with cells and site, or a table [model] with file",
+            "[chain]: missing; accepted: a table with sites, alpha, gamma, g, "
+            "a table [lattice] with cells and site, or a table [model] with file",
         ),
         ("[chain]\nsites = 3\nalpha = 1\ng = 1", "[chain] gamma: missing; accepted: a number >= -1 and <= 1"),
         (CHAIN + "[family]\nmode = 1", "[family] amplitude_max: missing; accepted: a finite number > 0"),
