@@ -137,6 +137,8 @@ def check_spectrum(request: Request) -> None:
     """Raises SceneError where linear frequencies cannot be shown."""
     from casadi_skin.orbits.spectrum import linear_frequencies
 
+    if request.scene.lattice is not None:  # frequencies that are not real are written as they are
+        return
     try:
         linear_frequencies(request.model, request.parameters)
     except ValueError as error:

@@ -1,0 +1,233 @@
+"""Linear modes of a lattice with where they live, and the bands of its periodic cell; dimensionless."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.lattice.declaration import INDICES, Array
+from casadi_skin.lattice.expressions import expression
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.orbits.model_coordinates import symmetrising_scale
+
+ComplexArray = NDArray[np.complex128]
+REAL = 1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeModes:
+    """Linear modes of a lattice about rest, by ascending real part of omega^2.
+
+    Attributes:
+        squares: omega^2, shape (modes,).
+        right: displacements of the modes, of norm 1, shape (sites, modes).
+        left: left modes, of norm 1: what a mode is excited by; shape (sites, modes).
+        participation: participation ratio 1 / sum |u|^4 of the right modes: about the number of sites that move.
+        left_participation: the same of the left modes.
+        centre: mean cell of |u|^2 along each direction, from 1, shape (modes, directions).
+        decay: mean change of ln |u| a cell along each direction, shape (modes, directions).
+    """
+
+    squares: ComplexArray
+    right: ComplexArray
+    left: ComplexArray
+    participation: Array
+    left_participation: Array
+    centre: Array
+    decay: Array
+
+    @property
+    def frequencies(self) -> ComplexArray:
+        """omega with real part >= 0, and imaginary part > 0 where the mode grows."""
+        roots = np.sqrt(self.squares)
+        return np.where(roots.imag < 0, np.conj(roots), roots)
+
+    @property
+    def real(self) -> bool:
+        """Whether every omega^2 is real, to rounding."""
+        return bool(np.max(np.abs(self.squares.imag)) <= REAL * np.max(np.abs(self.squares)))
+
+
+def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> LatticeModes:
+    """Linear modes of a lattice, left and right, from the symmetric problem of its gauge where there is one.
+
+    Arguments:
+        lattice: the lattice; damping and drives are left out.
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        The modes; their frequencies may be complex where the lattice has no gauge.
+
+    Raises:
+        ValueError: unknown parameters.
+    """
+    K, declaration = _stiffness(lattice, parameters or {}), lattice.declaration
+    log_scale = symmetrising_scale(K)
+    if log_scale is not None:
+        scale = np.exp(log_scale)
+        S = K / scale[:, None] * scale
+        squares, modes = np.linalg.eigh(0.5 * (S + S.T))
+        right, left = scale[:, None] * modes, modes / scale[:, None]
+    else:
+        squares, right = np.linalg.eig(K)
+        order = np.lexsort((squares.imag, squares.real))
+        squares, right = squares[order], right[:, order]
+        left = np.linalg.inv(right).T
+    right, left = (modes / np.linalg.norm(modes, axis=0) for modes in (right, left))
+    density = np.abs(right.T.reshape(-1, *declaration.cells, len(declaration.sites))) ** 2
+    directions = range(len(declaration.cells))
+    return LatticeModes(
+        squares.astype(complex), right.astype(complex), left.astype(complex),
+        1.0 / np.sum(np.abs(right) ** 4, axis=0), 1.0 / np.sum(np.abs(left) ** 4, axis=0),
+        np.stack([_centre(density, k) for k in directions], axis=1),
+        np.stack([_decay(density, k) for k in directions], axis=1),
+    )  # fmt: skip
+
+
+def _stiffness(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
+    """K of y'' = -K y at rest."""
+    equations, values = lattice.equations, list(named_values(lattice, parameters).values())
+    derivative = ca.densify(ca.jacobian(equations.accelerations, equations.y))
+    function = ca.Function("K", [equations.y, equations.v, equations.t, equations.parameters], [-derivative])
+    return np.array(function(0, 0, 0, values))
+
+
+def _along(density: Array, direction: int) -> Array:
+    """Sums of |u|^2 of every mode over all but the cells along one direction, shape (modes, cells)."""
+    others = tuple(axis for axis in range(1, density.ndim) if axis != direction + 1)
+    return np.asarray(density.sum(axis=others))
+
+
+def _centre(density: Array, direction: int) -> Array:
+    along = _along(density, direction)
+    return np.asarray(along @ np.arange(1, along.shape[1] + 1))
+
+
+def _decay(density: Array, direction: int) -> Array:
+    """Slope of a line through the logarithms of |u|, of two cells at a time so that a node does not count alone."""
+    along = _along(density, direction)
+    if along.shape[1] < 3:
+        return np.zeros(along.shape[0])
+    logs = 0.5 * np.log(np.maximum(along[:, 1:] + along[:, :-1], np.finfo(float).tiny))
+    cells = np.arange(logs.shape[1]) - 0.5 * (logs.shape[1] - 1)
+    return np.asarray(logs @ cells / (cells @ cells))
+
+
+# Bands ----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Squared frequencies of the waves e^(i k n) |beta|^n of an infinite lattice of the same cells.
+
+    Attributes:
+        wave_numbers: shape (points, directions): one direction from -pi to pi, or (0, 0), (pi, 0), (pi, pi), (0, 0).
+        squares: ascending by real part, shape (points, sites of a cell).
+        beta: |beta| along each direction: of the open lattice's waves in the gauge (the generalised Brillouin zone is
+            this circle), 1 without one.
+    """
+
+    wave_numbers: Array
+    squares: ComplexArray
+    beta: tuple[float, ...]
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """Ends of the gaps between bands in omega^2, where all are real."""
+        low, high = self.squares.real.min(axis=0), self.squares.real.max(axis=0)
+        return [(float(a), float(b)) for a, b in zip(high[:-1], low[1:], strict=True) if b > a]
+
+
+def bands(
+    lattice: Lattice, parameters: Mapping[str, float] | None = None, points: int = 201, open_ends: bool = True
+) -> Bands:
+    """Bands of the infinite lattice made of the cell of a lattice.
+
+    Arguments:
+        lattice: a lattice whose cells are all alike.
+        parameters: values of parameters that are not the declared ones.
+        points: number of wave numbers.
+        open_ends: the bands that a long lattice with ends has, in its gauge; without, those of a ring.
+
+    Returns:
+        The bands.
+
+    Raises:
+        ValueError: the cells differ.
+    """
+    declaration = lattice.declaration
+    differing = cells_differ_by(lattice)
+    if differing:
+        raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
+    beta = _beta(lattice) if open_ends else np.ones(len(declaration.cells))
+    waves, terms = _wave_numbers(len(declaration.cells), points), list(_bond_terms(lattice, parameters or {}))
+    onsite, masses = (_of_cell(lattice, parameters or {}, field) for field in ("onsite", "mass"))
+    K = np.zeros((len(waves), onsite.size, onsite.size), complex) + np.diag(onsite)
+    for i, j, offset, first, second in terms:
+        phase = np.exp(waves @ (1j * np.array(offset))) * np.prod(beta ** np.array(offset, dtype=float))
+        K[:, i, i] += first
+        K[:, j, j] += second
+        K[:, i, j] -= first * phase
+        K[:, j, i] -= second / phase
+    squares = np.linalg.eigvals(K / masses[:, None]).astype(complex)
+    return Bands(waves, np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), tuple(beta.tolist()))
+
+
+def cells_differ_by(lattice: Lattice) -> list[str]:
+    """Names of indices and parameters in the formulas that have another value in another cell."""
+    declaration = lattice.declaration
+    used = {name for formula in declaration.formulas.values() for name in formula.names}
+    return sorted({*INDICES, *declaration.by_cell} & used)
+
+
+def _values(lattice: Lattice, parameters: Mapping[str, float]) -> dict[str, ca.SX]:
+    return {name: ca.SX(value) for name, value in named_values(lattice, parameters).items()}
+
+
+def _of_cell(lattice: Lattice, parameters: Mapping[str, float], field: str) -> Array:
+    """Stiffness of the sites of a cell from their restoring forces, or their masses."""
+    values, y = _values(lattice, parameters), ca.SX.sym("y")
+    found: list[float] = []
+    for s in range(len(lattice.declaration.sites)):
+        value = expression(lattice.declaration.formulas["site", s, field], values | {"y": y})
+        value = ca.jacobian(value, y) if field == "onsite" else value
+        found.append(float(ca.evalf(ca.substitute(value, y, 0))))
+    return np.array(found)
+
+
+def _bond_terms(
+    lattice: Lattice, parameters: Mapping[str, float]
+) -> Iterator[tuple[int, int, tuple[int, ...], float, float]]:
+    """Sites of every bond in the cell, its offset, and the stiffness at its two ends."""
+    values, d, declaration = _values(lattice, parameters), ca.SX.sym("d"), lattice.declaration
+    numbers = {site.name: i for i, site in enumerate(declaration.sites)}
+    for b, bond in enumerate(declaration.bonds):
+        force = expression(declaration.formulas["bond", b, "force"], values | {"d": d})
+        slope = float(ca.evalf(ca.substitute(ca.jacobian(force, d), d, 0)))
+        gains = [float(ca.evalf(expression(declaration.formulas["bond", b, f"gain {k}"], values))) for k in (1, 2)]
+        yield numbers[bond.start], numbers[bond.end], bond.offset, slope * gains[0], slope * gains[1]
+
+
+def _beta(lattice: Lattice) -> Array:
+    """What displacements lean by a cell along each direction: the ratio of gauge factors of neighbouring cells."""
+    declaration, logs = lattice.declaration, lattice.structure.log_weights
+    found = np.ones(len(declaration.cells))
+    if logs is not None:
+        shaped = logs.reshape(*declaration.cells, len(declaration.sites))
+        for k, count in enumerate(declaration.cells):
+            if count > 1:
+                found[k] = np.exp(-0.5 * np.mean(np.diff(shaped, axis=k)))
+    return found
+
+
+def _wave_numbers(directions: int, points: int) -> Array:
+    if directions == 1:
+        return np.linspace(-np.pi, np.pi, points)[:, None]
+    corners = np.pi * np.array([[0, 0], [1, 0], [1, 1], [0, 0]])
+    along = np.linspace(0.0, 3.0, points)
+    return np.stack([np.interp(along, np.arange(4), corners[:, k]) for k in range(2)], axis=1)

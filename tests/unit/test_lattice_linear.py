@@ -1,0 +1,78 @@
+"""Linear modes and bands of lattices against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from lattices import GAINS, chain, dimer, plane
+
+from casadi_skin import Bond, Chain, Lattice, Site
+from casadi_skin.figures.bands import band_figure
+from casadi_skin.lattice.linear import bands, lattice_modes
+
+
+def test_modes_of_the_chain_are_those_in_closed_form() -> None:
+    lattice, closed = chain(24, 1.0, 0.25, -1.0), Chain(24, 1.0, 0.25, -1.0)
+    modes = lattice_modes(lattice)
+    assert modes.real
+    assert modes.frequencies.real == pytest.approx(closed.linear_frequencies(), rel=1e-14)
+    for j in (1, 7, 24):
+        for mine, theirs in ((modes.right, closed.right_eigenvector(j)), (modes.left, closed.left_eigenvector(j))):
+            expected = theirs / np.linalg.norm(theirs)
+            assert abs(mine[:, j - 1].real @ expected) == pytest.approx(1.0, abs=1e-12)
+    envelope = closed.right_eigenvector(1) / np.linalg.norm(closed.right_eigenvector(1))
+    assert modes.participation[0] == pytest.approx(1.0 / np.sum(envelope**4), rel=1e-12)
+    assert modes.centre[0, 0] == pytest.approx(np.arange(1, 25) @ envelope**2, rel=1e-12)
+    assert modes.decay[:, 0] == pytest.approx(0.5 * np.log(5 / 3), rel=0.05)  # the skin envelope's
+
+
+def test_bands_of_the_chain_end_at_its_cutoffs_and_lean_by_the_skin_factor() -> None:
+    found = bands(chain(24, 1.0, 0.25, -1.0))
+    assert (found.squares.real.min(), found.squares.real.max()) == pytest.approx(Chain(9, 1.0, 0.25, 1.0).band())
+    assert np.max(np.abs(found.squares.imag)) < 1e-14
+    assert found.beta == pytest.approx((np.sqrt(5 / 3),))
+
+
+def test_a_ring_without_gauge_has_the_complex_frequencies_of_its_waves() -> None:
+    ring = Lattice(20, [Site("a", "y")], [Bond("a", "a", (1,), gain=GAINS)], "periodic", {"gamma": 0.2})
+    modes, k = lattice_modes(ring), 2 * np.pi * np.arange(20) / 20
+    expected = 3.0 - 0.8 * np.exp(1j * k) - 1.2 * np.exp(-1j * k)
+    assert not modes.real
+    assert np.sort_complex(modes.squares.round(10)) == pytest.approx(np.sort_complex(expected.round(10)), abs=1e-9)
+    squares = bands(ring, points=21).squares[:-1, 0]
+    assert np.sort_complex(squares.round(10)) == pytest.approx(np.sort_complex(expected.round(10)), abs=1e-9)
+
+
+def test_the_dimer_has_its_gap_and_edge_modes_in_it() -> None:
+    u, w, s = 0.5, 1.0, 0.5 * np.sqrt(1 - 0.3**2)
+    # in the gauge: diagonal 1 + u (1 -+ gamma) + w, couplings s and w
+    k = np.linspace(-np.pi, np.pi, 201)
+    half = np.sqrt((0.3 * u) ** 2 + s**2 + w**2 + 2 * s * w * np.cos(k))
+    found = bands(dimer(20))
+    assert found.squares.real == pytest.approx(np.stack([2.5 - half, 2.5 + half], axis=1), rel=1e-12)
+    ((low, high),) = found.gaps
+    modes = lattice_modes(dimer(20))
+    inside = (modes.squares.real > low + 0.05) & (modes.squares.real < high - 0.05)
+    assert modes.squares.real[inside] == pytest.approx([2.35, 2.65], abs=1e-6)
+    assert np.all(modes.participation[inside] < 3) and np.all(modes.participation[~inside] > 3)
+
+
+def test_modes_of_a_plane_are_products() -> None:
+    modes, n, m = lattice_modes(plane((6, 5))), np.arange(1, 7), np.arange(1, 6)
+    x = 2 - 2 * np.sqrt(1 - 0.3**2) * np.cos(n * np.pi / 7)
+    y = 2 - 2 * np.sqrt(1 - 0.15**2) * np.cos(m * np.pi / 6)
+    assert modes.squares.real == pytest.approx(np.sort((1 + x[:, None] + y).ravel()), rel=1e-13)
+    assert np.all(modes.decay[0] > 0)
+    assert np.all(modes.centre[0] > [3.5, 3.0])
+
+
+def test_cells_that_differ_have_no_bands() -> None:
+    lattice = Lattice(5, [Site("a", "n*k*y")], [Bond("a", "a", (1,))], parameters={"k": [1, 2, 3, 4, 5.0]})
+    with pytest.raises(ValueError, match="given cells that differ by k, n; accepted: cells alike"):
+        bands(lattice)
+
+
+@pytest.mark.parametrize("lattice", [dimer(6), plane((3, 3))])
+def test_pictures_of_bands(lattice: Lattice) -> None:
+    figure = band_figure(lattice)
+    assert len(figure.axes) == 3
