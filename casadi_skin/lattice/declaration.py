@@ -177,20 +177,28 @@ class Declaration:
 
     @cached_property
     def by_cell(self) -> dict[str, Array | Formula]:
-        """Parameters with a value for each cell: arrays of the shape of `cells`, or formulas."""
+        """Parameters with a value for each cell: arrays of the shape of `cells`, or formulas after what they need."""
         found: dict[str, Array | Formula] = {}
         for name, value in self.parameters.items():
             place = f"parameters {name}"
-            if isinstance(value, str):
-                known = (*self.scalars, *found, *INDICES[: len(self.cells)])
-                found[name] = read_formula(place, value, known)
-            elif isinstance(value, Uniform):
+            if isinstance(value, Uniform):
                 for field in fields(value):
                     number(f"{place} {field.name}", getattr(value, field.name))
                 whole(f"{place} seed", value.seed, 0)
                 found[name] = value.values(self.cells)
-            elif name not in self.scalars:
+            elif name not in self.scalars and not isinstance(value, str):
                 found[name] = self._array(place, value)
+        known = (*self.parameters, *INDICES[: len(self.cells)])
+        waiting = {
+            k: read_formula(f"parameters {k}", v, known) for k, v in self.parameters.items() if isinstance(v, str)
+        }
+        while waiting:  # each after those that it is made of
+            ready = [name for name, formula in waiting.items() if not set(formula.names) & set(waiting)]
+            if not ready:
+                name = next(iter(waiting))
+                given = f'parameters {name}: given "{waiting[name].text}"'
+                raise ValueError(f"{given}, which depends on itself; accepted: formulas in other parameters")
+            found |= {name: waiting.pop(name) for name in ready}
         return found
 
     @cached_property

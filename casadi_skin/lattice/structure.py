@@ -292,6 +292,9 @@ def _is_odd(equations: Equations, trials: list[_Trial]) -> bool:
     for trial in trials:
         there = np.array(field(trial.y, trial.v, trial.t, trial.parameters))
         back = np.array(field(-trial.y, -trial.v, trial.t, trial.parameters))
+        if equations.driven:  # the forces beside the drive
+            rest = np.array(field(0 * trial.y, 0 * trial.v, trial.t, trial.parameters))
+            there, back = there - rest, back - rest
         if not np.max(np.abs(there + back)) <= SAME * np.max(np.abs(there)):
             return False
     return True
@@ -327,7 +330,8 @@ def _mirrors(equations: Equations, trials: list[_Trial]) -> tuple[int, ...]:
 
 
 def _is_polynomial(equations: Equations) -> bool:
-    accelerations = ca.substitute(equations.accelerations, equations.parameters, ca.DM(equations.nominal))
+    at = ca.vertcat(equations.parameters, equations.t)
+    accelerations = ca.substitute(equations.accelerations, at, ca.vertcat(ca.DM(equations.nominal), 0.0))
     try:
         homogeneous_parts(accelerations, ca.vertcat(equations.y, equations.v))
     except (NotPolynomialError, ValueError):

@@ -87,7 +87,7 @@ def test_the_pi_mode_of_fput_has_its_exact_period() -> None:
 def test_values_by_cell_and_boundaries_against_sums_by_hand() -> None:
     k, e = [1.0, 2.0, 0.5, 3.0], Uniform(-0.1, 0.1, seed=5)
     site = Site("a", "(k + e + n/10)*y", mass="m0*s")
-    parameters = {"k": k, "e": e, "m0": 2.0, "s": "1 + n/4"}
+    parameters = {"s": "1 + q", "k": k, "e": e, "m0": 2.0, "q": "n/4"}
     y, n = np.array([0.3, -0.2, 0.7, 0.1]), np.arange(1, 5)
     onsite = (np.array(k) + np.random.default_rng(5).uniform(-0.1, 0.1, (4,)) + n / 10) * y
     for boundary, padded in (
@@ -209,6 +209,7 @@ A = Site("a", "y")
         ({"parameters": {"y": 1.0}}, "parameters: given the name 'y'"),
         ({"parameters": {"k": [1.0, 2.0]}}, r"parameters k: given numbers of shape \[2\]; accepted: 4 finite numbers"),
         ({"parameters": {"k": "1 + z"}}, 'parameters k: column 5: given the name "z"'),
+        ({"parameters": {"k": "2*p", "p": "k + 1"}}, 'parameters k: given "2\\*p", which depends on itself'),
         ({"parameters": {"k": float("nan")}}, "parameters k: given nan"),
         ({"forcing_period": "1"}, "forcing_period: given '1' without a drive"),
         ({"sites": [Site("a", "y", drive="t")]}, 'site 1 drive: given "t"; accepted: sines and cosines'),

@@ -54,7 +54,8 @@ def test_the_dimer_has_its_gap_and_edge_modes_in_it() -> None:
     modes = lattice_modes(dimer(20))
     inside = (modes.squares.real > low + 0.05) & (modes.squares.real < high - 0.05)
     assert modes.squares.real[inside] == pytest.approx([2.35, 2.65], abs=1e-6)
-    assert np.all(modes.participation[inside] < 3) and np.all(modes.participation[~inside] > 3)
+    assert np.all(modes.participation[inside] < 3)
+    assert np.all(modes.participation[~inside] > 3)
 
 
 def test_modes_of_a_plane_are_products() -> None:
