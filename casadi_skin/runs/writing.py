@@ -9,6 +9,7 @@ from pathlib import Path
 
 import casadi_skin.figures as figures
 from casadi_skin.figures.bands import band_figure
+from casadi_skin.figures.plane import plane_figure
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import bands, cells_differ_by, lattice_modes
@@ -78,6 +79,9 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     if profile is not None:
         figures.save(profile, directory / "profile")
     for branch in branches:
+        in_plane = plane_figure(branch)
+        if in_plane is not None:
+            figures.save(in_plane, directory / f"plane_j{mode_of(branch)}")
         multipliers = figures.multiplier_figure(branch)
         if multipliers is not None:
             figures.save(multipliers, directory / f"multipliers_j{mode_of(branch)}")
