@@ -124,10 +124,13 @@ def test_lattices_of_ones_own(
 @pytest.mark.slow
 def test_the_python_examples_of_the_readme_run() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    family, own = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    family, lattice, own = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     names: dict[str, Any] = {}
     exec(compile(family, "README.md", "exec"), names)
     assert np.isfinite(names["branch"].Omega).all()
+    exec(compile(lattice, "README.md", "exec"), names)
+    change = names["follow_family"](names["ring"], "last", 0.5, stability=True).changes[0]
+    assert pytest.approx(0.2503601, abs=1e-6) == change.S
     names = {}
     exec(compile(own, "README.md", "exec"), names)
     assert names["follow_family"](names["fput"], "last", 2.0).Omega[-1] == pytest.approx(3.1814974, abs=1e-7)

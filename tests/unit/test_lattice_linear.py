@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, plane
 
-from casadi_skin import Bond, Chain, Lattice, Site
+from casadi_skin import Bond, Chain, Lattice, Site, follow_family
 from casadi_skin.figures.bands import band_figure
+from casadi_skin.figures.plane import plane_figure
 from casadi_skin.lattice.linear import bands, lattice_modes
 
 
@@ -77,3 +78,12 @@ def test_cells_that_differ_have_no_bands() -> None:
 def test_pictures_of_bands(lattice: Lattice) -> None:
     figure = band_figure(lattice)
     assert len(figure.axes) == 3
+
+
+def test_profiles_in_the_plane_are_drawn_of_two_dimensions_alone() -> None:
+    drawn = plane_figure(follow_family(plane((3, 2)), mode=1, amplitude_max=0.2, at=(0.1,)))
+    assert drawn is not None
+    values = drawn.axes[0].images[0].get_array()
+    assert values.shape == (2, 3)
+    assert np.linalg.norm(values) == pytest.approx(1.0, rel=1e-6)
+    assert plane_figure(follow_family(chain(3, 1.0, 0.2, -1.0), mode=1, amplitude_max=0.2, at=(0.1,))) is None
