@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
+import sys
 from collections.abc import Iterable
 from numbers import Real
-from typing import cast
+from typing import Any, cast
 
 LONGEST = 60  # characters of a given value or name that a message shows
+MANY_NODES = 1000  # of an expression that no message shows
 
 
 def cut(text: str, longest: int = LONGEST) -> str:
@@ -18,8 +21,27 @@ def cut(text: str, longest: int = LONGEST) -> str:
 
 def short_repr(value: object) -> str:
     """A value in one line, cut where it is long."""
-    huge = isinstance(value, int) and value.bit_length() > 2000  # Python may refuse to write its decimals
-    return cut(" ".join((hex(value) if huge and isinstance(value, int) else repr(value)).split()))
+    return cut(" ".join(_Short().repr(value).split()))
+
+
+class _Short(reprlib.Repr):
+    """Text of what a message shows the beginning of, whatever it is: huge, endless, or with a fault in its own text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("maxlist", "maxtuple", "maxdict", "maxset", "maxfrozenset", "maxdeque", "maxarray"):
+            setattr(self, name, LONGEST)
+        self.maxstring = self.maxother = 4 * LONGEST
+
+    def repr_int(self, value: int, level: int) -> str:
+        return hex(value) if value.bit_length() > 2000 else repr(value)  # Python may refuse to write its decimals
+
+    def repr_SX(self, value: Any, level: int) -> str:
+        """CasADi writes expressions by recursion: deep ones would end the process."""
+        deep = sys.modules["casadi"].n_nodes(value) > MANY_NODES
+        return f"{type(value).__name__} of shape {value.shape}" if deep else str(self.repr_instance(value, level))
+
+    repr_MX = repr_SX
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -27,7 +27,7 @@ _REAL = ("Real", "Float64")
 _TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class FmuModel(OdeModel):
     """A model whose equations are in an FMU's binary; functions made of it live as long as it does.
 

@@ -121,7 +121,7 @@ def _check(
             raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class _Extended(OdeModel):
     """A model with more parameters; its values are as good as those of the one that it is made of."""
 
