@@ -6,8 +6,9 @@ import difflib
 import math
 import reprlib
 import sys
-from collections.abc import Iterable
-from numbers import Real
+from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, cast
 
 LONGEST = 60  # characters of a given value or name that a message shows
@@ -53,14 +54,14 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 def accepted_names(name: object, known: Iterable[str]) -> str:
     """What a message on an unknown name ends with: the nearest known name, if one is near, and all that are known."""
     names = list(known)
-    near = nearest(str(name), names)
+    near = nearest(name if isinstance(name, str) else short_repr(name), names)
     return f"{f'did you mean {near}? ' if near else ''}accepted: {', '.join(names) or 'none'}"
 
 
 def check_name(label: str, name: object, known: Iterable[str]) -> None:
     """Raises ValueError, with the nearest known name, for an unknown one."""
     names = list(known)
-    if name not in names:
+    if not isinstance(name, str) or name not in names:
         raise ValueError(f"{label}: given {short_repr(name)}; {accepted_names(name, names)}")
 
 
@@ -87,3 +88,43 @@ def numbers(name: str, values: object) -> tuple[float, ...]:
     except TypeError:
         raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}") from None
     return tuple(number(name, value, accepted) for value in given)
+
+
+def whole(name: str, value: object, least: int, most: int | None = None) -> int:
+    """The value as an int; raises ValueError where it is no whole number from `least` on, or up to `most`."""
+    found = None if isinstance(value, bool) or not isinstance(value, Integral) else int(value)
+    if found is None or found < least or (most is not None and found > most):
+        accepted = f"a whole number >= {least}" if most is None else f"a whole number from {least} to {most}"
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
+    return found
+
+
+def truth(name: str, value: object) -> bool:
+    """The value; raises TypeError where it is neither True nor False."""
+    if not isinstance(value, bool) and type(value).__name__ not in ("bool_", "bool"):  # numpy's
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: True or False")
+    return bool(value)
+
+
+def function_of(name: str, value: object, argument: str) -> None:
+    """Raises TypeError where the value is neither None nor can be called."""
+    if value is not None and not callable(value):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: a function of {argument}")
+
+
+def by_name(name: str, value: object, what: str = "numbers") -> Mapping[str, Any]:
+    """The value, nothing for None; raises TypeError where it is no mapping from names."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: {what} by name")
+    return value
+
+
+def file_path(name: str, value: object) -> Path:
+    """The value as a path; raises TypeError and ValueError where no file can be called so."""
+    if not isinstance(value, str | Path):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: a path")
+    if not str(value).isprintable() or not str(value):
+        raise ValueError(f"{name}: given {short_repr(str(value))}; accepted: a path in one line")
+    return Path(value)

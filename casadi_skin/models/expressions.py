@@ -49,7 +49,9 @@ def symbols_of(label: str, given: Any) -> Expression:
     return given
 
 
-def expression_of(label: str, given: Any, symbols: Sequence[Expression], form: str = "f(t, x, p)") -> Expression:
+def expression_of(
+    label: str, given: Any, symbols: Sequence[Expression], form: str = "f(t, x, p)", constants: bool = True
+) -> Expression:
     """An expression of the kind of the symbols: itself, a number, a list of these, or a function of the symbols.
 
     Arguments:
@@ -57,6 +59,7 @@ def expression_of(label: str, given: Any, symbols: Sequence[Expression], form: s
         given: What the script gave.
         symbols: The arguments of a function.
         form: How that function is called.
+        constants: Whether numbers are accepted.
 
     Raises:
         TypeError: It is none of these, or the function cannot be called so.
@@ -69,16 +72,18 @@ def expression_of(label: str, given: Any, symbols: Sequence[Expression], form: s
         given = _called(label, given, symbols, form)
     accepted = f"a CasADi expression of kind {kind.__name__}, a list of them, or a function {form} that returns either"
     if not isinstance(given, list | tuple | np.ndarray):
-        return _single(label, given, kind, accepted)
-    entries = [_single(label, entry, kind, accepted) for entry in _entries(label, given)]
+        return _single(label, given, kind, accepted, constants)
+    entries = [_single(label, entry, kind, accepted, constants) for entry in _entries(label, given)]
     if any(entry.size2() != 1 for entry in entries):
         raise ValueError(f"{label}: given a list with a matrix in it; accepted: scalars or columns")
     return ca.vertcat(*entries) if entries else kind(0, 1)
 
 
-def _single(label: str, given: Any, kind: type[Expression], accepted: str) -> Expression:
+def _single(label: str, given: Any, kind: type[Expression], accepted: str, constants: bool) -> Expression:
     if isinstance(given, kind):
         return given
+    if not constants:
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: {accepted}")
     return kind(given if isinstance(given, ca.DM) else number(label, given, accepted))
 
 
@@ -88,7 +93,7 @@ def _entries(label: str, given: Any) -> list[Any]:
         return list(given)
     if given.ndim > 2 or (given.ndim == 2 and given.shape[1] != 1):
         raise ValueError(f"{label}: given an array of shape {given.shape}; accepted: one column")
-    return list(given.ravel())
+    return list(given.ravel())  # of one without dimensions too
 
 
 def _called(label: str, function: Callable[..., Any], symbols: Sequence[Expression], form: str) -> Any:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import nearest, number, short_repr
+from casadi_skin.arguments import file_path, nearest, number, short_repr
 from casadi_skin.models.fmu_archive import Unpacked, unpack
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
@@ -76,9 +76,9 @@ class FmuModel(OdeModel):
 
 def import_fmu(
     path: str | Path,
+    *,
     states: Sequence[str] | None = None,
     parameters: Sequence[str] = (),
-    *,
     forcing_period: float | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> FmuModel:
@@ -112,9 +112,7 @@ def import_fmu(
         given = () if names is None and label == "states" else names
         if not isinstance(given, list | tuple) or not all(isinstance(name, str) for name in given):
             raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
-    if not isinstance(path, str | Path):
-        raise TypeError(f"path: given {short_repr(path)}; accepted: the path of an FMU")
-    unpacked = unpack(path)
+    unpacked = unpack(file_path("path", path))
     try:
         _chosen(unpacked, states, parameters)  # names first: they run nothing
         asked = {"states": states, "parameters": tuple(parameters), "forcing_period": forcing_period}

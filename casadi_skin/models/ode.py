@@ -5,7 +5,7 @@ from __future__ import annotations
 import copyreg
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -38,7 +38,9 @@ class OdeModel:
 
     MX expressions are accepted in models of first order whose state and parameters are one symbol each.
 
-    Raises ValueError when the shapes, the symbols or the declarations do not fit.
+    Symbols may be given as a list of scalars, expressions as lists, numbers or functions f(t, x, p) of the symbols.
+
+    Raises ValueError when the shapes, the symbols or the declarations do not fit, TypeError for other kinds of objects.
     """
 
     name: str
@@ -47,6 +49,7 @@ class OdeModel:
     parameters: Expression = field(default_factory=lambda: ca.SX(0, 1))
     order: int = 1
     velocity: ca.SX | None = None
+    _: KW_ONLY
     reversal: Signs | None = None
     half_period: Signs | None = None
     normalisation: Expression | None = None

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 import msgspec
 
-from casadi_skin.arguments import cut, short_repr
+from casadi_skin.arguments import cut, file_path, short_repr
 from casadi_skin.files import replacing
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.loading import read_source
@@ -79,12 +79,15 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
     Raises:
         ValueError: The model's equations are not made of elementary operations alone, but of a program as in an FMU, of
             tables, or of solutions of other equations.
+        TypeError: An argument is of another kind.
         OSError: The file cannot be written.
     """
-    text = dumps(model)
-    with replacing(Path(path)) as temporary:
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    target, text = file_path("path", path), dumps(model)
+    with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return Path(path)
+    return target
 
 
 def dumps(model: OdeModel) -> str:
@@ -123,8 +126,10 @@ def read_model(path: str | Path) -> OdeModel:
 
     Raises:
         ValueError: The file cannot be read, holds no such model, or is damaged; in one line.
+        TypeError: The path is none.
     """
-    return loads(read_source(Path(path)), str(path))
+    source = file_path("path", path)
+    return loads(read_source(source), str(source))
 
 
 def loads(text: str, path: str = "text") -> OdeModel:

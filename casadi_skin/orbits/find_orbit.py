@@ -15,11 +15,11 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import by_name, number, short_repr, truth, whole
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Bounds, Statement, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.models.expressions import Expression
+from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
@@ -60,14 +60,19 @@ def find_orbit(
 
     Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
     "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
-    "period". Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments that do not fit the
-    model, BoundaryError where no orbit is found.
+    "period". Expressions may be given as functions f(t, x, p) of CasADi's symbols. Options are those of
+    `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
+    where no orbit is found.
     """
-    _check(model, period, select, section, symmetric, cycles, free)
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    _check(model, period, select, section, truth("symmetric", symmetric), cycles, free)
     first = model.first_order()
-    length = 0.0 if model.forced else _length(guess, period)
-    search = (tuple(free), dict(bounds or {}), objective, running)
-    asked = _Asked(first, length, cycles, dict(parameters or {}), select, section, *search)
+    stated = {"select": select, "section": section, "objective": objective, "running": running}
+    select, section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
+    length = 0.0 if model.forced else guessed_period(guess, period)
+    search = (tuple(free), by_name("bounds", bounds, "(lower, upper)"), objective, running)
+    asked = _Asked(first, length, cycles, by_name("parameters", parameters), select, section, *search)
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
     solution = solve(state_problem(asked, guess, symmetry), guess, **options)
@@ -79,8 +84,20 @@ def find_orbit(
     return orbit
 
 
-def _length(guess: Guess, period: float | None) -> float:
-    """The guessed period."""
+def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
+    """A scalar expression of what a script gave for it, a function f(t, x, p) too; names and None as they are."""
+    if given is None or isinstance(given, str):
+        return given
+    time = type(model.state).sym("t") if model.time is None else model.time
+    symbols = [time, model.full_state, model.parameters]
+    expression = expression_of(label, given, symbols, constants=False)
+    if expression.numel() != 1:
+        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+    return expression
+
+
+def guessed_period(guess: Guess, period: float | None) -> float:
+    """The period that is given, or that the guess has; raises ValueError and TypeError where neither is."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
     if found <= 0:
         raise ValueError(f"period: given {period!r}; accepted: a number > 0")
@@ -96,8 +113,9 @@ def _check(
     cycles: int,
     free: Sequence[str],
 ) -> None:
-    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"cycles: given {short_repr(cycles)}; accepted: a whole number >= 1")
+    whole("cycles", cycles, 1)
+    if not isinstance(free, list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of names of parameters")
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []

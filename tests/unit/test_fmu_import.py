@@ -109,7 +109,10 @@ def test_functions_of_the_model_are_mapped_and_differentiated(chain_fmu: Path) -
 
 def test_states_and_parameters_in_another_order(chain_fmu: Path) -> None:
     order = ["v_2", "y_4", "y_1", "v_1", "v_3", "v_4", "y_3", "y_2"]
-    model, truth = import_fmu(chain_fmu, order, ["g", "alpha"]), import_fmu(chain_fmu, None, PARAMETERS)
+    model, truth = (
+        import_fmu(chain_fmu, states=states, parameters=parameters)
+        for states, parameters in ((order, ["g", "alpha"]), (None, PARAMETERS))
+    )
     places = [truth.state_names.index(name) for name in order]
     x, p = points(1)[0]
     found = jacobians(model)(0, x[places], [p[2], p[0]])
