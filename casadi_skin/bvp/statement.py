@@ -62,8 +62,8 @@ class Statement:
             raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
         if not isinstance(self.free, list | tuple):
             raise TypeError(f"free: given {short_repr(self.free)}; accepted: a list of names of parameters")
-        by_name("parameters", self.parameters)
-        by_name("bounds", self.bounds, "(lower, upper)")
+        object.__setattr__(self, "parameters", by_name("parameters", self.parameters))
+        object.__setattr__(self, "bounds", by_name("bounds", self.bounds, "(lower, upper)"))
         if not isinstance(self.interval, list | tuple) or len(self.interval) != 2:
             raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:

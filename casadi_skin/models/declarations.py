@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import number, numbers, short_repr, truth
 from casadi_skin.models.expressions import Expression, expression_of, symbols_of
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def declarations(model: OdeModel) -> dict[str, Any]:
     try:
         if isinstance(model.order, bool) or not isinstance(model.order, int) or model.order not in (1, 2):
             raise ValueError(f"order: given {short_repr(model.order)}; accepted: 1 or 2")
+        truth("checked", model.checked)
         found = _symbols(model)
         return found | _expressions(model, found) | _lists(model, found["state"].numel() * model.order)
     except (TypeError, ValueError) as error:

@@ -45,7 +45,7 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
         ("walker", ("arclength",), "arclength"),
     ):
         options = {name: first, **options}
-        if options[name] not in accepted:
+        if not isinstance(options[name], str) or options[name] not in accepted:
             raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
     method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
     method.check_degree(1)
