@@ -133,6 +133,10 @@ def _faults(model: OdeModel) -> Iterator[str]:
         yield "of second order in MX; accepted: SX, or a model of first order"
     yield from _numbers(model)
     symbols = [model.full_state, model.parameters, *([] if model.time is None else [model.time])]
+    twice = sorted(name for name, count in Counter(_entries(symbols)).items() if count > 1)
+    if twice:
+        yield f"the symbol {twice[0][1]} twice among state, velocity, parameters and time; accepted: different symbols"
+        return
     if not all(_plain(symbol) for symbol in symbols):
         yield "state, velocity, parameters or time with expressions among them; accepted: symbols"
     yield from _names(model)
@@ -146,6 +150,14 @@ def _faults(model: OdeModel) -> Iterator[str]:
     for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
         if signs is not None and len(signs) != model.full_size:
             yield f"{label} needs {model.full_size} signs, each +1 or -1; given {len(signs)}"
+
+
+def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
+    """What tells symbols apart, with their names; expressions among them are left out."""
+    for symbol in symbols:
+        for entry in ca.vertsplit(symbol) if isinstance(symbol, ca.SX) and symbol.numel() else [symbol]:
+            if entry.numel() and entry.is_symbolic():
+                yield (entry.element_hash() if isinstance(entry, ca.SX) else hash(entry)), entry.name()
 
 
 def _plain(symbol: Expression) -> bool:

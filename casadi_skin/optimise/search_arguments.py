@@ -29,6 +29,10 @@ class Condition:
         return self.lower == self.upper
 
 
+def _text(name: object) -> str:
+    return name if isinstance(name, str) else short_repr(name)
+
+
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
     """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
     accepted = tuple(known)
@@ -37,7 +41,7 @@ def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ..
     names = (free,) if isinstance(free, str) else tuple(free)
     for name in names:
         if not isinstance(name, str) or name not in accepted:
-            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(str(name), accepted)}")
+            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(_text(name), accepted)}")
     if not names or len(set(names)) < len(names):
         given = short_repr(list(names)) if names else "none"
         raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
@@ -82,7 +86,7 @@ def checked_bounds(
     for name, given in (bounds or {}).items():
         place = f"bounds[{name}]"
         if not isinstance(name, str) or name not in known:
-            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(str(name), known)}")
+            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(_text(name), known)}")
         lower, upper = pair(place, given)
         if name in free:
             if lower == upper:

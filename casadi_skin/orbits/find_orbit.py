@@ -30,6 +30,7 @@ from casadi_skin.orbits.solve import solve
 UNFOLDING = "unfolding"
 SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+LARGEST = 1e150  # state of a guess
 HARMONICS = 12  # of the reference of the phase
 
 
@@ -268,10 +269,15 @@ def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Ex
         model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
     values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)
+    largest = float(np.max(np.abs(values)))
+    if largest > LARGEST:
+        raise ValueError(
+            f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
+        )
     c = np.fft.rfft(values, axis=0)[1 : HARMONICS + 1] * (2.0 / SAMPLES)
     order = np.arange(1, len(c) + 1)
     size = float(np.sum(order[:, None] ** 2 * np.abs(c) ** 2)) / 2.0
-    if not size > 1e-24 * float(np.max(np.abs(values))) ** 2:
+    if not size > 1e-24 * largest**2:
         raise ValueError("guess: given a state that does not move; accepted: one period of an orbit")
     angle = 2.0 * np.pi * turn * ca.DM(order)
     slope = -ca.sin(angle).T @ ca.DM(order[:, None] * c.real) - ca.cos(angle).T @ ca.DM(order[:, None] * c.imag)

@@ -94,6 +94,12 @@ def test_mx_models_from_functions() -> None:
         ({"time": T, "forcing_period": "2"}, "given: forcing_period: given '2'; accepted: a number > 0"),
         ({"state_labels": "xy"}, "given: state_labels: given 'xy'; accepted: a list of names in one line"),
         ({"name": "two\nlines"}, "name: given 'two\\nlines'; accepted: a name in one line"),
+        (
+            {"parameters": X},
+            "given: the symbol x twice among state, velocity, parameters and time; accepted: different",
+        ),
+        ({"state": [X, X]}, "given: the symbol x twice among state"),
+        ({"checked": "no"}, "given: checked: given 'no'; accepted: True or False"),
         ({"order": "2"}, "given: order: given '2'; accepted: 1 or 2"),
     ],
 )
@@ -204,6 +210,7 @@ def test_sections_and_selections_from_functions() -> None:
         ({"section": 1.0}, "section: given 1.0; accepted: a CasADi expression of kind SX"),
         ({"section": [X, Y]}, "section: given shape (2, 1); accepted: a scalar expression"),
         ({"section": ca.MX.sym("m")}, "section: given MX(m); accepted: a CasADi expression of kind SX"),
+        ({"guess": lambda t: [1e200 * np.cos(t), 1e200 * np.sin(t)]}, "guess: given states up to 1e+200; accepted"),
         ({"symmetric": "yes"}, "symmetric: given 'yes'; accepted: True or False"),
         ({"parameters": [1.0]}, "parameters: given [1.0]; accepted: numbers by name"),
         ({"free": "mu"}, "free: given 'mu'; accepted: a list of names of parameters"),
