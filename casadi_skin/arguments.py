@@ -78,6 +78,15 @@ def number(name: str, value: object, accepted: str = "a finite number") -> float
     return found
 
 
+def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """The value as an int; raises ValueError where it is no whole number from `least` on, or up to `most`."""
+    accepted = f">= {least}" if most is None else f"from {least} to {most}"
+    given = isinstance(value, Integral) and not isinstance(value, bool)
+    if not given or int(value) < least or (most is not None and int(value) > most):
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number {accepted}")
+    return int(value)
+
+
 def numbers(name: str, values: object) -> tuple[float, ...]:
     """The values as a tuple of floats; raises TypeError and ValueError as `number` does."""
     accepted = "a list of finite numbers"
@@ -88,15 +97,6 @@ def numbers(name: str, values: object) -> tuple[float, ...]:
     except TypeError:
         raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}") from None
     return tuple(number(name, value, accepted) for value in given)
-
-
-def whole(name: str, value: object, least: int, most: int | None = None) -> int:
-    """The value as an int; raises ValueError where it is no whole number from `least` on, or up to `most`."""
-    found = None if isinstance(value, bool) or not isinstance(value, Integral) else int(value)
-    if found is None or found < least or (most is not None and found > most):
-        accepted = f"a whole number >= {least}" if most is None else f"a whole number from {least} to {most}"
-        raise ValueError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
-    return found
 
 
 def truth(name: str, value: object) -> bool:

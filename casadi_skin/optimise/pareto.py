@@ -16,7 +16,8 @@ from casadi_skin.arguments import whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
+from casadi_skin.optimise.optimum import Optimum
+from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_orbit import STARTS, stated_search
 

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from casadi_skin.arguments import number, short_repr
-from casadi_skin.optimise.names import nearest_name
+from casadi_skin.arguments import accepted_names, number, short_repr
 
 PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
 CONDITION = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
@@ -29,10 +28,6 @@ class Condition:
         return self.lower == self.upper
 
 
-def _text(name: object) -> str:
-    return name if isinstance(name, str) else short_repr(name)
-
-
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
     """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
     accepted = tuple(known)
@@ -41,7 +36,7 @@ def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ..
     names = (free,) if isinstance(free, str) else tuple(free)
     for name in names:
         if not isinstance(name, str) or name not in accepted:
-            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(_text(name), accepted)}")
+            raise ValueError(f"free: given {short_repr(name)}; {accepted_names(name, accepted)}")
     if not names or len(set(names)) < len(names):
         given = short_repr(list(names)) if names else "none"
         raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
@@ -86,7 +81,7 @@ def checked_bounds(
     for name, given in (bounds or {}).items():
         place = f"bounds[{name}]"
         if not isinstance(name, str) or name not in known:
-            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(_text(name), known)}")
+            raise ValueError(f"bounds: given {short_repr(name)}; {accepted_names(name, known)}")
         lower, upper = pair(place, given)
         if name in free:
             if lower == upper:
