@@ -1,9 +1,13 @@
-"""Writing files so that a reader never sees half of one."""
+"""Files that a reader never sees half of, and folders that do not outlive this process."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import signal
+import subprocess
 import tempfile
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,3 +27,35 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+class TemporaryFolder:
+    """A new temporary folder that goes with this object, or when this process ends, however that comes about.
+
+    A shell waits at the end of a pipe that this process holds: it reads the pipe's end after SIGKILL as well.
+    """
+
+    def __init__(self, prefix: str) -> None:
+        held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, held)  # the shell inherits it
+        try:
+            self.path = Path(tempfile.mkdtemp(prefix=prefix))
+            command = ["/bin/sh", "-c", 'read -r _; exec rm -rf -- "$0"', str(self.path)]
+            with open(os.devnull, "wb") as nothing:
+                self._watcher = subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing, cwd="/", start_new_session=True
+                )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self._finalizer = weakref.finalize(self, _removed, self.path, self._watcher)
+
+    def remove(self) -> None:
+        """Remove it now."""
+        self._finalizer()
+
+
+def _removed(path: Path, watcher: subprocess.Popen[bytes]) -> None:
+    shutil.rmtree(path, ignore_errors=True)
+    assert watcher.stdin is not None
+    watcher.stdin.close()
+    watcher.wait()

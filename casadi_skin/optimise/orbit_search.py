@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import accepted_names, short_repr
+from casadi_skin.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement, check_expression, named_values
@@ -22,7 +22,7 @@ from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
-from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.find_orbit import find_orbit, guessed_period, scalar_of
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
@@ -86,7 +86,7 @@ class OrbitSearch:
         if objective is None and running is None:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
         first = model.first_order()
-        values, names = named_values(first, parameters or {}), free_names(free, first.parameter_names)
+        values, names = named_values(first, parameters), free_names(free, first.parameter_names)
         quantities, outputs = _quantities(first), dict(first.outputs)
         stated = {"objective": objective, "running": running, "select": select, "section": section}
         named = {
@@ -102,13 +102,14 @@ class OrbitSearch:
         limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
         own = (*first.state_names, *(() if first.forced else (PERIOD,)))
         limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
-        length = period or getattr(guess, "period", None)
+        whole("cycles", cycles, 1)
+        truth("symmetric", symmetric)
         if first.forced:
             length = cycles * first.forcing_period_at(list(values.values()))
-        if not length or not length > 0:
-            raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
+        else:
+            length = guessed_period(guess, period)
         part = symmetry_class(first).value if symmetric else 1.0
-        t = np.linspace(0.0, part * float(length), SAMPLES)
+        t = np.linspace(0.0, part * length, SAMPLES)
         closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
         return cls(
             model=replace(first, outputs=outputs, checked=False),
@@ -276,9 +277,8 @@ def _output(
             raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, known)}, or an expression")
         return given
     symbols = [model.full_state, model.parameters]
+    given = scalar_of(label, given, model)
     check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])
-    if given.numel() != 1:
-        raise ValueError(f"{label}: given shape {given.shape}; accepted: a scalar expression")
     outputs[OWN + label] = given
     return OWN + label
 

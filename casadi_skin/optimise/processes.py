@@ -18,7 +18,7 @@ from multiprocessing.managers import SyncManager
 from types import FrameType
 from typing import Any
 
-from casadi_skin.arguments import short_repr, whole
+from casadi_skin.arguments import function_of, short_repr, whole
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.threads import one_thread
 
@@ -63,6 +63,7 @@ class Runner:
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
             raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
+        function_of("progress", report, "a SearchProgress")
         self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
 
     def _receive(self, number: int, frame: FrameType | None) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin import methods
+from casadi_skin.arguments import number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import SLOW, Family
@@ -315,12 +316,11 @@ class Branch:
             The orbit or solution there.
 
         Raises:
-            ValueError: not one value is given, or the branch does not pass it that often.
+            ValueError, TypeError: not one number is given, or the branch does not pass it that often.
             ArithmeticError: no solution is found there.
         """
         name, value = self._asked_at(value, named)
-        if isinstance(which, bool) or not isinstance(which, int | np.integer) or which < 0:
-            raise ValueError(f"which: given {which!r}; accepted: a whole number from 0 on")
+        whole("which", which, 0)
         passage = 0
         for solution, point in self._passages(name, value):
             if passage < which:
@@ -343,8 +343,8 @@ class Branch:
         if len(given) != 1 or (value is not None and named):
             accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
-        ((name, number),) = given.items()
-        return name, number
+        ((name, found),) = given.items()
+        return name, number(f"at, {name}", found)
 
     def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
         """Where the branch passes a value: a solution of it, or a point corrected there, None where none is found."""

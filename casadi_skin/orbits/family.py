@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
+from casadi_skin.arguments import check_name
+from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -247,9 +249,9 @@ class Family:
     def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
         """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
         z, smallest = with_small_components(self.point_solver, point)
-        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
         coordinates = self.coordinates
-        return coordinates.log_displacements(point, coordinates.log_solved(point, z, smallest), numbers)
+        solved = coordinates.log_solved(point, z, smallest)
+        return coordinates.log_displacements(point, solved, site_numbers(sites))
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -279,11 +281,14 @@ class Family:
 
         Raises:
             FlowError: the flow map cannot reach the tolerance for one of them.
+            ValueError: there is no such flow map.
         """
         whole = self.whole
         if whole is not self:
             return whole.floquets([self.on_all_positions(point) for point in points], by)
         states = [orbit_state(point) for point in points]
+        if by is not None:
+            check_name("by", by, methods.FLOWS)
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
         with one_thread():
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)

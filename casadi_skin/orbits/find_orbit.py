@@ -15,11 +15,11 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr, whole
+from casadi_skin.arguments import by_name, number, short_repr, truth, whole
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Bounds, Statement, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.models.expressions import Expression
+from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
@@ -30,6 +30,7 @@ from casadi_skin.orbits.solve import solve
 UNFOLDING = "unfolding"
 SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+LARGEST = 1e150  # state of a guess
 HARMONICS = 12  # of the reference of the phase
 
 
@@ -60,14 +61,19 @@ def find_orbit(
 
     Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
     "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
-    "period". Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments that do not fit the
-    model, BoundaryError where no orbit is found.
+    "period". Expressions may be given as functions f(t, x, p) of CasADi's symbols. Options are those of
+    `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
+    where no orbit is found.
     """
-    _check(model, period, select, section, symmetric, cycles, free)
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    _check(model, period, select, section, truth("symmetric", symmetric), cycles, free)
     first = model.first_order()
-    length = 0.0 if model.forced else _length(guess, period)
-    search = (tuple(free), dict(bounds or {}), objective, running)
-    asked = _Asked(first, length, cycles, dict(parameters or {}), select, section, *search)
+    stated = {"select": select, "section": section, "objective": objective, "running": running}
+    select, section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
+    length = 0.0 if model.forced else guessed_period(guess, period)
+    search = (tuple(free), by_name("bounds", bounds, "(lower, upper)"), objective, running)
+    asked = _Asked(first, length, cycles, by_name("parameters", parameters), select, section, *search)
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
     solution = solve(state_problem(asked, guess, symmetry), guess, **options)
@@ -79,8 +85,20 @@ def find_orbit(
     return orbit
 
 
-def _length(guess: Guess, period: float | None) -> float:
-    """The guessed period."""
+def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
+    """A scalar expression of what a script gave for it, a function f(t, x, p) too; names and None as they are."""
+    if given is None or isinstance(given, str):
+        return given
+    time = type(model.state).sym("t") if model.time is None else model.time
+    symbols = [time, model.full_state, model.parameters]
+    expression = expression_of(label, given, symbols, constants=False)
+    if expression.numel() != 1:
+        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+    return expression
+
+
+def guessed_period(guess: Guess, period: float | None) -> float:
+    """The period that is given, or that the guess has; raises ValueError and TypeError where neither is."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
     if found <= 0:
         raise ValueError(f"period: given {period!r}; accepted: a number > 0")
@@ -97,6 +115,8 @@ def _check(
     free: Sequence[str],
 ) -> None:
     whole("cycles", cycles, 1)
+    if not isinstance(free, list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of names of parameters")
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
@@ -120,7 +140,7 @@ def _check(
             raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class _Extended(OdeModel):
     """A model with more parameters; its values are as good as those of the one that it is made of."""
 
@@ -249,10 +269,15 @@ def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Ex
         model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
     values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)
+    largest = float(np.max(np.abs(values)))
+    if largest > LARGEST:
+        raise ValueError(
+            f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
+        )
     c = np.fft.rfft(values, axis=0)[1 : HARMONICS + 1] * (2.0 / SAMPLES)
     order = np.arange(1, len(c) + 1)
     size = float(np.sum(order[:, None] ** 2 * np.abs(c) ** 2)) / 2.0
-    if not size > 1e-24 * float(np.max(np.abs(values))) ** 2:
+    if not size > 1e-24 * largest**2:
         raise ValueError("guess: given a state that does not move; accepted: one period of an orbit")
     angle = 2.0 * np.pi * turn * ca.DM(order)
     slope = -ca.sin(angle).T @ ca.DM(order[:, None] * c.real) - ca.cos(angle).T @ ca.DM(order[:, None] * c.imag)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import check_name, number, numbers, whole
+from casadi_skin.arguments import check_name, function_of, number, numbers, truth, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
@@ -249,12 +249,21 @@ def follow_family(
 
     Collocation and pseudo-arclength continuation in scaled coordinates (paper, Sec. II; Keller 1977).
     """
+    _check_choices(stability, events, until, progress)
     request = family_request(
         model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,
         max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
     )  # fmt: skip
     request = for_stability(request, method.get("walker")) if stability else request
     return run_following(Following(Family(request), stability, events, until=until), progress)
+
+
+def _check_choices(stability: object, events: object, until: object, progress: object) -> None:
+    """Raises TypeError for what is no choice, and for what is neither a function nor None."""
+    truth("stability", stability)
+    truth("events", events)
+    for name, function in (("until", until), ("progress", progress)):
+        function_of(name, function, "a solution")
 
 
 def for_stability(request: FamilyRequest, walker: str | None = None) -> FamilyRequest:
@@ -300,6 +309,7 @@ def follow(
         ValueError: an argument is out of range.
         BoundaryError: not even the start can be solved.
     """
+    _check_choices(stability, events, until, progress)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     if stability and space.periodic is None:
         raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
