@@ -11,7 +11,7 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.follow import Following, following_space
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.results.journal import restore, solution_record
+from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
 
 
 def buckling() -> BoundaryValueProblem:
@@ -148,16 +148,18 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
     def space() -> BoundarySpace:
         return following_space(first, name, to, at=at, max_points=500, max_step=0.2)
 
-    following = Following(space(), stability)
-    whole = [result for result in following if isinstance(result, Solution)]
-    records = [solution_record("branch", solution, stability) for solution in whole]
-    for part in (0.0, 0.4, 0.7):
-        kept = round(part * len(whole))
-        while not whole[kept].point.walked:
-            kept -= 1
-        again = restore(records[: kept + 1], "branch", space(), stability, stability)
-        assert isinstance(again, Following)
-        assert len(list(again)) == len(whole) - kept - 1
+    records: list[BranchRecord] = []
+    following = Following(space(), stability, keep=lambda point, _: records.append(point_record("b", point)))
+    for result in following:
+        if stability and isinstance(result, Orbit):
+            records.append(stability_record("b", result))
+    whole = following.solutions
+    for part in range(1, 12):
+        kept = part * len(records) // 12
+        known = known_of(records[:kept], "b", space(), stability)
+        assert (known.fault, known.kept) == ("", kept)
+        again = Following(space(), stability, solutions=known.solutions, waiting=known.waiting)
+        assert len(list(again)) == len(whole) - len(known.solutions)
         branch = again.branch()
         assert branch.complete
         np.testing.assert_array_equal(branch.values, following.branch().values)
