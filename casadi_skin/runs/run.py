@@ -12,6 +12,7 @@ import msgspec
 
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.files import replacing
+from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following, following_space
@@ -90,7 +91,8 @@ class Run:
             with one_thread():
                 self._follow_all()
         finally:
-            self._write_results()
+            with interrupts_deferred():  # all files are written before an interruption ends the run
+                self._write_results()
         self._evolve()
         self._search()
         self._export()
@@ -177,7 +179,8 @@ class Run:
 
         An interruption may come before a result is handed over: its row is added then.
         """
-        known = known_of(journal.records, name, space, self._with_stability)
+        with interrupts_deferred():
+            known = known_of(journal.records, name, space, self._with_stability)
         if known.fault:
             words = f"{known.fault} in record {known.kept + 1} of {name}; what follows it is dropped and computed again"
             self.progress.tell(f"{journal.path}: {words}")
@@ -232,7 +235,8 @@ class Run:
             self.failures.append(f"[dynamics]: {error}")
         if self.evolution is not None:
             self.progress.say("writing the time evolution")
-            write_dynamics(self.request, self.scene_text, orbit, self.evolution, self.directory)
+            with interrupts_deferred():
+                write_dynamics(self.request, self.scene_text, orbit, self.evolution, self.directory)
 
     def _export(self) -> None:
         """What the scene wants out of Python; nothing of it is imported elsewhere."""

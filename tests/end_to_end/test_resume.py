@@ -7,7 +7,7 @@ import signal
 import struct
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from casadi_skin.cli import main
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord
 from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
-from casadi_skin.runs import first_solution
+from casadi_skin.runs import first_solution, writing
 from casadi_skin.runs.run import Run
 
 pytestmark = pytest.mark.usefixtures("pictures", "interruptible")
@@ -132,9 +132,9 @@ def resume(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Resu
     return resume
 
 
-def the_same(out: Path, whole: Path) -> None:
+def the_same(out: Path, whole: Path, beside: Set[str] = frozenset()) -> None:
     names = {path.name for path in whole.iterdir()}
-    assert {path.name for path in out.iterdir()} == names
+    assert {path.name for path in out.iterdir()} - beside == names
     for name in names:
         if name.endswith((".csv", ".nc")):
             assert (out / name).read_bytes() == (whole / name).read_bytes(), name
@@ -192,6 +192,23 @@ def test_what_a_killed_run_leaves_beside_its_files_is_swept(flag: str, scene: Pa
         (out / name).write_text("half", encoding="utf-8")
     assert main(["run", str(scene), "--out", str(out), "--quiet", *([flag] if flag else [])]) == 0
     assert {path.name for path in out.glob(".*")} == ({mine} if flag else set())
+
+
+@pytest.mark.parametrize("name", ["write_csv", "write_netcdf"])
+def test_a_run_that_is_interrupted_while_it_writes_has_written_all_files(
+    name: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, write = tmp_path / "out", getattr(writing, name)
+
+    def interrupted(*arguments: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        write(*arguments)
+
+    monkeypatch.setattr(writing, name, interrupted)
+    table = scene.read_text(encoding="utf-8") == FAMILY and name == "write_csv"  # no events, no special points
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == (0 if table else 130)
+    assert capsys.readouterr().err.count("\n") == (0 if table else 1)
+    the_same(out, scene.parent / "whole", {"journal.msgpack"})
 
 
 # What is damaged ----------------------------------------------------------------------------------------------------
