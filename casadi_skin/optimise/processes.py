@@ -7,6 +7,7 @@ import queue
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -218,7 +219,8 @@ def _work(solve: bytes, job: Job, starts: int, shared: _Shared | None) -> Any:
         return None
     where = partial(SearchProgress, job.number, starts, 0, name=job.name)
     monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
-    with one_thread():
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they would be printed by a process that nobody asked
         return unpickled(solve)(job, monitor)
 
 

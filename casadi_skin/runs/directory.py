@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
@@ -41,6 +42,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
     names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg")), "*.fmu")
+    _check_writable(directory)
     left = leftovers(directory, names) if directory.is_dir() else []
     held = _check_free(
         directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite", left
@@ -55,16 +57,31 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     for path in left:
         path.unlink(missing_ok=True)
     make_directory(directory)
+    _write_scene(directory, scene_text)
+    return True
+
+
+def renew(directory: Path, scene_text: str) -> None:
+    """Make the directory of a run that was removed; its journal is empty."""
+    directory.mkdir(parents=True)
+    _write_scene(directory, scene_text)
+    (directory / JOURNAL).touch()
+
+
+def _write_scene(directory: Path, scene_text: str) -> None:
     with replacing(directory / SCENE) as temporary:
         temporary.write_text(f"{MADE}\n{scene_text}", encoding="utf-8")
-    return True
 
 
 def make_directory(directory: Path) -> None:
     """Make a directory with those above it; raises DirectoryError where that cannot be."""
+    new = [path for path in (directory, *directory.parents) if not path.exists()]
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
+        for path in new[1:]:  # nothing is left of what was made on the way
+            with suppress(OSError):
+                path.rmdir()
         raise DirectoryError(f"{directory}: cannot be made: {error.strerror}; accepted: another path") from error
 
 
@@ -109,16 +126,13 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
+    _check_writable(directory)
     _check_free(directory, overwrite, "an empty or new directory, or --overwrite")
     make_directory(directory)
 
 
 def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
-    """Whether a directory holds anything but what is `left`; raises DirectoryError where it may not.
-
-    Also where it cannot be written.
-    """
-    _check_writable(directory)
+    """Whether a directory holds anything but what is `left`; raises DirectoryError where it may not."""
     held = sorted(path.name for path in directory.iterdir() if path not in left) if directory.exists() else []
     if held and not may_hold:
         more = " and more" if len(held) > 1 else ""

@@ -33,7 +33,7 @@ from casadi_skin.results.branch_records import (
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.journal import Journal
 from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
-from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
+from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import write_branches, write_spectrum
 from casadi_skin.stability.flow import FlowError
@@ -283,6 +283,9 @@ class Run:
 
     def _write_results(self) -> None:
         self.progress.say("writing tables and pictures")
+        if not self.directory.exists():
+            renew(self.directory, self.scene_text)
+            self.failures.append(f"{self.directory}: was removed during the run; what was computed is there again")
         if self.request.scene.spectrum is not None:
             write_spectrum(self.request, self.directory)
         branches = [branch for branch in self.branches if len(branch)]
