@@ -94,6 +94,9 @@ class Following:
             yield last
         for point in self._continuation:
             end, words = self.space.stop(point)
+            if self.space.start_is_limit and not self._has_amplitude(point):
+                self._end = End.RETURNED
+                return
             if words:
                 self._end, self._detail = end, words
                 return
@@ -108,6 +111,10 @@ class Following:
             if end is not None:
                 self._end = end
                 return
+
+    def _has_amplitude(self, point: Point) -> bool:
+        """Whether a point of a family is on the side of S = 0 that it is followed to."""
+        return point.parameter * self.space.point_solver.settings.parameter_max > 0.0
 
     def _results(self) -> Iterator[Solution | StabilityChange]:
         together = self.space.stability_batch if self.stability else 1

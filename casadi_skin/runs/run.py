@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.optimise.result import SearchResult
 
+BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
 TABLE_PERIOD = 0.5  # seconds between two writings of the table while a run goes on
 
 
@@ -126,10 +128,21 @@ class Run:
             try:
                 for name, space in self._spaces(journal):
                     started = time.perf_counter()
-                    self._follow(name, space, journal)
+                    with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
+                        self._follow(name, space, journal)
                     self.seconds.append(time.perf_counter() - started)
             except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
                 self.failures.append(str(error))
+
+    @contextmanager
+    def _named(self, where: str) -> Iterator[None]:
+        """Keep a failure of the block in words, so that the next branch is followed."""
+        try:
+            yield
+        except BUILTIN as error:  # not raised by this package, so that it names nothing
+            self.failures.append(f"{where}numbers leave the range of double precision ({error})")
+        except (ArithmeticError, ValueError) as error:
+            self.failures.append(f"{where}{error}")
 
     def _spaces(self, journal: Journal[BranchRecord]) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
