@@ -108,6 +108,7 @@ class SearchProblem(Protocol):
         columns: names of the quantities that tables show.
         resolution_name: what the resolution of an optimum counts.
         wanted: where optima have to be, in words, such as on which family.
+        hint: what may be the reason where nothing is found; empty where nothing is known.
     """
 
     @property
@@ -122,6 +123,8 @@ class SearchProblem(Protocol):
     def resolution_name(self) -> str: ...
     @property
     def wanted(self) -> str: ...
+    @property
+    def hint(self) -> str: ...
 
     def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
         """The starts of a seed; the first has the model's own parameters, or the free numbers `first`."""

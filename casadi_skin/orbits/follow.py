@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -83,7 +84,7 @@ class Following:
         """Points of the branch with the folds between them; sets `_end` where the branch cannot go on."""
         known = [point for point in self._known if not point.located]
         last = known[-1] if known else None
-        turned = bool(known) and self._known[-1].located
+        reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
         if last is not None:
             self._end, self._detail = self.space.stop(last)
             if self._end is not None:
@@ -100,17 +101,33 @@ class Following:
             if words:
                 self._end, self._detail = end, words
                 return
-            if self.space.locates_folds and last is not None and not turned and turns_between(last, point):
+            if self.space.locates_folds and last is not None and turns_between(last, point):
                 try:
-                    yield replace(fold_between(self.space.point_solver, last, point), located=True)
+                    yield from itertools.islice(self._round_fold(last, point), reported, None)
                 except NotLocatedError as error:
                     self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
                     return
             yield point
-            last, turned = point, False
+            last, reported = point, 0
             if end is not None:
                 self._end = end
                 return
+
+    def _round_fold(self, before: Point, after: Point) -> Iterator[Point]:
+        """The fold between two points, and the points asked for so near to it that the continuation passes them by."""
+        solver = self.space.point_solver
+        fold = fold_between(solver, before, after)
+        for one, other in ((before, fold), (fold, after)):
+            low, high = sorted((one.parameter, other.parameter))
+            wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
+            inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
+            found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
+            for point in found.values():
+                yield replace(point, requested=True, located=True)
+            assert self._continuation is not None
+            self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
+            if other is fold:
+                yield replace(fold, located=True)
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""
