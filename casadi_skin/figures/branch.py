@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.figures.branch_lines import draw_lines, draw_marks
+from casadi_skin.figures.branch_lines import draw_lines, draw_marks, stability_pieces
 from casadi_skin.figures.style import DASHES, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -55,7 +55,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         for panel, (label, curves) in zip(axes, panels, strict=True):
             for curve, colour in zip(curves, colours(len(curves)), strict=True):
                 path = np.column_stack([branch.values, curve])
-                draw_lines(panel, branch, path, True, colour)
+                draw_lines(panel, branch, path, stability_pieces(branch, path), colour)
                 draw_marks(panel, branch, path, "black")
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))

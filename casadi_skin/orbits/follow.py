@@ -172,15 +172,14 @@ class Following:
 
     def _change_before(self, solution: Solution) -> StabilityChange | None:
         """The change of stability between the last orbit and this one, where they differ."""
-        if not (self.events and self.solutions):
+        if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
             return None
         before = self.solutions[-1]
         assert isinstance(before, Orbit)
         assert isinstance(solution, Orbit)
         if before.floquet().stable == solution.floquet().stable:
             return None
-        largest = self.space.request.amplitude_max if isinstance(self.space, Family) else 1.0
-        return locate_change(self.space, before, solution, largest)
+        return locate_change(self.space, before, solution)
 
     def _with_stability(self) -> Iterator[Solution]:
         """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
@@ -236,8 +235,10 @@ class Following:
         self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
     ) -> Branch:
         """The branch of what has been computed, with a known end."""
-        found = (tuple(self.solutions), tuple(self.changes))
-        return Branch(self.space, *found, self.stability, end, detail, misses, stopped or self._stopped)
+        return Branch(
+            self.space, tuple(self.solutions), tuple(self.changes), self.stability, end, detail, misses,
+            stopped or self._stopped, self.events,
+        )  # fmt: skip
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
@@ -280,7 +281,7 @@ def follow_family(
         max_points: number of orbits after which it ends wherever it is.
         until: ends the family at the first orbit for which it is true.
         stability: whether multipliers are computed for each orbit.
-        events: whether changes of stability are located.
+        events: whether every change of stability is sought.
         tolerance: bounds the relative error of Omega, profile and multipliers.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
         progress: called with each orbit.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -130,6 +130,7 @@ class Run:
                     started = time.perf_counter()
                     with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
                         self._follow(name, space, journal)
+                        self._seek_changes(name, self.branches[-1])
                     self.seconds.append(time.perf_counter() - started)
             except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
                 self.failures.append(str(error))
@@ -143,6 +144,12 @@ class Run:
             self.failures.append(f"{where}numbers leave the range of double precision ({error})")
         except (ArithmeticError, ValueError) as error:
             self.failures.append(f"{where}{error}")
+
+    def _seek_changes(self, name: str, branch: Branch) -> None:
+        """Every change of stability of a family, where the scene asks for events."""
+        if branch.with_events and isinstance(branch.space, Family):
+            self.progress.say(f"j = {name}: changes of stability")
+            branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
 
     def _spaces(self, journal: Journal[BranchRecord]) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
@@ -224,6 +231,8 @@ class Run:
                 self.progress.solution(result, len(following.solutions))
         finally:
             branch = following.branch()
+            if branch.end is None and not branch.stopped:  # interrupted: its changes of stability are not sought now
+                branch = replace(branch, with_events=False)
             self.branches.append(branch)
             self._keep(branch.solutions[len(self._rows) - before :], space)
         journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))

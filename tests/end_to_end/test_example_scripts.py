@@ -67,6 +67,14 @@ def test_follow_one_family(load: Load, tmp_path: Path) -> None:
     assert abs(slope) < 1e-4 * abs(elsewhere)
 
 
+def test_stability_boundary(load: Load, tmp_path: Path) -> None:
+    found = load("stability_boundary").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
+    assert drawn(tmp_path / "picture.png")
+    # Scans in steps of 1e-5 by another program; windows of 3e-4 and 2e-5 in S.
+    np.testing.assert_allclose(found[:, 0, 0], [0.15880, 0.02295], atol=6e-6)
+    assert np.all(found[:, 0, 1] < 1e-9)
+
+
 def test_floquet_vectors(load: Load, tmp_path: Path) -> None:
     orbit, multipliers, vectors = load("floquet_vectors").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

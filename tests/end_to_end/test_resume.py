@@ -200,8 +200,11 @@ def test_a_run_that_is_interrupted_while_it_writes_has_written_all_files(
 ) -> None:
     out, write = tmp_path / "out", getattr(writing, name)
 
+    once = iter([True])
+
     def interrupted(*arguments: Any) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+        if next(once, False):
+            os.kill(os.getpid(), signal.SIGINT)
         write(*arguments)
 
     monkeypatch.setattr(writing, name, interrupted)

@@ -63,7 +63,11 @@ def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.Ca
     assert main(["run", str(scene), "--out", str(out)]) == 0
     names = {path.name for path in out.iterdir()}
     pictures = {f"{stem}.{kind}" for stem in ("frequency", "profile", "spectrum") for kind in ("png", "svg")}
-    assert pictures | {"family.csv", "events.csv", "spectrum.csv", "family.nc", "scene.toml"} <= names
+    assert (
+        pictures
+        | {"family.csv", "events.csv", "tongues.csv", "further_events.csv", "spectrum.csv", "family.nc", "scene.toml"}
+        <= names
+    )
     assert not any("journal" in name or name.startswith(".") for name in names)
     table = rows(out / "family.csv")
     assert list(table[0])[: len(FAMILY_COLUMNS)] == FAMILY_COLUMNS

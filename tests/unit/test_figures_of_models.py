@@ -87,8 +87,10 @@ def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]
     assert points(first)[0] == pytest.approx([0.0, omega[0]])
     assert points(third)[0] == pytest.approx([0.0, omega[2]])
     (change,) = families[1].changes
-    assert tuple(points(third)[-1]) == (change.S, change.Omega) == tuple(points(unstable)[0])
-    np.testing.assert_array_equal(points(first)[1:], np.column_stack([families[0].S, families[0].Omega]))
+    assert tuple(points(third)[-1]) == tuple(points(unstable)[0])
+    assert points(third)[-1] == pytest.approx((change.value, change.Omega), rel=1e-14)
+    S, Omega = points(first)[:: len(points(first)) // 5].T
+    assert Omega[1:] == pytest.approx([families[0].at(S=float(value)).Omega for value in S[1:]], rel=1e-6)
     (band,) = [patch for patch in axes.patches if patch.get_label() == "linear band"]
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omega[0], omega[-1]))
@@ -197,7 +199,7 @@ def test_a_resonance_loses_stability_between_its_folds(resonance: Branch) -> Non
 
 
 def test_a_change_that_was_not_located_is_drawn_at_the_fold(resonance: Branch) -> None:
-    top = branch_figure(dataclasses.replace(resonance, changes=())).axes[0]
+    top = branch_figure(dataclasses.replace(resonance, located=())).axes[0]
     folds = {tuple(row) for line in lines(top, "fold") for row in points(line)}
     for line in lines(top, "unstable"):
         assert {tuple(points(line)[0]), tuple(points(line)[-1])} <= folds
@@ -254,11 +256,11 @@ def test_multipliers_of_a_cycle_and_of_a_family(cycles: Branch, families: list[B
     assert figure.axes[0].get_xlabel() == "mu"
     figure = multiplier_figure(families[1])
     assert figure is not None
-    assert len(lines(figure.axes[1], "trivial pair")) == 1
+    assert len(lines(figure.axes[2], "trivial pair")) == 1
     assert figure.get_suptitle() == "family $j = 3$; FPUT-beta: bond = $1$"
-    assert [line.get_xdata()[0] for line in figure.axes[0].get_lines() if "change of" in str(line.get_label())] == [
-        families[1].changes[0].S
-    ]
+    (ticks,) = figure.axes[0].collections
+    assert ticks.get_label() == "change of stability (complex)"
+    assert [segment[0, 0] for segment in ticks.get_segments()] == [families[1].changes[0].value]
 
 
 # Orbits and evolutions ------------------------------------------------------------------------------------------------
