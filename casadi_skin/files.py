@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
 import tempfile
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
+
+LEFTOVER = re.compile(r"\.(?P<name>.+(?P<suffix>\.\w+))\.[a-z0-9_]{8}(?P=suffix)")  # as `replacing` names them
 
 
 @contextmanager
@@ -21,12 +25,30 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        _flush(temporary)
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner can read
         temporary.replace(path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a folder that is gone; what was raised in the block counts
+            temporary.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file is on the disk: a disk that is full may be noticed only then."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def leftovers(directory: Path, names: Iterable[str]) -> list[Path]:
+    """Temporary files that `replacing` left in a directory where it was killed, of files that match any of `names`."""
+    found = []
+    for path in directory.glob(".*"):
+        held = LEFTOVER.fullmatch(path.name)
+        if held and any(fnmatch(held["name"], name) for name in names) and path.is_file() and not path.is_symlink():
+            found.append(path)
+    return found
 
 
 class TemporaryFolder:

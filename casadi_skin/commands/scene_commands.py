@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.directory import JOURNAL, Existing, check_same_source, prepare
+from casadi_skin.runs.directory import Existing, check_same_source, prepare
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     name_program(scene, arguments.scene, arguments.quiet)
     request = bound(scene, arguments.scene)
-    if existing is Existing.RESUME:
-        _check_resumable(directory, request)
+    if existing is Existing.RESUME and request.path is not None:
+        check_same_source(directory, request.path, request.source)
     if not prepare(directory, scene, text, existing):
         if not arguments.quiet:
             print(f"{directory} holds the complete run already")
@@ -54,20 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
     for reason in run.reasons():
         print(f"{arguments.scene}: {reason}", file=sys.stderr)
     return status
-
-
-def _check_resumable(directory: Path, request: Request) -> None:
-    """Raises DirectoryError and InputError where a run in the directory is none that this request can go on with."""
-    if request.path is not None:
-        check_same_source(directory, request.path, request.source)
-    journal = directory / JOURNAL
-    if request.scene.search is None and journal.exists():
-        from casadi_skin.results.journal import read_journal
-
-        try:
-            read_journal(journal)
-        except ValueError as error:
-            raise InputError(str(error)) from error
 
 
 def check(arguments: argparse.Namespace) -> int:

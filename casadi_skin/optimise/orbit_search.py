@@ -32,6 +32,7 @@ SAMPLES = 401  # of the guess over a period
 PHASES = 200  # at which an optimum is compared with its plain orbit
 CONSERVED = "hamiltonian"
 SPECIAL = (PERIOD, "Omega")
+UNITS, UNEVEN = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
 OWN = "search "  # with which names of the caller's expressions begin
 
 Quantity = str | Expression
@@ -111,10 +112,12 @@ class OrbitSearch:
         part = symmetry_class(first).value if symmetric else 1.0
         t = np.linspace(0.0, part * length, SAMPLES)
         closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
+        states = sampled(closed, guess, t)
+        _check_units(first.state_names, states)
         return cls(
             model=replace(first, outputs=outputs, checked=False),
             t=t,
-            states=sampled(closed, guess, t),
+            states=states,
             parameters=values,
             free=names,
             limits=limits,
@@ -135,6 +138,11 @@ class OrbitSearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return (PERIOD, *self.model.parameter_names)
+
+    @property
+    def hint(self) -> str:
+        ratio, words = _units(self.model.state_names, self.states)
+        return f"units are uneven, {words}: try others" if ratio > UNEVEN else ""
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
@@ -296,3 +304,21 @@ def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
     turned = 2.0 * math.pi / plain.period - 2.0 * math.pi / orbit.period
     difference = max(abs(orbit.period - plain.period) / plain.period, apart)
     return PlainCheck(True, turned, difference, plain.residual, plain.intervals)
+
+
+def _check_units(names: Sequence[str], states: Array) -> None:
+    """Raises ValueError where states that move have sizes that a nonlinear programme cannot hold together."""
+    ratio, words = _units(names, states)
+    if ratio > UNITS:
+        raise ValueError(f"guess: given {words}; accepted: units in which states differ by at most {UNITS:g}")
+
+
+def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
+    """How much larger the largest state is than the smallest one that moves, and which these are."""
+    sizes = np.max(np.abs(states), axis=0)
+    moving = np.flatnonzero(sizes)
+    if not moving.size:
+        return 1.0, ""
+    small, large = moving[np.argmin(sizes[moving])], moving[np.argmax(sizes[moving])]
+    words = f"{names[small]} up to {sizes[small]:.2g} and {names[large]} up to {sizes[large]:.2g}"
+    return float(sizes[large] / sizes[small]), words

@@ -155,9 +155,9 @@ class BoundarySpace:
             raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
         return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """Pseudo-arclength continuation from the last points of it."""
-        return ArclengthContinuation(self.point_solver, history)
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from its last points, and from points reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
 
     def target(self, name: str, value: float) -> Target:
         """Where the parameter followed, or an unknown period or frequency, has a value."""

@@ -22,6 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint, fold_between, turns_between
+from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     import xarray
 
 NEAR_LIMIT = 1e-6  # relative
+CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
+UNBOUNDED = "grows without bound"
 STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
@@ -237,16 +240,24 @@ class Branch:
         if not self.solutions or not isinstance(self.space, Family):
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
         last = self.orbits[-1]
-        words = f"{self._end_words()} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        softened = self._softened(self.space, self.space.request.amplitude_max)
+        if self.end is End.FLOW and UNBOUNDED in softened:
+            return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
+        words = f"{self._end_words()} {where}"
         if self.end is End.POINTS:
             words += f": {self._wandering(self.space)}"
         elif self.detail:
             words += f": {self.detail}"
-        return words + self._softened(self.space, self.space.request.amplitude_max)
+        return words + softened
 
     def _end_words(self) -> str:
         if self.end is End.RETURNED and not isinstance(self.space, Family):
             return "the branch came back to the value of the parameter that it started from"
+        if self.end is End.RETURNED and isinstance(self.space, Family):
+            gap = _closest(self.space)
+            if gap < CLOSE:
+                return f"the family was lost among linear modes: frequencies as near as {gap:.1e} of this one's"
         return str(self.end.value) if self.end is not None else ""
 
     def _softened(self, family: Family, S: float) -> str:
@@ -259,8 +270,8 @@ class Branch:
         if last.point.parameter_rate > STILL:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
-            return f"{words} and grows without bound: S = {S:.15g} is too near its limit to tell orbits apart"
-        return f"{words} and grows without bound: a softening orbit of this family does not exist at S = {S:.15g}"
+            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit to tell orbits apart"
+        return f"{words} and {UNBOUNDED}: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:
         """The requested values without a solution, in words."""
@@ -372,6 +383,17 @@ class Branch:
 def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:
     """Whether a solution was located between two at which the quantity followed goes either way."""
     return not (here.point.walked or here.point.requested) and turns_between(before.point, after.point)
+
+
+def _closest(family: Family) -> float:
+    """Relative distance of a family's linear frequency from the nearest other one; infinite where none is known."""
+    mode, request = family.coordinates.mode_number - 1, family.request
+    try:
+        frequencies = linear_frequencies(request.model, request.parameters)
+    except ValueError:
+        return np.inf
+    others = np.delete(frequencies, mode)
+    return float(np.min(np.abs(others / frequencies[mode] - 1.0), initial=np.inf))
 
 
 def _listed(values: Sequence[float]) -> str:

@@ -154,18 +154,18 @@ class Family:
         """The linear mode at S = 0 with the tangent of the family."""
         return self.point_solver.start(self.coordinates.mode, self.coordinates.start_unknown)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """The continuation from the last points of it, the start among them."""
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
         kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
         if self.request.method.walker != "series":
-            found: Continuation = kind(self.point_solver, history)
+            found: Continuation = kind(self.point_solver, history, reported)
             return found
 
         def precision(problem: Problem) -> float:
             allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
-        series: Continuation = kind(self.point_solver, history, self._recursion, precision)
+        series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
         return series
 
     def _recursion(self, problem: Problem) -> TaylorRecursion:

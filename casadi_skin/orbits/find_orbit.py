@@ -24,7 +24,9 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.rank_deficiency import equilibrium_words
 from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import solve
 
 UNFOLDING = "unfolding"
@@ -32,6 +34,7 @@ SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
 LARGEST = 1e150  # state of a guess
 HARMONICS = 12  # of the reference of the phase
+SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that is none
 
 
 def find_orbit(
@@ -57,7 +60,8 @@ def find_orbit(
     after `cycles` periods of the forcing. `select`, an expression in states and parameters that vanishes at phase zero,
     picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
     only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
-    the integral phase condition.
+    the integral phase condition; without it phase zero is where the guess has it, so that a guess shifted in time makes
+    `select` pick another member of a family, unless what it holds is conserved.
 
     Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
     "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
@@ -79,6 +83,8 @@ def find_orbit(
     solution = solve(state_problem(asked, guess, symmetry), guess, **options)
     space = replace(cast(BoundarySpace, solution.space), periodic=Periodic(model, first, symmetry))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
+    if not model.forced:
+        _check_moves(orbit, solution, guess, length)
     if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         raise BoundaryError(f"{model.name}: {words}: the hamiltonian is not conserved, or the orbit is degenerate")
@@ -95,6 +101,16 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     if expression.numel() != 1:
         raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
     return expression
+
+
+def _check_moves(orbit: Orbit, solution: Solution, guess: Guess, length: float) -> None:
+    """Raises BoundaryError for what does not move: an equilibrium solves the equations of an orbit of any period."""
+    statement, states = solution.statement, solution.states
+    wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
+    moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
+    if np.any(moved > np.maximum(SHRUNK * wanted, STILL * size)):
+        return
+    raise BoundaryError(f"{orbit.model.name}: {equilibrium_words(solution.problem, solution.point.z)}")
 
 
 def guessed_period(guess: Guess, period: float | None) -> float:
