@@ -75,6 +75,7 @@ class OrbitSampler:
         tolerance: relative error allowed to orbits.
         fraction: of the period that transition matrices are over.
         symplectic: whether transition matrices are.
+        S_rate: the relative change of S per that of the free parameter.
     """
 
     def __init__(
@@ -87,10 +88,12 @@ class OrbitSampler:
         tolerance: float,
         fraction: float,
         symplectic: bool = True,
+        S_rate: float = 1.0,
     ) -> None:
         self.point_solver, self.flow = point_solver, flow
         self.fraction, self.symplectic = fraction, symplectic
         self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
+        self._S_rate = S_rate
         self._sections = self._divided(points)
 
     @property
@@ -199,10 +202,33 @@ class OrbitSampler:
         return Samples(
             transitions=np.stack([transition.matrix for transition in transitions]),
             errors=np.stack([_error(transition) for transition in transitions]) + _orbit_error(transitions[k]),
-            directions=None if self._accelerations is None else self._accelerations(states),
+            directions=self._directions(section, states),
             S=np.array([self._amplitude(state.parameter) for state in states]),
             Omega=np.array([state.Omega for state in states]),
         )
+
+    def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
+        """What spans the trivial direction: q'' at phase zero, or how positions there change along the branch.
+
+        With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
+        """
+        if self._accelerations is None or self.symplectic:
+            return None if self._accelerations is None else self._accelerations(states)
+        problem, last = section.problem, np.append(np.zeros(section.problem.size - 1), 1.0)
+        at_rest, found = np.zeros(1), []
+        for state in states:
+            _, nonzeros = problem.evaluate(state.z)
+            slope = self.levels.solver(problem).factor(state.z, nonzeros, section.row)(last)
+            q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
+            k = problem.parameter_index
+            found.append(2.0 / self._S_rate * state.z[k] * change + slope[k] * q)
+        return np.array(found)
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, between the points of the branch."""
+        section = min(self._sections, key=lambda s: max(s.ends[0] - coordinate, coordinate - s.ends[1]))
+        z, _ = section.predicted(section.place(coordinate))
+        return self._amplitude(float(z[section.problem.parameter_index]))
 
     def _with_better(self, problem: Problem, z: Array, solve: Solve) -> OrbitState:
         """An orbit with a better one, whose difference shows the error that orbits of the section make."""

@@ -50,5 +50,6 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
             ORBIT_TOLERANCE,
             whole.symmetry.value,
             coordinates.symplectic,
+            coordinates.S_rate,
         )
         return find_changes(sampler, others if oscillate else None)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import check_name, number, numbers, short_repr
+from casadi_skin.arguments import check_name, number, numbers, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
@@ -372,8 +372,7 @@ def following_space(
     for value in numbers("at", at):
         if not min(start, end) <= value <= max(start, end):
             raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
-    if isinstance(max_points, bool) or not isinstance(max_points, int) or max_points < 2:
-        raise ValueError(f"max_points: given {short_repr(max_points)}; accepted: a whole number >= 2")
+    whole("max_points", max_points, 2)
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+from casadi_skin.bvp.problem import Indices
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, End, Point, Target
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
 
@@ -19,6 +22,9 @@ class SolutionSpace(Protocol):
         start_is_limit: whether `start` is a limit of the solutions and none of them.
         locates_folds: whether folds are located while the branch is followed.
         tolerance: relative error allowed in the solutions.
+        state_names, output_sites: names and numbers of the components in files and pictures.
+        symmetry: which part of the period is unknown.
+        S_rate: the relative change of S per that of the free parameter.
     """
 
     @property
@@ -41,6 +47,12 @@ class SolutionSpace(Protocol):
     def stability_batch(self) -> int: ...
     @property
     def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def output_sites(self) -> Indices: ...
+    @property
+    def symmetry(self) -> SymmetryClass: ...
+    @property
+    def S_rate(self) -> float: ...
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
@@ -70,6 +82,14 @@ class SolutionSpace(Protocol):
         """Start and end of the interval, or the period from phase zero."""
         ...
 
+    def energy(self, point: Point) -> float:
+        """The conserved quantity of an orbit; raises ValueError where the model declares none."""
+        ...
+
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
+        ...
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
+        """Floquet vectors at phase zero, one a column in the order of the multipliers."""
         ...

@@ -14,8 +14,8 @@ from casadi_skin.stability.small_blocks import Edge, Segment
 from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
 
 SAME = 0.05  # distance of two mu at the end of an interval that may be one
-SAMPLES = 9  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
-ZOOMS = 3
+SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
+ZOOMS = 2
 LOOSE = 1e-9  # of an interval: error of an edge at its very end that neither side finds
 
 
@@ -200,15 +200,13 @@ def _meeting(group: Group, tracks: Tracks | None) -> tuple[int, int, int] | None
 
 def depth(segments: Sequence[Segment]) -> tuple[float, float]:
     """Largest log |lambda(M)| on segments, and the coordinate of it."""
-    best, deepest = segments[0], (-1.0, segments[0].start)
-    for segment in segments:
-        found = _deepest(segment, segment.start, segment.end)
-        if found[0] > deepest[0]:
-            best, deepest = segment, found
-    step = (best.end - best.start) / (SAMPLES - 1)
+    widest = max(segment.end - segment.start for segment in segments)
+    deepest, step = max(_deepest(segment, segment.start, segment.end) for segment in segments), widest / (SAMPLES - 1)
     for _ in range(ZOOMS):
-        found = _deepest(best, max(deepest[1] - step, best.start), min(deepest[1] + step, best.end))
-        deepest, step = max(deepest, found), 2.0 * step / (SAMPLES - 1)
+        low, high = deepest[1] - step, deepest[1] + step
+        near = [segment for segment in segments if segment.start <= high and segment.end >= low]
+        found = [_deepest(segment, max(low, segment.start), min(high, segment.end)) for segment in near]
+        deepest, step = max(deepest, *found), 2.0 * step / (SAMPLES - 1)
     return max(deepest[0], 0.0), deepest[1]
 
 

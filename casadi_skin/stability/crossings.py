@@ -7,7 +7,7 @@ cannot meet, and on blocks of one or two mu the edges of instabilities are zeros
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.blocks import Blocks, blocks_of, comes_apart
 from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Indices
-from casadi_skin.stability.interpolation import Gap, MatrixSeries
+from casadi_skin.stability.interpolation import FAILURES, Gap, MatrixSeries, in_words
 from casadi_skin.stability.pairs import PairBlock, Pairs
 from casadi_skin.stability.rotation import Spectrum
 from casadi_skin.stability.small_blocks import Block, ComplexBlock, Segment, SingleBlock
@@ -25,6 +25,8 @@ from casadi_skin.stability.zeros import Function
 
 SHORTEST = 1e-9  # of the series that an interval belongs to: what is shorter is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
+SHORT = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
+BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 ACCURATE = 1e-9  # of a block's entries: what its series may leave out
 FINE = 2 * DEGREE  # degree of the series of a block that needs more than the others of its interval
 MOST = 4096  # intervals of a series to begin with
@@ -59,6 +61,9 @@ class Interval:
         return self.end - self.start <= SHORTEST * (self.series.end - self.series.start)
 
 
+NOT_LOOKED_AT = "not looked at: the limit of work is reached"
+
+
 @dataclass
 class Crossings:
     """What an analysis finds: unstable segments in any order, meetings without instability, and what is not resolved.
@@ -73,23 +78,45 @@ class Crossings:
     intervals: dict[int, int] = field(default_factory=dict)
     spectra: list[Spectrum] = field(default_factory=list)
 
+    @property
+    def work(self) -> float:
+        """Sum of m^3 over the eigenvalue problems."""
+        return float(sum(count * size**3 for size, count in self.intervals.items()))
 
-def find_crossings(series: Sequence[MatrixSeries]) -> Crossings:
-    """Every instability along series of matrices.
+
+def find_crossings(
+    series: MatrixSeries, found: Crossings, work: float = np.inf, progress: Callable[[float], None] | None = None
+) -> None:
+    """Every instability along a series of matrices.
 
     Arguments:
-        series: matrices on intervals in ascending order.
-
-    Returns:
-        Unstable segments with their edges.
+        series: matrices on an interval.
+        found: gets unstable segments with their edges; gaps where they are not found.
+        work: `found.work` from which on nothing more is looked at; what remains are gaps.
+        progress: called with the coordinate up to which everything is looked at.
     """
-    found = Crossings()
-    whole = max((one.size for one in series), default=0)
-    waiting = [interval for one in series if one.size for interval in first_intervals(one)]
+    if not series.size:
+        return
+    waiting = _first(series, found)
     while waiting:
-        waiting = _generation(waiting, found, whole)
-    found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
-    return found
+        if found.work >= work:
+            found.gaps += [Gap(interval.start, interval.end, NOT_LOOKED_AT) for interval in waiting]
+            break
+        sums = np.cumsum([float(interval.series.size) ** 3 for interval in waiting])
+        count = int(np.searchsorted(sums, BATCH_WORK)) + 1
+        halves = _generation(waiting[:count], found, series.size)
+        waiting = sorted([*halves, *waiting[count:]], key=lambda interval: interval.start)
+        if progress is not None:
+            progress(waiting[0].start if waiting else series.end)
+
+
+def _first(series: MatrixSeries, found: Crossings) -> list[Interval]:
+    """The intervals to begin with; the whole series is a gap where its linear algebra fails."""
+    try:
+        return first_intervals(series)
+    except FAILURES as error:
+        found.gaps.append(Gap(series.start, series.end, in_words(error)))
+        return []
 
 
 def first_intervals(series: MatrixSeries) -> list[Interval]:
@@ -117,7 +144,7 @@ class _Part:
 
 def _generation(intervals: Sequence[Interval], found: Crossings, whole: int) -> list[Interval]:
     """Look at intervals; returns their halves, or those of blocks in them, that are still to be looked at."""
-    parts = [part for batch in _batches(intervals) for part in _take_apart(batch, found, whole)]
+    parts = [part for batch in _batches(intervals) for part in _looked_at(batch, found, whole)]
     _finish_pairs(parts)
     Function.find_zeros([f for part in parts if not part.too_long for block in part.blocks for f in block.functions])
     waiting: list[Interval] = []
@@ -144,6 +171,20 @@ def _batches(intervals: Sequence[Interval]) -> Iterator[list[Interval]]:
     for size, group in by_size.items():
         most = max(1, ENTRIES // (size * size * (DEGREE + 1)))
         yield from (group[first : first + most] for first in range(0, len(group), most))
+
+
+def _looked_at(batch: Sequence[Interval], found: Crossings, whole: int) -> list[_Part]:
+    """Blocks of intervals of one size; those whose linear algebra fails are too long, or gaps where they are short."""
+    try:
+        return list(_take_apart(batch, found, whole))
+    except FAILURES as error:
+        if len(batch) > 1:
+            return [part for interval in batch for part in _looked_at([interval], found, whole)]
+        (interval,) = batch
+        if interval.end - interval.start > SHORT * (interval.series.end - interval.series.start):
+            return [_Part(interval, True)]
+        found.gaps.append(Gap(interval.start, interval.end, in_words(error)))
+        return []
 
 
 def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iterator[_Part]:

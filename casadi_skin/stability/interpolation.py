@@ -7,7 +7,7 @@ of the series.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +19,8 @@ from casadi_skin.stability.half_period import reduced_matrices
 
 DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
-SHORTEST = 1e-4  # of a section: shorter pieces are given up
+SHORTEST = 1e-3  # of a section: shorter pieces are given up
+SKIPPED = 0.03  # of a section, at most: what is given up at a time in the middle of a gap
 ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
 SMALLEST = 1e-300
 LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
@@ -27,6 +28,7 @@ SHORTER, LONGER = 0.6, 2.5  # lengths of a piece after one that failed and after
 MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
 PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
 NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # what orbits, flows and linear algebra raise
 
 
 class OrbitNotFoundError(ArithmeticError):
@@ -66,6 +68,10 @@ class BranchSampler(Protocol):
 
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates of one section; raises OrbitNotFoundError, FlowError."""
+        ...
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, to a few digits and without an orbit: it names places that are not known."""
         ...
 
 
@@ -145,13 +151,13 @@ class Gap:
     reason: str
 
 
-@dataclass(frozen=True)
+@dataclass
 class Interpolated:
-    """A branch as pieces in order, with what is missing between them; `samples` counts orbits."""
+    """A branch as pieces in order, as far as they are computed, with what is missing; `samples` counts orbits."""
 
-    pieces: tuple[Piece, ...]
-    gaps: tuple[Gap, ...]
-    samples: int
+    pieces: list[Piece] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    samples: int = 0
 
 
 @dataclass
@@ -198,19 +204,18 @@ class _Plan:
             self.longest = SHORTER * length
 
 
-def interpolate(branch: BranchSampler, tolerance: float) -> Interpolated:
-    """The matrices along a branch, to `tolerance` relative to their largest entry.
+def interpolate(branch: BranchSampler, tolerance: float, known: Interpolated) -> Iterator[Piece]:
+    """The matrices along a branch, to `tolerance` relative to their largest entry, piece by piece.
 
     Arguments:
         branch: what gives transition matrices at any coordinate.
         tolerance: of the interpolation, relative to the largest entry of the matrices.
+        known: gets the pieces; where orbits or transition matrices are not to be had, or do not converge, gaps.
 
     Returns:
-        Pieces in order; where orbits or transition matrices are not to be had, or do not converge, gaps.
+        Pieces in order.
     """
-    pieces: list[Piece] = []
-    gaps: list[Gap] = []
-    samples, plan = 0, _Plan(tolerance)
+    plan = _Plan(tolerance)
     for start, end in branch.sections:
         at, shortest = start, SHORTEST * (end - start)
         while at < end:
@@ -219,33 +224,36 @@ def interpolate(branch: BranchSampler, tolerance: float) -> Interpolated:
             piece = None
             try:
                 piece, sizes = _piece(branch, at, stop, degree, tolerance)
-                samples += degree + 1
+                known.samples += degree + 1
                 plan.learn(stop - at, sizes)
                 reason = f"multipliers do not converge along the branch: {np.max(sizes[-chebyshev.TAIL :]):.1e} is left"
-            except (OrbitNotFoundError, FlowError) as error:
-                reason, degree = str(error), DEGREES[-1]  # a higher degree would not help
+            except FAILURES as error:
+                reason, degree = in_words(error), DEGREES[-1]  # a higher degree would not help
             plan.limit(length, degree, piece is None)
             if piece is not None:
-                pieces.append(piece)
+                known.pieces.append(piece)
                 at, shortest = stop, SHORTEST * (end - start)
+                yield piece
             elif stop - at <= shortest:
-                gaps.append(Gap(at, stop, reason))
-                at, plan, shortest = stop, _Plan(tolerance), 2.0 * shortest  # long gaps in few steps
-    return Interpolated(tuple(pieces), tuple(_joined(gaps)), samples)
+                known.gaps.append(Gap(at, stop, reason))
+                at, shortest = stop, min(2.0 * shortest, SKIPPED * (end - start))
+                plan = _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
 
 
-def _joined(gaps: Sequence[Gap]) -> Iterator[Gap]:
-    """Gaps that touch as one."""
-    last: Gap | None = None
-    for gap in gaps:
-        if last is not None and last.end == gap.start:
-            last = Gap(last.start, gap.end, last.reason)
-            continue
-        if last is not None:
-            yield last
-        last = gap
-    if last is not None:
-        yield last
+def in_words(error: Exception) -> str:
+    """What went wrong, in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def joined(gaps: Sequence[Gap]) -> list[Gap]:
+    """Gaps in order, those that touch or overlap as one with the reason of the first."""
+    found: list[Gap] = []
+    for gap in sorted(gaps, key=lambda gap: gap.start):
+        if found and gap.start <= found[-1].end:
+            found[-1] = Gap(found[-1].start, max(found[-1].end, gap.end), found[-1].reason)
+        else:
+            found.append(gap)
+    return found
 
 
 def _piece(
@@ -253,6 +261,8 @@ def _piece(
 ) -> tuple[Piece | None, Array]:
     """The piece, None where it does not converge, and the relative sizes of its coefficients, (degree + 1,)."""
     samples = branch.sample(start + 0.5 * (end - start) * (1.0 + chebyshev.nodes(degree)))
+    if not np.all(np.isfinite(samples.transitions)):
+        raise FlowError("the transition matrices are not finite")
     values, errors = reduced_matrices(samples.transitions, samples.errors, samples.directions, branch.symplectic)
     to_coefficients = chebyshev.transform(degree)
     coefficients, scalars = (

@@ -7,7 +7,7 @@ of 2 pi, multipliers of opposite signatures meet.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +45,11 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Rotation angles along a branch: `angles` (places, m) at `coordinates`, continuous, one column a linear mode."""
+    """Rotation angles along a branch, continuous, one column a linear mode, followed in two ways.
+
+    `angles` (2, places, m) at `coordinates`: each angle goes to the nearest one, or all keep their order around the
+    circle. Where two angles of one signature meet, they pass or avoid each other: what differs then is not certain.
+    """
 
     modes: tuple[int, ...]
     coordinates: Array
@@ -56,7 +60,11 @@ class Tracks:
 
         None where it is not certain which angles meet.
         """
-        here = np.array([np.interp(coordinate, self.coordinates, column) for column in self.angles.T])
+        nearest, ordered = (self._meeting(angles, coordinate, angle, alone) for angles in self.angles)
+        return nearest if nearest == ordered else None
+
+    def _meeting(self, angles: Array, coordinate: float, angle: float, alone: bool) -> tuple[int, int, int] | None:
+        here = np.array([np.interp(coordinate, self.coordinates, column) for column in angles.T])
         first = _nearest(here, angle)
         second = first if alone else _nearest(here, -angle)
         if first is None or second is None or (not alone and first == second):
@@ -89,25 +97,43 @@ def follow_angles(
     Returns:
         The angles, or None where the numbers of modes and of mu differ.
     """
-    from scipy.optimize import linear_sum_assignment
-
     modes = tuple(frequencies)
     if not spectra or len(modes) != spectra[0].mu.size:
         return None
-    course, coordinates = [duration * np.array([frequencies[k] for k in modes])], [start]
-    rates = np.zeros(len(modes))
+    first = duration * np.array([frequencies[k] for k in modes])
+    courses = [_course(first, spectra, start, assign) for assign in (_to_the_nearest, _in_cyclic_order)]
+    return Tracks(modes, np.array([start, *(spectrum.coordinate for spectrum in spectra)]), np.array(courses))
+
+
+Assignment = Callable[[Array, Array, Array], NDArray[np.int64]]
+
+
+def _course(first: Array, spectra: Sequence[Spectrum], start: float, assign: Assignment) -> Array:
+    """Angles from the first ones on, shape (1 + spectra, m)."""
+    course, before, rates = [first], start, np.zeros(first.size)
     for spectrum in spectra:
         angles, slopes = spectrum.angles()
-        step = spectrum.coordinate - coordinates[-1]
-        if coordinates[-1] == start and len(course) == 1:
-            rates = np.zeros(len(modes))
-        ahead, back = course[-1] + 0.5 * step * rates, angles - 0.5 * step * slopes
-        if len(course) == 1:
-            back = angles - step * slopes
+        step = spectrum.coordinate - before
+        share = 0.5 if len(course) > 1 else 0.0  # of the step by the rates before it, which linear modes have none of
+        ahead, back = course[-1] + share * step * rates, angles - (1.0 - share) * step * slopes
         distance = (back[None, :] - ahead[:, None] + np.pi) % TWO_PI - np.pi
-        _, chosen = linear_sum_assignment(np.abs(distance))
-        moved = ahead + distance[np.arange(len(modes)), chosen] + (angles - back)[chosen]
-        course.append(moved)
-        coordinates.append(spectrum.coordinate)
-        rates = slopes[chosen]
-    return Tracks(modes, np.array(coordinates), np.array(course))
+        chosen = assign(course[-1], angles, distance)
+        course.append(ahead + distance[np.arange(first.size), chosen] + (angles - back)[chosen])
+        before, rates = spectrum.coordinate, slopes[chosen]
+    return np.array(course)
+
+
+def _to_the_nearest(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """Which angle each one goes to where the sum of distances from what rates predict is smallest."""
+    from scipy.optimize import linear_sum_assignment
+
+    return np.asarray(linear_sum_assignment(np.abs(distance))[1])
+
+
+def _in_cyclic_order(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """The same among assignments that keep the order around the circle."""
+    first, second = np.argsort(before % TWO_PI), np.argsort(after % TWO_PI)
+    moves = np.array([np.sum(np.abs(distance[first, np.roll(second, turn)])) for turn in range(first.size)])
+    chosen = np.empty(first.size, dtype=np.int64)
+    chosen[first] = np.roll(second, int(np.argmin(moves)))
+    return chosen

@@ -65,15 +65,17 @@ class SymplecticFamily:
 
     M = exp(J diag(A, B)) for each s, from Phi = exp(J diag(A, B)/2). `swapped` multiplies Phi by a matrix that makes M
     into -M: what happened at mu = 0 then happens at mu = -1. `error` is what the flow says of its errors, `noise` what
-    they are: entries that differ from one coordinate to the next without any order.
+    they are: entries that differ from one coordinate to the next without any order. `bias` of what the flow says of its
+    errors is in the matrices everywhere.
     """
 
     blocks: Sequence[Entries]
     swapped: bool = False
-    amplitude: Callable[[Array], Array] = field(default=lambda s: s)
+    S: Callable[[Array], Array] = field(default=lambda s: s)
     missing: tuple[float, float] | None = None
     error: float = 0.0
     noise: float = 0.0
+    bias: float = 0.0
     sections: Sequence[tuple[float, float]] = ((0.0, 1.0),)
     fraction: float = 0.25
     symplectic: bool = True
@@ -102,8 +104,13 @@ class SymplecticFamily:
                 raise OrbitNotFoundError(f"no orbit between {low} and {high}")
         transitions = np.array([self.transition(s) for s in coordinates.tolist()])
         errors = self.error * np.cos(np.arange(transitions[0].size)).reshape(transitions[0].shape)
-        S = self.amplitude(coordinates)
+        transitions += self.bias * errors
+        S = self.S(coordinates)
         return Samples(transitions, np.tile(errors, (len(S), 1, 1)), None, S, np.ones_like(S))
+
+    def amplitude(self, coordinate: float) -> float:
+        """S at a coordinate."""
+        return float(self.S(np.array([coordinate]))[0])
 
 
 @dataclass
@@ -124,3 +131,7 @@ class ReversibleFamily:
             transitions.append(expm(0.5 * np.block([[zero, np.eye(len(W))], [-W, zero]])))
         S = np.array(coordinates)
         return Samples(np.array(transitions), np.zeros_like(transitions), None, S, np.ones_like(S))
+
+    def amplitude(self, coordinate: float) -> float:
+        """S at a coordinate."""
+        return coordinate

@@ -32,6 +32,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.progress import Progress
 from casadi_skin.results.extremes import extremes
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 SITES = 8
 
 
@@ -275,11 +277,25 @@ def test_orbits_of_every_kind_are_drawn_over_their_period(cycles: Branch, famili
         figure = orbit_figure(orbit)
         t, x = first_curve(figure).T
         assert (t[0], t[-1]) == pytest.approx((0.0, orbit.period))
-        np.testing.assert_allclose(x, orbit.evaluate(t)[:, 0], atol=1e-14)
+        first = int(np.argmax(np.abs(orbit.profile))) if orbit is families[0].orbits[-1] else 0
+        np.testing.assert_allclose(x, orbit.evaluate(t)[:, first], atol=1e-14)
         plane = points(figure.axes[1].get_lines()[0])
         np.testing.assert_allclose(plane[0], plane[-1], atol=1e-8)
     assert figure.get_suptitle() == "FPUT-beta: bond = $1$, $j = 1$, $S = 0.5$"
-    assert figure.axes[0].get_ylabel() == "states (first 6 of 8)"
+    assert figure.axes[0].get_ylabel() == "states (6 of 8)"
+    ranked = np.argsort(-np.abs(families[0].orbits[-1].profile))[:6]
+    drawn = [points(line)[0, 1] for line in figure.axes[0].get_lines()]
+    np.testing.assert_allclose(np.abs(drawn), np.abs(families[0].orbits[-1].profile[ranked]), rtol=1e-12)
+
+
+def test_an_orbit_of_an_infinite_chain_is_drawn_at_its_edge() -> None:
+    orbit = follow_family(Chain(np.inf, 1.0, 0.25, 1.0), "last", 1.0, at=[1.0], tolerance=1e-4).at(1.0)
+    figure = orbit_figure(orbit)
+    curves = {str(line.get_label()): points(line) for line in figure.axes[0].get_lines()}
+    assert set(curves) == {f"y_{-n}" for n in range(6)}
+    for name, (t, x) in ((name, curve.T) for name, curve in curves.items()):
+        np.testing.assert_allclose(x, orbit.evaluate(t, [int(name[2:])])[:, 0], atol=1e-14)
+    assert [figure.axes[1].get_xlabel(), figure.axes[1].get_ylabel()] == list(curves)[:2]
 
 
 def test_an_orbit_with_one_position_is_drawn_with_its_velocity() -> None:
@@ -327,7 +343,9 @@ def frames(path: Path) -> list[np.ndarray]:
     return found
 
 
-def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path, quick: bool) -> None:
     x, t = ca.SX.sym("x"), ca.SX.sym("t")
     relaxed = OdeModel("relaxation", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
     wells = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-6).at(0.02)
@@ -337,6 +355,8 @@ def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branc
         ("positions", wells),
         ("one_state", find_orbit(relaxed, lambda t: [np.cos(t)])),
     ):
+        if quick and name != "plane":
+            continue
         pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=4))
         assert len(pictures) == 4
         below_the_clock = [picture[picture.shape[0] // 3 :] for picture in pictures]

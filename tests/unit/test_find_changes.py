@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
+from casadi_skin.stability import crossings
 from casadi_skin.stability.find_changes import find_changes
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.interpolation import Interpolated, MatrixSeries, Samples, interpolate
 from casadi_skin.stability.tongues import StabilityDiagram
 
 Array = np.ndarray
@@ -131,6 +135,41 @@ def test_noise_of_the_flow_moves_edges_by_no_more_than_their_errors(noise: float
     assert max(edge.S_error for edge in diagram.changes) <= 1e4 * noise
 
 
+def test_an_error_of_the_flow_that_is_the_same_everywhere_moves_edges_by_no_more_than_their_errors() -> None:
+    blocks = [collision(cubic(-0.6, 2.0), 0.01), real(cubic(-0.7, 1.0), cubic(-0.71, 1.0)), FAR]
+    diagram = find_changes(SymplecticFamily(blocks, error=1e-8, bias=-1.0))
+    agree(diagram, [0.29, 0.31, 0.7, 0.71], 1e-6)
+    assert max(abs(places(diagram) - np.array([0.29, 0.31, 0.7, 0.71]))) > 1e-10
+
+
+def test_a_pair_that_touches_within_the_flows_error_is_not_decided() -> None:
+    """It would touch at 1/2 if its coupling were larger by 5e-11."""
+    touching = collision(cubic(0.25 + 3e-10, -1.0, 1.0), 1e-10)
+    diagram = find_changes(SymplecticFamily([touching, FAR], error=1e-8))
+    assert not diagram.changes
+    (tongue,) = diagram.undecided
+    assert abs(tongue.start.S - 0.5) < 1e-3
+    assert not find_changes(SymplecticFamily([touching, FAR])).undecided
+
+
+def test_work_is_done_from_small_coordinates_on_and_ends_where_it_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    windows = [collision(cubic(-0.1, 2.0), 0.01), collision(cubic(-1.8, 2.0), 0.01, square=3.0)]
+    family = SymplecticFamily([*windows, FAR])
+    monkeypatch.setattr(crossings, "BATCH_WORK", 1.0)
+    monkeypatch.setattr(crossings, "first_intervals", eight_intervals)
+    agree(find_changes(family), [0.04, 0.06, 0.89, 0.91], 1e-12)
+    diagram = find_changes(family, work=1500.0)
+    agree(diagram, [0.04, 0.06], 1e-12)
+    (gap,) = diagram.unresolved
+    assert 0.06 < gap.S_start < diagram.end - 0.05
+    assert gap.S_end == 1.0
+
+
+def eight_intervals(series: MatrixSeries) -> list[crossings.Interval]:
+    stops = np.linspace(series.start, series.end, 9).tolist()
+    return [crossings.Interval(series, a, b) for a, b in pairwise(stops)]
+
+
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_second_conserved_quantity_makes_no_changes(swapped: bool) -> None:
     """A mode without stiffness has mu = 0 (-1) all along the branch."""
@@ -185,7 +224,7 @@ def test_the_result_does_not_depend_on_the_sections() -> None:
 
 def test_a_fold_in_the_amplitude_does_no_harm() -> None:
     blocks = [collision(cubic(-0.6, 2.0), 0.05), FAR]
-    diagram = find_changes(SymplecticFamily(blocks, amplitude=lambda s: s * (0.6 - s)))  # the fold is at 0.3
+    diagram = find_changes(SymplecticFamily(blocks, S=lambda s: s * (0.6 - s)))  # the fold is at 0.3
     assert [edge.place.coordinate for edge in diagram.changes] == pytest.approx([0.25, 0.35], abs=1e-12)
 
 
@@ -194,3 +233,56 @@ def test_without_a_symplectic_structure_any_two_mu_may_leave_the_axis(lower: flo
     diagram = find_changes(ReversibleFamily(lambda s: np.array([[1.5 + s, 0.01], [lower, 2.2 - s]])))
     agree(diagram, expected, 1e-10)
     assert all(edge.signatures == () for edge in diagram.changes)
+
+
+@dataclass
+class Failing(SymplecticFamily):
+    """What goes wrong between two coordinates."""
+
+    failure: Exception | None = None
+
+    def sample(self, coordinates: Array) -> Samples:
+        """Samples, but for those that fail or are no numbers."""
+        wrong = (coordinates > 0.6) & (coordinates < 0.65)
+        if wrong.any() and self.failure is not None:
+            raise self.failure
+        samples = super().sample(coordinates)
+        samples.transitions[wrong] = np.nan
+        return samples
+
+
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        (np.linalg.LinAlgError("Singular matrix"), "Singular matrix"),
+        (FlowError("the flow\n stops"), "the flow stops"),
+        (RuntimeError("CasADi"), "CasADi"),
+        (None, "not finite"),
+    ],
+)
+def test_what_fails_on_the_way_is_a_gap_with_the_reason(failure: Exception | None, words: str) -> None:
+    diagram = find_changes(Failing([collision(cubic(-0.6, 2.0), 0.01), FAR], failure=failure))
+    agree(diagram, [0.29, 0.31], 1e-12)
+    (gap,) = diagram.unresolved
+    assert words in gap.reason
+    assert 0.55 < gap.S_start <= 0.6 < 0.65 <= gap.S_end < 0.7
+
+
+def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eigenvalues are not found of any matrix near 0.62."""
+    original = crossings.blocks_of
+
+    def failing(matrices: Array) -> object:
+        if np.any(np.abs(matrices[:, :, 0, 0, 0] - where) < 1e-3):
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return original(matrices)
+
+    family = SymplecticFamily([collision(cubic(-0.6, 2.0), 0.01), FAR])
+    known = Interpolated()
+    (piece, *_) = [p for p in interpolate(family, 1e-11, known) if p.matrices.start <= 0.62 <= p.matrices.end]
+    where = float(piece.matrices.at(np.array([0.62]))[0, 0, 0, 0])
+    monkeypatch.setattr(crossings, "blocks_of", failing)
+    diagram = find_changes(family)
+    assert diagram.unresolved
+    assert all("did not converge" in gap.reason for gap in diagram.unresolved)
+    assert any(gap.S_start <= 0.62 <= gap.S_end for gap in diagram.unresolved)
