@@ -22,7 +22,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_
 from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
-from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.guesses import Guess, known_times, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.rank_deficiency import equilibrium_words
 from casadi_skin.orbits.refined import BoundaryError
@@ -284,14 +284,16 @@ def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Ex
     statement = Statement(
         model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
-    values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)
+    times = known_times(statement, guess, SAMPLES + 1)
+    values = sampled(statement, guess, times)
     largest = float(np.max(np.abs(values)))
     if largest > LARGEST:
         raise ValueError(
             f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
         )
-    c = np.fft.rfft(values, axis=0)[1 : HARMONICS + 1] * (2.0 / SAMPLES)
-    order = np.arange(1, len(c) + 1)
+    order = np.arange(1, HARMONICS + 1)
+    waves = np.exp(-2j * np.pi * np.outer(order, times / asked.length))
+    c = 2.0 / asked.length * np.trapezoid(waves[:, :, None] * values, times, axis=1)
     size = float(np.sum(order[:, None] ** 2 * np.abs(c) ** 2)) / 2.0
     if not size > 1e-24 * largest**2:
         raise ValueError("guess: given a state that does not move; accepted: one period of an orbit")

@@ -24,6 +24,7 @@ class Evaluated(Protocol):
 
 
 Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
+SAMPLES = 4001  # of a guess, to find its jumps
 ACCEPTED = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
@@ -39,6 +40,29 @@ def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     if not np.all(np.isfinite(values)):
         raise ValueError("guess: given values that are not finite; accepted: finite numbers")
     return values
+
+
+def known_times(statement: Statement, guess: Guess, count: int) -> Array:
+    """Times over the interval at which a guess is best sampled: its own, as of a simulated cycle, or even ones."""
+    start, end = statement.span(np.array(list(statement.values.values())))
+    known = getattr(guess, "times", None)
+    return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
+
+
+def along_the_guess(statement: Statement, guess: Guess, intervals: int) -> Array:
+    """Lengths of intervals that hold equal parts of time and of the length of the guess, shape (intervals,).
+
+    The states are measured by their ranges. A guess that knows its own times, as a simulated cycle, is sampled there.
+    """
+    start, end = statement.span(np.array(list(statement.values.values())))
+    times = known_times(statement, guess, SAMPLES)
+    fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
+    values = sampled(statement, guess, fine)
+    ranges = np.ptp(values, axis=0)
+    steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
+    length = np.diff(fine) / (end - start) + np.sum(steps, axis=1) + 4.0 / (fine.size - 1)
+    total = np.concatenate([[0.0], np.cumsum(length)])
+    return np.diff(np.interp(np.linspace(0.0, total[-1], intervals + 1), total, (fine - start) / (end - start)))
 
 
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from casadi_skin import OdeModel, find_orbit, simulate
 from casadi_skin.bvp.statement import Statement
@@ -73,3 +74,21 @@ def test_a_bad_guess_is_not_called_a_singular_problem() -> None:
             parameters={"mu": 0.3}, corrector="newton",
         )  # fmt: skip
     assert SINGULAR not in str(failure.value)
+
+
+@pytest.mark.slow
+def test_a_relaxation_oscillation_is_found_from_its_simulation() -> None:
+    """Van der Pol, mu = 100: jumps of 1e-4 of the period between output times; the period by LSODA's own events."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    cycle = simulate(model, [2.0, 0.0], np.linspace(0.0, 567.0, 2001), parameters={"mu": 100.0}).last_cycle()
+    orbit = find_orbit(model, cycle, parameters={"mu": 100.0}, tolerance=1e-8)
+
+    def upwards(t: float, s: np.ndarray) -> float:
+        return float(s[0])
+
+    upwards.direction = 1.0  # type: ignore[attr-defined]
+    field = lambda t, s: [s[1], 100.0 * (1.0 - s[0] ** 2) * s[1] - s[0]]  # noqa: E731
+    found = solve_ivp(field, (0.0, 567.0), [2.0, 0.0], "LSODA", rtol=1e-11, atol=1e-11, events=upwards)
+    assert orbit.period == pytest.approx(float(np.diff(found.t_events[0])[-1]), rel=1e-7)
+    assert np.max(np.abs(orbit.evaluate(np.linspace(0.0, orbit.period, 4001))[:, 0])) == pytest.approx(2.0, abs=0.01)
