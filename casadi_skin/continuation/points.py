@@ -96,6 +96,7 @@ class Point:
     walked: bool = True  # a point of the walk itself; others lie between two of these
     better: Refinement | None = None  # the point one Newton step nearer to the next finer level
     at_round_off: bool = False  # the tolerance is below what round-off leaves of the point
+    special: str = ""  # of what kind a special point that was located is
 
     @property
     def parameter(self) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -25,12 +25,16 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
+from casadi_skin.orbits.special_points import fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.solution import Solution
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
@@ -104,6 +108,7 @@ class BoundarySpace:
     settings: ContinuationSettings | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
+    knows_stability: bool = field(default=False, init=False)
 
     @property
     def model(self) -> OdeModel:
@@ -158,6 +163,16 @@ class BoundarySpace:
         """Pseudo-arclength continuation from the last points of it."""
         return ArclengthContinuation(self.point_solver, history)
 
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """The fold on the stretch between two points, where there is one."""
+        if turns_between(before, after):
+            yield fold_between(self.point_solver, before, after)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of the parameter followed at a special point."""
+        relative = point.error.parameter or point.error.relative(point.Omega)
+        return relative * abs(self.value(self.parameter, point))
+
     def target(self, name: str, value: float) -> Target:
         """Where the parameter followed, or an unknown period or frequency, has a value."""
         if name == self.parameter:
@@ -189,6 +204,23 @@ class BoundarySpace:
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)
         return (End.NO_STEP if words else None), words
+
+    @property
+    def free(self) -> Sequence[str]:
+        """Parameters that are found with the states."""
+        return self.statement.free
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> BoundarySpace:
+        """The space of the branch through one of these solutions in a parameter; raises ValueError for an optimum."""
+        statement = replace(self.statement, parameters={**self.statement.parameters, **solution.parameters})
+        if statement.optimises:
+            raise ValueError("follow: given a solution with an objective; accepted: one without")
+        sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
+        return BoundarySpace(
+            statement, self.tolerance, self.method, sizes, self.periodic, parameter, to, at, solution.point, settings
+        )
 
     # Values ---------------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
@@ -22,8 +22,8 @@ from casadi_skin.orbits.method import MAX_POINTS
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyModel, FamilyRequest, family_request
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import NotLocatedError, fold_between, turns_between
+from casadi_skin.orbits.space import Follows, SolutionSpace
+from casadi_skin.orbits.special_points import NotLocatedError
 from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
@@ -79,9 +79,9 @@ class Following:
             if words:
                 self._end, self._detail = end, words
                 return
-            if self.space.locates_folds and last is not None and turns_between(last, point):
+            if self.space.locates_folds and last is not None:
                 try:
-                    yield fold_between(self.space.point_solver, last, point)
+                    yield from self.space.special_between(last, point)
                 except NotLocatedError as error:
                     self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
                     return
@@ -177,10 +177,8 @@ class Following:
         """All values asked for by name, the ends among them where the continuation missed them."""
         asked, settings = dict(self.space.asked()), self.space.point_solver.settings
         missed = [] if self._continuation is None else self._continuation.missed
-        if any(t in missed for t in settings.ends) and isinstance(self.space, BoundarySpace):
+        if Target(Scalar.PARAMETER, settings.parameter_max) in missed:
             asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
-        if isinstance(self.space, Family) and Target(Scalar.PARAMETER, settings.parameter_max) in missed:
-            asked["S"] = (*asked["S"], self.space.request.amplitude_max)
         return asked
 
     def _value(self, name: str, solution: Solution) -> float:
@@ -191,7 +189,8 @@ class Following:
     ) -> Branch:
         """The branch of what has been computed, with a known end."""
         found = (tuple(self.solutions), tuple(self.changes))
-        return Branch(self.space, *found, self.stability, end, detail, misses, stopped or self._stopped)
+        known = self.stability or self.space.knows_stability
+        return Branch(self.space, *found, known, end, detail, misses, stopped or self._stopped)
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
@@ -280,15 +279,15 @@ def follow(
     """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
 
     Arguments:
-        solution: an orbit or a solution of a boundary-value problem without objective; an orbit of a family is first
-            solved again as a boundary-value problem at its S.
+        solution: an equilibrium, an orbit or a solution of a boundary-value problem without objective; an orbit of a
+            family is first solved again as a boundary-value problem at its S.
         parameter: name of the parameter to follow; the others keep their values.
         to: where the branch ends; it goes round folds on its way.
         at: values at which solutions are wanted exactly, as often as the branch passes them.
         max_points: number of points after which the branch ends.
         max_step: longest step, 1 being a change of the states by their own size.
         until: ends the branch at the first solution for which it is true.
-        stability: whether multipliers are computed for each orbit.
+        stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
         progress: called with each solution.
 
@@ -297,28 +296,25 @@ def follow(
 
     Raises:
         ValueError: an argument is out of range.
-        BoundaryError: not even the start can be solved.
+        BoundaryError, EquilibriumError: not even the start can be solved.
     """
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    if stability and space.periodic is None:
+    if stability and isinstance(space, BoundarySpace) and space.periodic is None:
         raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
-    return run_following(Following(space, stability, events, until=until), progress)
+    return run_following(Following(space, stability and not space.knows_stability, events, until=until), progress)
 
 
 def following_space(
     solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
-) -> BoundarySpace:
+) -> SolutionSpace:
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if isinstance(solution, Orbit) and isinstance(solution.space, Family):
         from casadi_skin.orbits.restating import restated
 
         solution = restated(solution, parameter)
     space = solution.space
-    assert isinstance(space, BoundarySpace)
-    statement = replace(space.statement, parameters={**space.statement.parameters, **solution.parameters})
-    if statement.optimises:
-        raise ValueError("follow: given a solution with an objective; accepted: one without")
-    check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
+    assert isinstance(space, Follows)
+    check_name("parameter", parameter, [name for name in solution.parameters if name not in space.free])
     start, end = solution.parameters[parameter], number("to", to)
     if end == start:
         raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
@@ -334,8 +330,4 @@ def following_space(
         1.0, space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2,
     )  # fmt: skip
-    sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
-    return BoundarySpace(
-        statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
-        tuple(float(np.float64(v)) for v in at), solution.point, settings,
-    )  # fmt: skip
+    return space.following(solution, parameter, end, tuple(float(np.float64(v)) for v in at), settings)

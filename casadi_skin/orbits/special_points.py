@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
+from casadi_skin import methods
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
-FOLD = "fold"
+FOLD, HOPF = "fold", "hopf"
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -22,19 +24,61 @@ class NotLocatedError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point of a branch that stands out.
+    """A point of a branch that stands out; of equilibria with the coefficient that decides there.
 
     Attributes:
-        kind: "fold".
+        kind: "fold"; of equilibria also "branch point" and "hopf".
+        parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.
         solution: the solution there.
     """
 
     kind: str
+    parameter: str
     parameters: Mapping[str, float]
     error: float
     solution: Solution
+
+    def __repr__(self) -> str:
+        words = f", {self.criticality}" if self.kind == HOPF else ""
+        name = self.parameter
+        return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
+
+    @cached_property
+    def _critical(self) -> Any:
+        return methods.TASKS["critical"].load()(self)
+
+    @property
+    def vector(self) -> Any:
+        """Critical eigenvector, shape (components of the state,); raises ValueError for what is no equilibrium."""
+        return self._critical.vector
+
+    @property
+    def frequency(self) -> float:
+        """Imaginary part of the critical eigenvalues; raises ValueError for what is no equilibrium."""
+        return float(self._critical.frequency)
+
+    @property
+    def coefficient(self) -> float:
+        """Coefficient of the normal form: of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one.
+
+        NaN where none is defined; raises ValueError for what is no equilibrium.
+        """
+        return float(self._critical.coefficient)
+
+    @property
+    def criticality(self) -> str:
+        """What the coefficient means: of a Hopf point "supercritical", "subcritical" or "degenerate"."""
+        return str(self._critical.words)
+
+    def follow(self, parameter: str, to: float, **options: Any) -> Any:
+        """The `Branch` that leaves here, by `casadi_skin.equilibria.switch.switch`."""
+        return methods.TASKS["switch"].load()(self, parameter, to, **options)
+
+    def curve(self, parameter: str, to: float, **options: Any) -> Any:
+        """This point followed in a second parameter, by `casadi_skin.equilibria.curve.curve`."""
+        return methods.TASKS["curve"].load()(self, parameter, to, **options)
 
 
 def turns_between(before: Point, after: Point) -> bool:
@@ -63,4 +107,4 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
 
     root = float(brentq(rate, 0.0, 1.0, xtol=FOLD_TOLERANCE))
     rate(root)
-    return known[root]
+    return replace(known[root], special=FOLD)

@@ -62,6 +62,7 @@ class SolutionRecord(msgspec.Struct, frozen=True, tag="solution"):
     constants: bytes  # of the problem: the mesh
     at_round_off: bool
     parameter_error: float
+    special: str
 
 
 class ChangeRecord(msgspec.Struct, frozen=True, tag="change"):
@@ -111,6 +112,7 @@ def solution_record(branch: str, solution: Solution, with_stability: bool) -> So
         constants=_bytes(point.problem.constants),
         at_round_off=point.at_round_off,
         parameter_error=point.error.parameter,
+        special=point.special,
     )
 
 
@@ -143,6 +145,7 @@ def _solution(record: SolutionRecord, space: SolutionSpace) -> Solution:
         requested=record.requested,
         walked=record.walked,
         at_round_off=record.at_round_off,
+        special=record.special,
     )
     return solution_at(space, point, None if record.floquet is None else _floquet(record.floquet))
 
