@@ -17,6 +17,7 @@ from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import FOLD, HOPF
 from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.equilibria.statics import ComplexArray, Statics, eigensystem
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.special_points import SpecialPoint
 
 DECIDED = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
@@ -37,8 +38,15 @@ class Critical:
 
 
 def critical(point: SpecialPoint) -> Critical:
-    """What decides at a special point of a branch of equilibria; raises ValueError for another one."""
+    """What decides at a special point of equilibria, a Hopf point that orbits shrink to among them.
+
+    Raises ValueError for another one.
+    """
     solution = point.solution
+    if isinstance(solution, Orbit) and point.kind == HOPF:  # of amplitude zero
+        model = solution.model
+        known = Statics(model, {name: solution.parameters[name] for name in model.parameter_names})
+        return hopf_form(known, solution.evaluate(0.0)[0], np.array(list(known.values.values())))
     if not isinstance(solution, Equilibrium):
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     statics = cast(EquilibriumSpace, solution.space).statics

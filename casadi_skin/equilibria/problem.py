@@ -80,6 +80,10 @@ class AlgebraicProblem(Problem):
             raise ValueError("an equilibrium has no Omega")
         return self.size - 1
 
+    def parameter_size(self, z: Array) -> float:
+        """1, which is what u goes through along a branch."""
+        return max(1.0, abs(float(z[-1])))
+
     # Equations ------------------------------------------------------------------------------------------------------
 
     @property

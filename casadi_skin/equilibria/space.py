@@ -25,6 +25,7 @@ from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.result import Floquet
 
 ITERATIONS = 60
+BESIDE = 0.1  # of a step from a special point: where the search for other ones starts
 
 
 class EquilibriumError(ArithmeticError):
@@ -145,6 +146,11 @@ class EquilibriumSpace:
         """Special points on the stretch between two points, in order; raises NotLocatedError."""
         from casadi_skin.equilibria.detection import special_between
 
+        if self.leaves and not np.any(before.z != self.start.z):  # a special point itself, which is known
+            beside = self.point_solver.along(before, after, BESIDE)
+            if beside is None:
+                return
+            before = beside
         yield from special_between(self, before, after)
 
     def target(self, name: str, value: float) -> Target:

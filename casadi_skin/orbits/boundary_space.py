@@ -25,7 +25,7 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import fold_between, turns_between
+from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -94,6 +94,7 @@ class BoundarySpace:
         at: values of it at which solutions are wanted.
         first: the start of the branch.
         settings: of the continuation.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
     """
 
     statement: Statement
@@ -106,6 +107,7 @@ class BoundarySpace:
     at: tuple[float, ...] = ()
     first: Point | None = None
     settings: ContinuationSettings | None = None
+    leaves: bool = False
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     knows_stability: bool = field(default=False, init=False)
@@ -150,6 +152,8 @@ class BoundarySpace:
         first = self.first
         assert first is not None
         assert isinstance(first.problem, BoundaryProblem)
+        if self.leaves:
+            return replace(first, step=self.point_solver.settings.first_step)
         problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         z = first.z.copy()
@@ -164,14 +168,28 @@ class BoundarySpace:
         return ArclengthContinuation(self.point_solver, history)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, where there is one."""
-        if turns_between(before, after):
-            yield fold_between(self.point_solver, before, after)
+        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium."""
+        if not turns_between(before, after):
+            return
+        hopf: Point | None = None
+        if self.shrinks(before, after):
+            hopf = methods.TASKS["hopf_end"].load()(self, before, after)
+        yield hopf or fold_between(self.point_solver, before, after)
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return False
+        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
+        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     def parameter_error(self, point: Point) -> float:
         """Estimated error of the parameter followed at a special point."""
-        relative = point.error.parameter or point.error.relative(point.Omega)
-        return relative * abs(self.value(self.parameter, point))
+        if point.error.parameter:
+            size = point.problem.parameter_size(point.z)
+            return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
+        return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
 
     def target(self, name: str, value: float) -> Target:
         """Where the parameter followed, or an unknown period or frequency, has a value."""
@@ -200,6 +218,8 @@ class BoundarySpace:
         return period if name == PERIOD else TWO_PI / period
 
     def stop(self, point: Point) -> tuple[End | None, str]:
+        if point.special == HOPF:
+            return End.HOPF, ""
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

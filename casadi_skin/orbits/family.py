@@ -60,6 +60,7 @@ class Family:
 
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
+    free: Sequence[str] = ()
     knows_stability = False
     locates_folds = False  # while the family is followed; `Branch.special_points` does when asked
 

@@ -79,6 +79,12 @@ def find_orbit(
     return orbit
 
 
+def closed_statement(model: OdeModel, guess: Guess, period: float, parameters: Mapping[str, float]) -> Statement:
+    """The closed orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
+    asked = _Asked(model, period, 1, dict(parameters), None, None, (), {}, None, None)
+    return _closed_problem(asked, guess, SymmetryClass.FULL)
+
+
 def _length(guess: Guess, period: float | None) -> float:
     """The guessed period."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")

@@ -81,7 +81,11 @@ class Following:
                 return
             if self.space.locates_folds and last is not None:
                 try:
-                    yield from self.space.special_between(last, point)
+                    for special in self.space.special_between(last, point):
+                        yield special
+                        self._end, _ = self.space.stop(special)
+                        if self._end is not None:
+                            return
                 except NotLocatedError as error:
                     self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
                     return
@@ -312,9 +316,17 @@ def following_space(
         from casadi_skin.orbits.restating import restated
 
         solution = restated(solution, parameter)
+    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     space = solution.space
     assert isinstance(space, Follows)
-    check_name("parameter", parameter, [name for name in solution.parameters if name not in space.free])
+    return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+
+
+def following_settings(
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+) -> ContinuationSettings:
+    """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
+    check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
     start, end = solution.parameters[parameter], number("to", to)
     if end == start:
         raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
@@ -326,8 +338,7 @@ def following_space(
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
-    settings = ContinuationSettings(
-        1.0, space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
+    return ContinuationSettings(
+        1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2,
     )  # fmt: skip
-    return space.following(solution, parameter, end, tuple(float(np.float64(v)) for v in at), settings)

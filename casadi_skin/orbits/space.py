@@ -24,6 +24,7 @@ class SolutionSpace(Protocol):
         tolerance: relative error allowed in the solutions.
         to: value of `parameter` at which the branch ends.
         knows_stability: whether stability is computed with every solution, asked for or not.
+        free: names of parameters that are found with the state.
     """
 
     @property
@@ -38,6 +39,8 @@ class SolutionSpace(Protocol):
     def to(self) -> float: ...
     @property
     def knows_stability(self) -> bool: ...
+    @property
+    def free(self) -> Sequence[str]: ...
     @property
     def model(self) -> Any: ...
     @property
@@ -94,10 +97,7 @@ class SolutionSpace(Protocol):
 
 @runtime_checkable
 class Follows(Protocol):
-    """A space whose solutions can be followed in a parameter; those that are `free` are found with the state."""
-
-    @property
-    def free(self) -> Sequence[str]: ...
+    """A space whose solutions can be followed in a parameter."""
 
     def following(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings

@@ -28,7 +28,8 @@ from casadi_skin.results.journal import (
     solution_record,
     trim_journal,
 )
-from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
+from casadi_skin.results.quantities import csv_row, places_of, quantities_of
+from casadi_skin.results.quantity import Place
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import write_branches, write_spectrum

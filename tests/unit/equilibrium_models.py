@@ -80,3 +80,20 @@ class Brusselator:
         B = 1.0 + self.A**2 + (self.d1 + self.d2) * mu
         det = (B - 1.0 - self.d1 * mu) * (-(self.A**2) - self.d2 * mu) + B * self.A**2
         return np.sort(B[(det > 0.0) & (largest > B)])
+
+
+def abc() -> OdeModel:
+    """The A to B to C reaction of AUTO-07p's demo `abc`, with p1 from 0."""
+    u, names = ca.SX.sym("u", 3), [f"p{i}" for i in range(1, 6)]
+    p1, p2, p3, p4, p5 = symbols(" ".join(names))
+    rate = p1 * ca.exp(u[2])
+    first, second = rate * (1 - u[0]), rate * (1 - u[0] - p5 * u[1])
+    rhs = ca.vertcat(-u[0] + first, -u[1] + second, -(1 + p3) * u[2] + p4 * rate * (1 - u[0] + p2 * p5 * u[1]))
+    return OdeModel("abc", u, rhs, ca.vertcat(p1, p2, p3, p4, p5), nominal=(0.0, 1.0, 1.55, 8.0, 0.04))
+
+
+def rosenzweig_macarthur() -> OdeModel:
+    """Prey x and predators y: their equilibrium at x = 1, y = 2 (1 - 1/K) has its Hopf point at K = 3."""
+    x, y, K = symbols("x y K")
+    eaten = x * y / (1 + x)
+    return OdeModel("prey", ca.vertcat(x, y), ca.vertcat(x * (1 - x / K) - eaten, 2 * eaten - y), K)
