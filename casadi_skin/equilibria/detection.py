@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import Point
-from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, jacobian_of, locate
-from casadi_skin.equilibria.statics import ComplexArray, eigensystem
+from casadi_skin.equilibria.crossings import Stretch, crossings, end_of, height, matched, stretch_between
+from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
 from casadi_skin.solvers.levels import ErrorEstimate
 
 if TYPE_CHECKING:
@@ -45,36 +44,6 @@ class UnresolvedWarning(UserWarning):
     """Several eigenvalues cross the imaginary axis on a stretch of a branch that is too short to tell them apart."""
 
 
-@dataclass(frozen=True, eq=False)
-class End:
-    """An end of a stretch: eigenvalues, their rates along it, the sign of the determinant with the tangent."""
-
-    point: Point
-    values: ComplexArray
-    rates: ComplexArray
-    orientation: float
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """A stretch of branch between two ends, a cubic in z(sigma) for 0 <= sigma <= length."""
-
-    first: End
-    last: End
-    curve: LocalCurve
-    length: float
-
-    @property
-    def turns(self) -> bool:
-        """Whether the parameter turns back an odd number of times."""
-        return bool(self.first.point.tangent[-1] * self.last.point.tangent[-1] < 0.0)
-
-    @property
-    def reorients(self) -> bool:
-        """Whether an odd number of other branches is met."""
-        return self.first.orientation * self.last.orientation < 0.0
-
-
 def special_between(space: EquilibriumSpace, before: Point, after: Point) -> Iterator[Point]:
     """Special points between two points of a branch, in order, each marked by its kind.
 
@@ -84,9 +53,9 @@ def special_between(space: EquilibriumSpace, before: Point, after: Point) -> Ite
 
 
 def _search(space: EquilibriumSpace, before: Point, after: Point, depth: int) -> Iterator[Point]:
-    stretch = _stretch(space, before, after)
-    order = _matched(stretch)
-    reals, pairs = _crossings(stretch, order) if space.statics.oscillates else ([], [])
+    stretch = stretch_between(space.point_solver, before, after)
+    order = matched(stretch)
+    reals, pairs = crossings(stretch, order) if space.statics.oscillates else ([], [])
     expected = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
     if not (expected or reals or pairs) and not (depth < SUSPECTED and _returns(space, stretch, order)):
         return
@@ -118,57 +87,6 @@ def _differ(found: list[Found]) -> bool:
 
 
 # What happens on a stretch --------------------------------------------------------------------------------------------
-
-
-def _stretch(space: EquilibriumSpace, before: Point, after: Point) -> Stretch:
-    curve, length = space.point_solver.curve(before, after)
-    ends = [_end(space, point, curve.slope(sigma)) for point, sigma in ((before, 0.0), (after, length))]
-    return Stretch(ends[0], ends[1], curve, length)
-
-
-def _end(space: EquilibriumSpace, point: Point, slope: Array) -> End:
-    """What is known at an end; rates by the change of the Jacobian along the slope."""
-    z, n = point.z, space.statics.size
-    matrix = jacobian_of(space, z[:n], z[-1])
-    h = 1e-6 / max(1e-300, float(np.max(np.abs(slope))))
-    moved = [jacobian_of(space, (z + sign * h * slope)[:n], (z + sign * h * slope)[-1]) for sign in (1.0, -1.0)]
-    values, left, right = eigensystem(matrix)
-    products = np.sum(left.conj() * right, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rates = np.sum(left.conj() * ((moved[0] - moved[1]) / (2.0 * h) @ right), axis=0) / products
-    dense = space.problem.dense(z)
-    bordered = np.vstack([dense, point.tangent])
-    sign, _ = np.linalg.slogdet(bordered)
-    return End(point, values, np.where(np.isfinite(rates), rates, 0.0), float(sign))
-
-
-def _matched(stretch: Stretch) -> Array:
-    """For each eigenvalue of the first end its place at the last: the assignment with the smallest changes."""
-    from scipy.optimize import linear_sum_assignment
-
-    first, last, length = stretch.first, stretch.last, stretch.length
-    expected = first.values + 0.5 * length * first.rates
-    back = last.values - 0.5 * length * last.rates
-    direct = np.abs(first.values[:, None] - last.values)
-    predicted = np.abs(expected[:, None] - back)
-    return np.asarray(linear_sum_assignment(np.minimum(direct, predicted))[1])
-
-
-def _crossings(stretch: Stretch, order: Array) -> tuple[list[int], list[int]]:
-    """Eigenvalues whose real part changes sign, by their place at the first end: real ones, and one of each pair."""
-    first, last = stretch.first.values, stretch.last.values[order]
-    places = np.flatnonzero(np.sign(first.real) * np.sign(last.real) < 0.0).tolist()
-    complex_ = [place for place in places if first[place].imag != 0.0 or last[place].imag != 0.0]
-    reals = [place for place in places if place not in complex_]
-    upper = [place for place in complex_ if _height(first[place], last[place]) > 0.0]
-    odd = len(complex_) - 2 * len(upper)
-    return reals + [place for place in complex_ if place not in upper][: max(odd, 0)], upper
-
-
-def _height(first: complex, last: complex) -> float:
-    """Imaginary part where the line between two eigenvalues meets the imaginary axis."""
-    share = abs(first.real) / (abs(first.real) + abs(last.real))
-    return (1.0 - share) * first.imag + share * last.imag
 
 
 def _returns(space: EquilibriumSpace, stretch: Stretch, order: Array) -> bool:
@@ -208,7 +126,7 @@ def _located(space: EquilibriumSpace, stretch: Stretch, kind: str, place: int, o
     sums = abs(a.real) + abs(b.real)
     share = abs(a.real) / sums if a.real * b.real < 0.0 and sums > 0.0 else 0.5
     guess = stretch.curve.at(share * stretch.length)
-    near = 1j * abs(_height(a, b)) if kind == HOPF else None
+    near = 1j * abs(height(a, b)) if kind == HOPF else None
     found = locate(space, kind, guess[:-1], float(guess[-1]), near)
     if found is None:
         point = _by_bisection(space, stretch, kind) if not space.systems.get(kind, True) else None
@@ -241,7 +159,7 @@ def _by_bisection(space: EquilibriumSpace, stretch: Stretch, kind: str) -> Point
     def side(point: Point) -> float:
         if kind == FOLD:
             return float(point.tangent[-1])
-        here = _end(space, point, point.tangent)
+        here = end_of(point, point.tangent)
         return here.orientation if kind == BRANCH_POINT else float(np.sum(here.values.real > 0.0)) - 0.5 - threshold
 
     threshold = 0.0

@@ -39,7 +39,7 @@ class Located:
         """Imaginary part of the critical eigenvalues; 0 where they are real."""
         if not isinstance(self.system, HopfSystem):
             return 0.0
-        return float(self.system.rate * np.sqrt(self.solution[self.system.states + len(self.system.free)]))
+        return float(self.system.rate * np.sqrt(self.system.kappa(self.solution)))
 
 
 def system_of(space: EquilibriumSpace, kind: str, rate: float) -> ExtendedSystem | None:
@@ -64,7 +64,7 @@ def locate(space: EquilibriumSpace, kind: str, y: Array, s: float, near: complex
     """
     from casadi_skin.equilibria.space import corrector_of
 
-    matrix = jacobian_of(space, y, s)
+    matrix = jacobian_of(space.problem, np.append(y, s))
     system = system_of(space, kind, abs(near or 0.0) or 1.0)
     if system is None:
         return None
@@ -92,7 +92,7 @@ def measured(problem: AlgebraicProblem, z: Array, kind: str) -> Located | None:
     n = problem.statics.size
     if kind == BRANCH_POINT and abs(z[place + len(problem.free)]) > IMPERFECT * scale:
         return None
-    if kind == HOPF and not z[place + len(problem.free)] > 0.0:
+    if isinstance(problem, HopfSystem) and not problem.kappa(z) > 0.0:
         return None  # a neutral saddle
     course = problem.free[0]
     floor = EPSILON * max(abs(z[place]), abs(course.at(z[place])) / abs(course.to - course.start))
@@ -101,9 +101,7 @@ def measured(problem: AlgebraicProblem, z: Array, kind: str) -> Located | None:
     return Located(z[:n], float(z[place]), error, profile, problem, z)
 
 
-def jacobian_of(space: EquilibriumSpace, y: Array, s: float) -> Array:
+def jacobian_of(problem: AlgebraicProblem, z: Array) -> Array:
     """dF/dy at a point, in units of the sizes."""
-    problem = space.problem
-    z = np.append(y, s)
-    matrix = space.statics.jacobian(problem.state(z), problem.parameters(z))
-    return np.asarray(matrix * space.sizes / space.sizes[:, None])
+    matrix = problem.statics.jacobian(problem.state(z), problem.parameters(z))
+    return np.asarray(matrix * problem.scale / problem.scale[:, None])

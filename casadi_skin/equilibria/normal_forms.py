@@ -51,7 +51,7 @@ def critical(point: SpecialPoint) -> Critical:
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     statics = cast(EquilibriumSpace, solution.space).statics
     x, p = solution.positions, np.array(list(solution.parameters.values()))
-    if point.kind == HOPF:
+    if point.kind in (HOPF, "generalized hopf"):
         return hopf_form(statics, x, p)
     return fold_form(statics, x, p) if point.kind == FOLD else _simple(statics, x, p)
 
@@ -83,11 +83,16 @@ def lyapunov_terms(
     return np.array([complex(cubic).real, -2.0 * complex(by_steady).real, complex(by_double).real])
 
 
-def critical_pair(A: Array) -> tuple[float, ComplexArray, ComplexArray]:
-    """The frequency omega > 0 of the pair nearest to the imaginary axis, q with A q = i omega q, and its adjoint."""
+def critical_pair(A: Array, near: float | None = None) -> tuple[float, ComplexArray, ComplexArray]:
+    """The frequency omega > 0 of the critical pair of eigenvalues, q with A q = i omega q, and its adjoint.
+
+    The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
+    """
     values, left, right = eigensystem(A)
     upper = np.flatnonzero(values.imag > 0.0)
-    k = upper[np.argmin(np.abs(values[upper].real))]
+    if not upper.size:
+        raise ArithmeticError("no pair of complex eigenvalues is near the imaginary axis")
+    k = upper[np.argmin(np.abs(values[upper].real) if near is None else np.abs(values[upper] - 1j * near))]
     q = right[:, k] / np.linalg.norm(right[:, k])
     adjoint = left[:, k] / np.vdot(left[:, k], q).conj()
     return float(values[k].imag), np.asarray(q), np.asarray(adjoint)

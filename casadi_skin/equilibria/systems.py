@@ -1,6 +1,6 @@
 """Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria.
 
-Fold: F = 0, F_y v = 0, c v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, c v = 1,
+Fold: F = 0, F_y v = 0, v v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, v v = 1,
 d v = 0, with kappa = omega^2 (Roose and Hlavacek 1985), which stays regular where kappa goes through zero. Branch
 point: F + beta c = 0, psi F_y = 0, psi F_p = 0, c psi = 1 with beta = 0 (Griewank and Reddien 1984).
 """
@@ -60,13 +60,17 @@ class FoldSystem(ExtendedSystem):
 
     def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
         F = self.force(y, self.parameters_at(scalars))
-        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(c, others) - 1)
+        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(others, others) - 1)
+
+    @staticmethod
+    def constant_count(n: int) -> int:
+        return 0
 
     def started(
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
         v = np.linalg.svd(matrix)[2][-1]
-        return self.with_constants(v), np.concatenate([y, v, scalars, [0.0]])
+        return self, np.concatenate([y, v, scalars, [0.0]])
 
 
 class BranchSystem(ExtendedSystem):
@@ -95,16 +99,12 @@ class HopfSystem(ExtendedSystem):
     def shape(n: int) -> tuple[int, int]:
         return 2 * n, 1
 
-    @staticmethod
-    def constant_count(n: int) -> int:
-        return 2 * n
-
     def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
         n, rate, kappa = self.statics.size, self.rate, scalars[len(self.free)]
         F = self.force(y, self.parameters_at(scalars))
         v, w = others[:n], others[n:]
         turned, back = ca.jtimes(F, y, v) / rate - w, ca.jtimes(F, y, w) / rate + kappa * v
-        return ca.vertcat(F, turned, back, ca.dot(c[:n], v) - 1, ca.dot(c[n:], v))
+        return ca.vertcat(F, turned, back, ca.dot(v, v) - 1, ca.dot(c, v))
 
     def started(
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
@@ -117,18 +117,11 @@ class HopfSystem(ExtendedSystem):
         v, d = plane(vectors[:, k])
         w = matrix @ v / self.rate
         kappa = (values[k].imag / self.rate) ** 2
-        return self.with_constants(np.concatenate([v, d])), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
+        return self.with_constants(d), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
 
-    def renewed(self, z: Array) -> tuple[AlgebraicProblem, Array]:
-        """The same point with constants that fit its own plane, as the critical plane turns along a curve."""
-        n = self.statics.size
-        v, w = z[n : 2 * n], z[2 * n : 3 * n]
-        length = np.linalg.norm(v)
-        v, w = v / length, w / length
-        across = w - v * (v @ w)
-        size = np.linalg.norm(across)
-        d = across / size if size > 0.0 else self.constants[n:]
-        return self.with_constants(np.concatenate([v, d])), np.concatenate([z[:n], v, w, z[3 * n :]])
+    def kappa(self, z: Array) -> float:
+        """(omega/rate)^2 of a solution; negative where the eigenvalues are real with sum zero."""
+        return float(z[self.states + len(self.free)])
 
 
 def plane(q: Array) -> tuple[Array, Array]:

@@ -98,6 +98,12 @@ class Branch:
         return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)
 
     @property
+    def parameters(self) -> Mapping[str, Array]:
+        """Values of all parameters along the branch by name, each of shape (solutions,)."""
+        names = self.solutions[0].parameters if self.solutions else ()
+        return {name: self[name] for name in names}
+
+    @property
     def S(self) -> Array:
         """Total amplitudes, shape (orbits,)."""
         return np.array([orbit.S for orbit in self.orbits])

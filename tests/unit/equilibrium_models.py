@@ -57,11 +57,13 @@ class Brusselator:
 
     def __init__(self, m: int, length: float = 1.0) -> None:
         self.m, self.h = m, length / (m + 1)
-        u, v, B = ca.SX.sym("u", m), ca.SX.sym("v", m), ca.SX.sym("B")
+        u, v, (B, A) = ca.SX.sym("u", m), ca.SX.sym("v", m), symbols("B A")
         reaction = u**2 * v
-        f = self.A - (B + 1) * u + reaction + self.d1 * self._second(u, self.A)
-        g = B * u - reaction + self.d2 * self._second(v, B / self.A)
-        self.model = OdeModel("Brusselator", ca.vertcat(u, v), ca.vertcat(f, g), B)
+        f = A - (B + 1) * u + reaction + self.d1 * self._second(u, A)
+        g = B * u - reaction + self.d2 * self._second(v, B / A)
+        self.model = OdeModel(
+            "Brusselator", ca.vertcat(u, v), ca.vertcat(f, g), ca.vertcat(B, A), nominal=(4.0, self.A)
+        )
 
     def _second(self, u: ca.SX, end: float | ca.SX) -> ca.SX:
         around = ca.vertcat(end, u, end)
