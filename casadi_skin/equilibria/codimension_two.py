@@ -167,5 +167,5 @@ def _root(space: CurveSpace, before: Point, after: Point, kind: str, test: Test)
     width = abs(float(known[beside].z[-1] - point.z[-1])) if abs(beside - root) < 1e-6 else FINE
     _, length = space.point_solver.curve(before, after)
     moved = min(width, 10.0 * FINE * length) + point.error.relative(1.0)
-    error = replace(point.error, parameter=moved)
+    error = replace(point.error, parameter=float(moved))
     return root, replace(point, error=error, requested=False, walked=False, special=kind)

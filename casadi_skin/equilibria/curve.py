@@ -93,6 +93,14 @@ def curve(
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError: the curve cannot be started.
     """
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    return run_following(Following(space, until=until), progress)
+
+
+def curve_space(
+    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+) -> CurveSpace:
+    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     solution = point.solution
     if not isinstance(solution, Equilibrium) or point.kind not in (FOLD, HOPF) or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold or a Hopf point of a branch of equilibria")
@@ -100,11 +108,10 @@ def curve(
         others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
     settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    space = started(point, parameter, float(to), tuple(float(value) for value in at))
-    return run_following(Following(replace(space, settings=settings), until=until), progress)
+    return replace(_started(point, parameter, float(to), tuple(float(value) for value in at)), settings=settings)
 
 
-def started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:
+def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:
     """The space of the curve through a special point; raises EquilibriumError where derivatives are not there."""
     solution = cast(Equilibrium, point.solution)
     old = cast(EquilibriumSpace, solution.space)

@@ -98,7 +98,7 @@ def measured(problem: AlgebraicProblem, z: Array, kind: str) -> Located | None:
     floor = EPSILON * max(abs(z[place]), abs(course.at(z[place])) / abs(course.to - course.start))
     error = 2.0 * abs(float(step[place])) + abs(float(noise[place])) + floor
     profile = problem.profile_change(z, step) + problem.profile_change(z, noise)
-    return Located(z[:n], float(z[place]), error, profile, problem, z)
+    return Located(z[:n], float(z[place]), float(error), profile, problem, z)
 
 
 def jacobian_of(problem: AlgebraicProblem, z: Array) -> Array:

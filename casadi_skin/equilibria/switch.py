@@ -19,6 +19,7 @@ from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import SpecialPoint
 
 PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, to see where its parameter goes
@@ -61,6 +62,17 @@ def switch(
         ValueError: an argument is out of range, or nothing leaves there towards `to`.
         BoundaryError, EquilibriumError: the branch cannot be started.
     """
+    space = leaving_space(
+        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance
+    )
+    return run_following(Following(space, stability, events, until=until), progress)
+
+
+def leaving_space(
+    point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
+    max_step: float, tolerance: float,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
     if not isinstance(solution, Equilibrium) or point.kind not in (HOPF, BRANCH_POINT):
         raise ValueError(f"follow: given a {point.kind}; accepted: a Hopf point or a branch point of equilibria")
@@ -72,10 +84,8 @@ def switch(
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
         cycles = replace(settings, parameter_min=-1.0)
-        born = born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
-        return run_following(Following(born, stability, events, until=until), progress)
-    other = other_branch(point, parameter, float(to), values, settings, side)
-    return run_following(Following(other, until=until), progress)
+        return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
+    return other_branch(point, parameter, float(to), values, settings, side)
 
 
 # The other branch at a branch point -----------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ class Following:
         changes: Sequence[StabilityChange] = (),
         until: Callable[[Any], bool] | None = None,
     ) -> None:
+        stability = stability and not space.knows_stability
         self.space, self.stability, self.events, self.until = space, stability, events and stability, until
         self.solutions, self.changes = list(solutions), list(changes)
         self._waiting: deque[Point] = deque()  # reached, but not yet among the solutions
@@ -305,7 +306,7 @@ def follow(
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     if stability and isinstance(space, BoundarySpace) and space.periodic is None:
         raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
-    return run_following(Following(space, stability and not space.knows_stability, events, until=until), progress)
+    return run_following(Following(space, stability, events, until=until), progress)
 
 
 def following_space(
