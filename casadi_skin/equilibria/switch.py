@@ -13,14 +13,17 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.equilibria.cycles import TOLERANCE, born_at
 from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.leaving_orbits import leaving_orbits
 from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
 from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.orbits.special_points import DOUBLING, SpecialPoint
 
 PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, to see where its parameter goes
 SAME = 1e-4  # of a direction: what tells two branches apart
@@ -41,11 +44,14 @@ def switch(
     tolerance: float = TOLERANCE,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
-    """The branch that leaves at a special point: at a Hopf point that of the cycles born there, from amplitude zero;
-    at a branch point the other branch.
+    """The branch that leaves at a special point.
+
+    At a Hopf point that of the cycles born there, from amplitude zero; at a branch point the other branch; at a period
+    doubling the orbits of twice the period.
 
     Arguments:
-        point: a Hopf point or a branch point of a branch of equilibria.
+        point: a Hopf point or a branch point of equilibria; of orbits a period doubling, or a branch point that the
+            other branch leaves to both sides, as where a symmetry is lost.
         parameter: name of the parameter to follow: at a branch point that in which it was found.
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
@@ -74,18 +80,29 @@ def leaving_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
-    if not isinstance(solution, Equilibrium) or point.kind not in (HOPF, BRANCH_POINT):
-        raise ValueError(f"follow: given a {point.kind}; accepted: a Hopf point or a branch point of equilibria")
+    of_orbits = point.kind in (DOUBLING, BRANCH_POINT) and isinstance(solution, Orbit)
+    if not of_orbits and (not isinstance(solution, Equilibrium) or point.kind not in (HOPF, BRANCH_POINT)):
+        accepted = "a Hopf point or a branch point of equilibria, a period doubling or a branch point of orbits"
+        raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
     settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     values = tuple(float(value) for value in at)
-    if point.kind == HOPF:
+    if isinstance(solution, Orbit):
+        turns, both = (2 if point.kind == DOUBLING else 1), replace(settings, parameter_min=-1.0)
+        return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
+    if point.kind == HOPF and isinstance(solution, Equilibrium):
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
         cycles = replace(settings, parameter_min=-1.0)
         return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
     return other_branch(point, parameter, float(to), values, settings, side)
+
+
+def _kind_of(solution: Solution) -> str:
+    if isinstance(solution, Equilibrium):
+        return "equilibria"
+    return "orbits" if isinstance(solution, Orbit) else "a boundary-value problem"
 
 
 # The other branch at a branch point -----------------------------------------------------------------------------------

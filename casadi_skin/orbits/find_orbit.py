@@ -85,6 +85,12 @@ def closed_statement(model: OdeModel, guess: Guess, period: float, parameters: M
     return _closed_problem(asked, guess, SymmetryClass.FULL)
 
 
+def forced_statement(model: OdeModel, cycles: int, parameters: Mapping[str, float]) -> Statement:
+    """The orbit of a forced model of first order that closes after a number of periods of the forcing."""
+    asked = _Asked(model, 0.0, cycles, dict(parameters), None, None, (), {}, None, None)
+    return _forced_problem(asked, np.zeros(model.full_size), SymmetryClass.FULL)
+
+
 def _length(guess: Guess, period: float | None) -> float:
     """The guessed period."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")

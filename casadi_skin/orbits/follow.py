@@ -14,6 +14,7 @@ from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.bifurcations import bifurcations_between
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
@@ -114,6 +115,9 @@ class Following:
         """The solutions of the points that wait, with their stability and its changes, in order."""
         try:
             for solution in self._with_stability():
+                for special in self._bifurcations_before(solution):
+                    self.solutions.append(special)
+                    yield special
                 change = self._change_before(solution)
                 if change is not None:
                     self.changes.append(change)
@@ -140,6 +144,15 @@ class Following:
             return None
         largest = self.space.request.amplitude_max if isinstance(self.space, Family) else 1.0
         return locate_change(self.space, before, solution, largest)
+
+    def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
+        """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
+        if not (self.events and self.solutions):
+            return
+        before = self.solutions[-1]
+        leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
+        if isinstance(before, Orbit) and isinstance(solution, Orbit) and not leaving:
+            yield from bifurcations_between(before, solution)
 
     def _with_stability(self) -> Iterator[Solution]:
         """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""

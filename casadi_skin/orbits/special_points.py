@@ -14,7 +14,7 @@ from casadi_skin.continuation.points import Point
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
-FOLD, HOPF = "fold", "hopf"
+FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -27,7 +27,8 @@ class SpecialPoint:
     """A point of a branch that stands out; of equilibria with the coefficient that decides there.
 
     Attributes:
-        kind: "fold"; of equilibria also "branch point" and "hopf".
+        kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
+            doubling", "torus" and "branch point", and "hopf" where they end.
         parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.

@@ -135,5 +135,5 @@ def test_switching_is_refused_in_one_line(arguments: tuple, words: str) -> None:
 
 def test_nothing_leaves_at_a_fold() -> None:
     fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
-    with pytest.raises(ValueError, match="follow: given a fold; accepted: a Hopf point or a branch point"):
+    with pytest.raises(ValueError, match="follow: given a fold of equilibria; accepted: a Hopf point"):
         fold.follow("p", 0.2)
