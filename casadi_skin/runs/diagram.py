@@ -56,13 +56,17 @@ def further_spaces(
                 yield f"{CYCLES if point.kind == HOPF else OTHER}{prefix}_{number}", space
                 if point.kind != HOPF:
                     waiting.append((f"{prefix}_{number}", branches[-1]))
+    curves = list[Branch]()
     for place, point in reached:
-        if table.curve is not None and point.kind in (FOLD, HOPF):
+        passed = any(_passes(curve, point) for curve in curves)
+        if table.curve is not None and point.kind in (FOLD, HOPF) and not passed:
             to, options = table.curve.to, {"max_points": table.max_points, "max_step": table.max_step}
             try:
                 yield f"{CURVE}{place}", curve_space(point, table.curve.parameter, to, at=(), **options)  # type: ignore[arg-type]
             except (ValueError, ArithmeticError) as error:
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
+            else:
+                curves.append(branches[-1])
 
 
 def _leaving(
@@ -80,6 +84,18 @@ def _leaving(
             reasons.append(str(error))
     failures.append(f"[continuation] switch: {point.kind} at {point.parameters[point.parameter]:.8g}: {reasons[0]}")
     return None
+
+
+def _passes(curve: Branch, point: SpecialPoint) -> bool:
+    """Whether a curve that came back to the value of its parameter did so at another special point."""
+    if curve.end is not End.RETURNED or getattr(curve.space, "kind", "") != point.kind:
+        return False
+    try:
+        found = curve.at(point.parameters[curve.parameter], which=1)
+    except (ValueError, ArithmeticError):
+        return False
+    x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
+    return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
 
 
 def _is_same(one: SpecialPoint, other: SpecialPoint) -> bool:

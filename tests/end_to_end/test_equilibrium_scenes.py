@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,8 +44,9 @@ def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFi
     assert on_branch == [("hopf", 1.05156), ("fold", 1.04205), ("fold", 1.05220), ("hopf", 1.04099)]
     assert {p["kind"] for p in points if p["branch"] != "branch"} == {"cusp", "generalized hopf"}
     assert all(0.0 < float(p["error"]) < 1e-10 for p in points)
-    for name in ("branch.csv", "branch.nc", "branch.svg", "curves.svg", "curve_1.csv", "curve_4.nc"):
+    for name in ("branch.csv", "branch.nc", "branch.svg", "curves.svg", "curve_1.csv", "curve_2.nc"):
         assert (out / name).exists(), name
+    assert not (out / "curve_3.csv").exists()  # the second fold is on the curve of the first one
     folds = rows(out / "curve_2.csv")
     assert list(folds[0])[3:5] == ["k", "q2"]
     printed = capsys.readouterr().out
@@ -159,3 +161,18 @@ def test_what_is_not_found_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     scene = write(tmp_path, "cubic", rest.replace("[0.0, 0.0]", "[0.1, 1.0]"))
     assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 1
     assert "does not settle" in capsys.readouterr().err
+
+
+def test_the_lines_of_the_page_give_the_numbers_that_it_tells() -> None:
+    text = (ROOT / "docs" / "equilibria.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    names: dict[str, Any] = {}
+    exec(compile(block, "equilibria.md", "exec"), names)
+    fold, hopf, curve = (names[name] for name in ("fold", "hopf", "curve"))
+    assert repr(fold).startswith("<fold at p = 0.105738978272 +- ")
+    assert repr(hopf).startswith("<hopf at p = 0.13090004482 +- ")
+    assert hopf.frequency == pytest.approx(4.0077747, abs=5e-8)
+    assert hopf.coefficient == pytest.approx(-0.3889545, abs=5e-8)
+    assert curve.special_points[-1].kind == "cusp"
+    x = 0.5 * (1.0 - np.sqrt(1.0 - 12.0 / 14.0))
+    assert abs(fold.parameters["p"] - x * np.exp(-14.0 * x / 3.0) / (1.0 - x)) < 1e-16
