@@ -207,15 +207,21 @@ class PointSolver:
 
     def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
         """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
+        return self.corrected_along(current, following, fraction)[1]
+
+    def corrected_along(
+        self, current: Point, following: Point, fraction: float
+    ) -> tuple[Correction | None, Array | None]:
+        """The correction and the tangent at a fraction of the way, on the level of the second point alone, or None."""
         correction, row = self._corrected_along(current, following, fraction)
         if correction is None:
-            return None
+            return None, None
         try:
             problem = following.problem
-            return self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+            return correction, self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
         except SingularError as error:
             self.failure = str(error)
-            return None
+            return correction, None
 
     def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
         """The correction at a fraction of the way between two points on the level of the second, and its row."""

@@ -18,7 +18,9 @@ from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
 from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.follow import Following, following_settings, run_following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
@@ -80,9 +82,10 @@ def leaving_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
-    of_orbits = point.kind in (DOUBLING, BRANCH_POINT) and isinstance(solution, Orbit)
-    if not of_orbits and (not isinstance(solution, Equilibrium) or point.kind not in (HOPF, BRANCH_POINT)):
-        accepted = "a Hopf point or a branch point of equilibria, a period doubling or a branch point of orbits"
+    of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
+    of_orbits = point.kind == DOUBLING and isinstance(solution, Orbit)
+    if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
+        accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
@@ -96,7 +99,27 @@ def leaving_space(
         statics = Statics(space.model, solution.parameters)
         cycles = replace(settings, parameter_min=-1.0)
         return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
+    if not isinstance(solution, Equilibrium):
+        return _other_solutions(solution, parameter, float(to), values, replace(settings, parameter_min=-1.0), side)
     return other_branch(point, parameter, float(to), values, settings, side)
+
+
+def _other_solutions(
+    solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
+) -> BoundarySpace:
+    """The space of the other branch at a branch point of a boundary-value problem."""
+    old = cast(BoundarySpace, solution.space)
+    tangent = other_tangent(old.point_solver, solution.point)
+    space = old.following(solution, parameter, to, at, settings)
+    problem = space.levels.problem(solution.intervals).with_constants(solution.problem.constants)
+    z = solution.point.z.copy()
+    span, before = to - solution.parameters[parameter], old.to - old.statement.values[parameter]
+    z[-1], tangent[-1] = 0.0, tangent[-1] * before / span
+    tangent = tangent / np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
+    towards = np.sign(tangent[-1]) if abs(tangent[-1]) > SAME else 1.0
+    tangent = side * towards * tangent
+    first = replace(solution.point, problem=problem, z=z, tangent=tangent, special="")
+    return replace(space, first=first, leaves=True)
 
 
 def _kind_of(solution: Solution) -> str:

@@ -22,6 +22,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
@@ -168,7 +169,16 @@ class BoundarySpace:
         return ArclengthContinuation(self.point_solver, history)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium."""
+        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
+
+        Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
+        """
+        crossed = None
+        if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
+            crossed = branch_point_between(self.point_solver, before, after)
+        if crossed is not None:
+            yield crossed
+            return
         if not turns_between(before, after):
             return
         hopf: Point | None = None
