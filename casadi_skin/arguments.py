@@ -5,8 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
-from numbers import Real
-from typing import cast
+from numbers import Integral, Real
+from typing import Any, cast
 
 LONGEST = 60  # characters of a given value or name that a message shows
 
@@ -53,6 +53,15 @@ def number(name: str, value: object, accepted: str = "a finite number") -> float
     if not math.isfinite(found):
         raise ValueError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
     return found
+
+
+def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """The value as an int; raises ValueError where it is no whole number from `least` on, or up to `most`."""
+    accepted = f">= {least}" if most is None else f"from {least} to {most}"
+    given = isinstance(value, Integral) and not isinstance(value, bool)
+    if not given or int(value) < least or (most is not None and int(value) > most):
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number {accepted}")
+    return int(value)
 
 
 def numbers(name: str, values: object) -> tuple[float, ...]:

@@ -23,10 +23,8 @@ def main(picture: Path | str | None = None) -> Branch:
 
 
 def unstable_intervals(branch: Branch) -> list[tuple[float, float]]:
-    """Where the orbits are unstable, as far as neighbouring orbits told."""
+    """Where the orbits are unstable: it begins stable."""
     ends = [change.S for change in branch.changes]
-    if not branch.stable[0]:
-        ends.insert(0, 0.0)
     return list(zip(ends[::2], [*ends[1::2], float(branch.S[-1])], strict=False))
 
 

@@ -37,10 +37,13 @@ def print_summary(run: Run) -> None:
     if isinstance(run.branches[0].space, Family):
         Console().print(_families(run))
         _print_thresholds(run.branches)
+        _print_stability(branches)
     elif isinstance(branches[0].solutions[0] if branches else None, Equilibrium):
         Console().print(_diagram(run, branches))
     elif branches:
         Console().print(_points(run, branches[0]))
+        if branches[0].with_events and len(branches[0]) > 1:
+            print("changes of stability were sought where neighbouring points differ; others may lie between points")
     if run.evolution is not None:
         print(f"dynamics: {run.evolution.status}")
     count = "" if isinstance(run.branches[0].space, Family) else f"{_counted(branches)}; "
@@ -74,7 +77,8 @@ def _families(run: Run) -> Table:
         last = branch.orbits[-1]
         cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
-            cells += [f"{branch.max_abs_multiplier.max():.8g}", str(len(branch.changes))]
+            sought = str(len(branch.changes)) if branch.with_events else "not sought"
+            cells += [f"{branch.max_abs_multiplier.max():.8g}", sought]
         table.add_row(*cells, f"{seconds:.2f}")
     return table
 
@@ -112,6 +116,17 @@ def _stability(branch: Branch, place: int) -> str:
     if not branch.with_stability:
         return ""
     return "stable" if branch.solutions[place].stable else "unstable"
+
+
+def _print_stability(branches: list[Branch]) -> None:
+    """What of the stability of families is in no column: unresolved stretches, and what was not sought."""
+    computed = [branch for branch in branches if branch.with_stability]
+    if any(not branch.with_events for branch in computed):
+        print("changes of stability between points were not sought")
+    for branch in computed:
+        for stretch in branch.unresolved:
+            where = f"from S = {stretch.S_start:.6g} to {stretch.S_end:.6g}"
+            print(f"mode {mode_of(branch)}: changes of stability are not known {where}: {stretch.reason}")
 
 
 def _points(run: Run, branch: Branch) -> Table:

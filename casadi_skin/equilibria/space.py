@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NoReturn
 
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
@@ -25,6 +26,7 @@ from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.result import Floquet
 
 ITERATIONS = 60
+NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 BESIDE = 0.1  # of a step from a special point: where the search for other ones starts
 
 
@@ -66,6 +68,7 @@ class EquilibriumSpace:
     leaves: bool = False
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
+    S_rate: float = field(default=1.0, init=False)
 
     @property
     def model(self) -> OdeModel:
@@ -178,6 +181,11 @@ class EquilibriumSpace:
         return self.statics.names
 
     @property
+    def output_sites(self) -> Indices:
+        """Numbers of the unknowns, from 1."""
+        return np.arange(1, self.statics.size + 1)
+
+    @property
     def free(self) -> tuple[str, ...]:
         """Parameters that are found with the state: none here."""
         return ()
@@ -214,7 +222,17 @@ class EquilibriumSpace:
         return 1
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
-        raise ValueError("an equilibrium has eigenvalues in place of multipliers")
+        raise ValueError(NO_ORBIT)
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> NoReturn:
+        raise ValueError(NO_ORBIT)
+
+    def energy(self, point: Point) -> float:
+        raise ValueError(NO_ORBIT)
+
+    @property
+    def symmetry(self) -> NoReturn:
+        raise ValueError(NO_ORBIT)
 
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point, computed once for the last few points."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
-from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.arguments import check_name, short_repr, whole
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
 from casadi_skin.lattice.chain import Chain
@@ -115,8 +115,7 @@ def exported_model(source: object, name: str | None, harmonics: int) -> Exported
     model = source.model if isinstance(source, Orbit) else source
     if isinstance(model, Chain) and model.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
-    if isinstance(harmonics, bool) or not isinstance(harmonics, int) or not 2 <= harmonics <= 512:
-        raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number from 2 to 512")
+    whole("harmonics", harmonics, 2, 512)
     if name is not None and not isinstance(name, str):
         raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
     own = model.name if isinstance(model, OdeModel) else "chain"

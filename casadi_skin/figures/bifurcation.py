@@ -122,7 +122,7 @@ def _heights(branch: Branch, state: int) -> list[Array]:
 
 
 def _draw(axes: Axes, branch: Branch, path: Array, colour: object, label: str) -> None:
-    for stable, piece in stability_pieces(branch, path, True):
+    for stable, piece in stability_pieces(branch, path):
         look = dict(LOOKS[stable])
         words = f"{label}, {look.pop('label')}"
         axes.plot(*piece.T, color=colour, zorder=3, label=words, **look)

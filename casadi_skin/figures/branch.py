@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.figures.branch_lines import draw_lines, draw_marks
+from casadi_skin.figures.branch_lines import draw_lines, draw_marks, stability_pieces
 from casadi_skin.figures.style import DASHES, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -55,7 +55,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         for panel, (label, curves) in zip(axes, panels, strict=True):
             for curve, colour in zip(curves, colours(len(curves)), strict=True):
                 path = np.column_stack([branch.values, curve])
-                draw_lines(panel, branch, path, True, colour)
+                draw_lines(panel, branch, path, stability_pieces(branch, path), colour)
                 draw_marks(panel, branch, path, "black")
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))
@@ -73,7 +73,9 @@ def _second_panel(branch: Branch, space: BoundarySpace) -> list[tuple[str, list[
 
 
 def orbit_figure(solution: Solution, title: str = "") -> Figure:
-    """The first states against time over the interval or the period and, of two or more, the plane of the first two.
+    """States against time over the interval or the period and, of two or more, the plane of the first two.
+
+    Of many states the first six are drawn; of many positions of a family those that move most, the largest first.
 
     Arguments:
         solution: an orbit of any kind, or a solution of a boundary-value problem.
@@ -82,14 +84,14 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
     Returns:
         The figure.
     """
-    names, t = solution.space.state_names, times(solution)
-    x, plane = solution.evaluate(t), in_plane(solution, t)
+    chosen, t, known = drawn_states(solution), times(solution), len(solution.space.state_names)
+    names, x, plane = _names(solution, chosen), _states(solution, t, chosen), in_plane(solution, t)
     with style():
         figure = blank(5.0 if plane is None else 8.0, 3.6)
         axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
-        for i, colour in enumerate(colours(min(len(names), SHOWN))):
-            axes[0].plot(t, x[:, i], color=colour, ls=DASHES[i], lw=1.4, label=plain(names[i]))
-        more = f" (first {SHOWN} of {len(names)})" if len(names) > SHOWN else ""
+        for i, colour in enumerate(colours(len(names))):
+            axes[0].plot(t, x[:, i], color=colour, ls=DASHES[i], lw=1.4, label=names[i])
+        more = f" ({len(names)} of {known})" if known > len(names) else ""
         axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
         if plane is not None:
             points, labels = plane
@@ -99,6 +101,24 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
             axes[1].set(xlabel=labels[0], ylabel=labels[1])
         figure.suptitle(orbit_title(solution, title))
         return finished(figure, axes, SHOWN + 1)
+
+
+def drawn_states(solution: Solution) -> Indices:
+    """Indices of the states that are drawn, six at the most: of a family with more positions those that move most."""
+    count = len(solution.space.state_names)
+    if count <= SHOWN or not isinstance(solution.space, Family):
+        return np.arange(min(count, SHOWN))
+    return np.argsort(-np.abs(_states(solution, np.zeros(1), np.arange(count))[0]), kind="stable")[:SHOWN]
+
+
+def _names(solution: Solution, chosen: Indices) -> list[str]:
+    return [plain(solution.space.state_names[i]) for i in chosen]
+
+
+def _states(solution: Solution, t: Array, chosen: Indices) -> Array:
+    if isinstance(solution, Orbit):
+        return solution.evaluate(t, solution.output_sites[chosen])
+    return solution.evaluate(t)[:, chosen]
 
 
 def times(solution: Solution) -> Array:
@@ -111,13 +131,14 @@ def times(solution: Solution) -> Array:
 
 
 def in_plane(solution: Solution, t: Array) -> tuple[Array, tuple[str, str]] | None:
-    """Points of a solution in the plane of its first two states, shape (times, 2), and what the axes are.
+    """Points of a solution in the plane of the first two states drawn, shape (times, 2), and what the axes are.
 
     Of an orbit of a family with one position that and its velocity; None for another solution with one state.
     """
-    x, names = solution.evaluate(t), [plain(name) for name in solution.space.state_names]
+    chosen = drawn_states(solution)[:2]
+    names, x = _names(solution, chosen), _states(solution, t, chosen)
     if len(names) > 1:
-        return x[:, :2], (names[0], names[1])
+        return x, (names[0], names[1])
     if not (isinstance(solution, Orbit) and isinstance(solution.space, Family)):
         return None
     velocity = cosine_curve(solution).points(solution.Omega * t)[0][:, 1]

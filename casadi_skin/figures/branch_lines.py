@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,14 +25,13 @@ LOOKS: dict[bool | None, dict[str, Any]] = {
 }
 
 
-def stability_pieces(branch: Branch, path: Array, interpolated: bool) -> list[tuple[bool | None, Array]]:
+def stability_pieces(branch: Branch, path: Array) -> list[tuple[bool | None, Array]]:
     """Stretches of a path with one stability each, neighbours sharing the change between them.
 
     Arguments:
         branch: the branch.
         path: its points in the plane, shape (points, 2), in its order; the quantity followed comes first, and where
             there is one point more than solutions, that is the limit that the branch starts from.
-        interpolated: whether heights at located changes are interpolated between points; they are Omega else.
 
     Returns:
         Stability of each stretch (None: not computed), and its points. A change that was not located is placed at the
@@ -41,18 +41,16 @@ def stability_pieces(branch: Branch, path: Array, interpolated: bool) -> list[tu
         return [(None, path)]
     stable = np.append(np.repeat(branch.stable[:1], len(path) - len(branch)), branch.stable)
     flips = np.flatnonzero(stable[1:] != stable[:-1])
-    located, at_fold = len(branch.changes) >= flips.size, special_places(branch, path)
+    located, at_fold = len(branch.located) >= flips.size, special_places(branch, path)
     pieces: list[tuple[bool | None, Array]] = []
     rest = path[:0]
     for index, (flip, first) in enumerate(zip(flips, np.append(0, flips + 1), strict=False)):
         before, after = path[flip], path[flip + 1]
         joint = 0.5 * (before + after)
         if located:
-            change = branch.changes[index]
-            part = (change.value - before[0]) / ((after[0] - before[0]) or 1.0)
-            joint = np.array(
-                [change.value, before[1] + part * (after[1] - before[1]) if interpolated else change.Omega]
-            )
+            value = branch.located[index].value
+            part = (value - before[0]) / ((after[0] - before[0]) or 1.0)
+            joint = np.array([value, before[1] + part * (after[1] - before[1])])
         elif flip in at_fold or flip + 1 in at_fold:
             joint = before if flip in at_fold else after
         pieces.append((bool(stable[flip]), np.vstack([rest, path[first : flip + 1], joint])))
@@ -66,9 +64,10 @@ def special_places(branch: Branch, path: Array) -> dict[int, str]:
     return {lead + i: s.point.special for i, s in enumerate(branch.solutions) if s.point.special}
 
 
-def draw_lines(axes: Axes, branch: Branch, path: Array, interpolated: bool, colour: Any) -> None:
-    """The path of a branch, as `stability_pieces` takes it, with marks of its changes of stability."""
-    pieces = stability_pieces(branch, path, interpolated)
+def draw_lines(
+    axes: Axes, branch: Branch, path: Array, pieces: Sequence[tuple[bool | None, Array]], colour: Any
+) -> None:
+    """The path of a branch in pieces, as `stability_pieces` makes them, with marks of its changes of stability."""
     for stable, piece in pieces:
         axes.plot(*piece.T, color=colour, zorder=3, **(LOOKS[stable] if _may_be_stable(branch) else {"lw": 1.4}))
     joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)

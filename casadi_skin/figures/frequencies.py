@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.figures.branch_lines import draw_lines, draw_marks
+from casadi_skin.figures.branch_lines import draw_lines, draw_marks, stability_pieces
 from casadi_skin.figures.style import amplitude_label, blank, colours, common_model, family, finished, style, title
+from casadi_skin.figures.tongues import frequency_pieces, shade_unresolved
 from casadi_skin.orbits.spectrum import linear_spectrum
 
 if TYPE_CHECKING:
@@ -25,6 +26,14 @@ def family_path(branch: Branch, shift: bool) -> Array:
     """S and Omega (or Omega - omega_j) from the linear mode on in arclength order, shape (points + 1, 2)."""
     values = [orbit.Omega_shift if shift else orbit.Omega for orbit in branch.orbits]
     return np.column_stack([np.append(0.0, branch.S), np.append(0.0 if shift else branch.start.Omega, values)])
+
+
+def family_pieces(branch: Branch, path: Array, shift: bool = False) -> list[tuple[bool | None, Array]]:
+    """The path of a family, as `family_path` makes it, in stretches of one stability each, exact where it is known."""
+    diagram = branch.stability_diagram
+    if diagram is None or not diagram.pieces:
+        return stability_pieces(branch, path)
+    return frequency_pieces(branch, diagram, shift)
 
 
 def _draw_theory(axes: Axes, branch: Branch, S: Array, shift: bool) -> None:
@@ -97,7 +106,9 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
             paths = [family_path(branches[0], True)]
         draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
         for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
-            draw_lines(axes, branch, path, shift, colour)
+            draw_lines(axes, branch, path, family_pieces(branch, path, shift), colour)
+            if branch.unresolved:
+                shade_unresolved(axes, branch.unresolved)
             _draw_theory(axes, branch, np.array([0.0, path[:, 0].max()]), shift)
             draw_marks(axes, branch, path, colour)
         points = np.concatenate(paths)

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_skin.figures.profiles import requested
 from casadi_skin.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
+from casadi_skin.figures.tongues import draw_angles, draw_moduli
 from casadi_skin.orbits.family import Family
 
 if TYPE_CHECKING:
@@ -25,23 +26,17 @@ TRIVIAL_LEFT_OUT = ("", " (trivial one left out)", " (trivial pair left out)")
 
 def _draw_moduli(axes: Axes, branch: Branch) -> None:
     """|lambda| of all multipliers off the circle, the largest as a line, against the quantity followed."""
-    line: list[tuple[float, float]] = []
-    stable, changes, values = branch.stable, list(branch.changes), branch.values
-    for i, (value, orbit) in enumerate(zip(values.tolist(), branch.orbits, strict=True)):
-        if i and stable[i] != stable[i - 1] and changes:  # multipliers leave the circle at the change itself
-            line.append((changes.pop(0).value, 1.0))
+    values, diagram = branch.values, branch.stability_diagram
+    for value, orbit in zip(values.tolist(), branch.orbits, strict=True):
         floquet = orbit.floquet()
-        line.append((value, floquet.max_abs_multiplier))
         off = np.abs(floquet.others[~floquet.on_circle])
         if off.size:
             axes.plot(np.full(off.size, value), off, ".", ms=3, color="0.25", zorder=3)
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    axes.plot(*np.transpose(line), color=colours(1)[0], lw=1.3, label=f"largest {MODULUS}", zorder=2)
-    for change in branch.changes:
-        dashes = "-" if change.kind == "real" else "--"
-        axes.axvline(
-            change.value, color="0.4", lw=0.6, ls=dashes, label=f"change of stability ({change.kind})", zorder=0
-        )
+    if diagram is not None and diagram.pieces:
+        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS}")
+    else:
+        _draw_between_points(axes, branch)
     largest = branch.max_abs_multiplier.max()
     if largest > 10.0:
         axes.set_yscale("log")
@@ -53,7 +48,22 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     else:
         axes.set_xlabel(plain(branch.parameter))
     axes.set_ylabel(f"{MODULUS}{TRIVIAL_LEFT_OUT[branch.orbits[0].floquet().trivial]}")
-    axes.set_box_aspect(1)
+
+
+def _draw_between_points(axes: Axes, branch: Branch) -> None:
+    """The largest |lambda| of each orbit joined by lines, through 1 where a change of stability was located."""
+    line: list[tuple[float, float]] = []
+    stable, changes = branch.stable, list(branch.located)
+    for i, (value, orbit) in enumerate(zip(branch.values.tolist(), branch.orbits, strict=True)):
+        if i and stable[i] != stable[i - 1] and changes:  # multipliers leave the circle at the change itself
+            line.append((changes.pop(0).value, 1.0))
+        line.append((value, orbit.floquet().max_abs_multiplier))
+    axes.plot(*np.transpose(line), color=colours(1)[0], lw=1.3, label=f"largest {MODULUS}", zorder=2)
+    for change in branch.located:
+        dashes = "-" if change.kind == "real" else "--"
+        axes.axvline(
+            change.value, color="0.4", lw=0.6, ls=dashes, label=f"change of stability ({change.kind})", zorder=0
+        )
 
 
 def draw_plane(axes: Axes, orbit: Orbit) -> None:
@@ -98,13 +108,17 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     if not branch.with_stability or not branch.orbits or branch.orbits[0].floquet().max_abs_multiplier == 0.0:
         return None
     chosen = requested(branch, 3) or {(float(branch.values[-1]), 0): branch.orbits[-1]}
-    layout = ("ab", "abc", "ab;cd")[len(chosen) - 1]
+    diagram = branch.stability_diagram
+    with_angles = diagram is not None and diagram.symplectic and bool(diagram.pieces)
     with style():
-        figure = blank(*((6.8, 3.9), (9.6, 3.9), (6.8, 7.0))[len(chosen) - 1])
-        panels = figure.subplot_mosaic(layout)
+        figure, panels = _panels(len(chosen), with_angles)
         _draw_moduli(panels["a"], branch)
         panels["a"].set_title("(a)", loc="left")
-        for letter, ((value, passage), orbit) in zip("bcd", chosen.items(), strict=False):
+        if diagram is not None and with_angles:
+            draw_angles(panels["b"], diagram)
+            panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
+            panels["b"].set_title("(b)", loc="left")
+        for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
             draw_plane(panels[letter], orbit)
             largest = orbit.floquet().max_abs_multiplier
             words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {number(largest, 4)}$"
@@ -116,6 +130,18 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
             )
         figure.suptitle(_title(branch, title))
         return finished(figure, panels.values(), 3)
+
+
+def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:
+    """A figure with a panel of moduli (a), one of angles (b) where there is one, and complex planes."""
+    if with_angles:
+        figure = blank(*((7.0, 8.6), (7.0, 8.4), (8.4, 8.0))[planes - 1])
+        rows = ("aaaaaa;bbbbbb;.cccc.", "aaaaaa;bbbbbb;cccddd", "aaaaaa;bbbbbb;ccddee")[planes - 1]
+        return figure, figure.subplot_mosaic(rows, height_ratios=(0.8, 1.0, 1.0))
+    figure = blank(*((6.8, 3.9), (9.6, 3.9), (6.8, 7.0))[planes - 1])
+    panels = figure.subplot_mosaic(("ab", "abc", "ab;cd")[planes - 1])
+    panels["a"].set_box_aspect(1)
+    return figure, panels
 
 
 def _place(branch: Branch, value: float, passage: int) -> str:

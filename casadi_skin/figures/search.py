@@ -8,7 +8,8 @@ import numpy as np
 
 from casadi_skin.figures import style
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.result import CosineOrbit, SearchResult
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
+from casadi_skin.optimise.result import SearchResult
 from casadi_skin.optimise.search_problem import Ending
 
 if TYPE_CHECKING:

@@ -124,6 +124,10 @@ class CoreWithTail(ChainCoordinates):
             return core
         return np.asarray(core - self.core.sites + (N if np.isfinite(N) else 0), dtype=np.int64)
 
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        return tuple(f"y_{n}" for n in self.output_sites)
+
     # Sites ----------------------------------------------------------------------------------------------------------
 
     def distances(self, sites: Indices | None) -> Indices:

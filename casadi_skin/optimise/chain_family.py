@@ -18,8 +18,9 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.observables import FamilyEquations, FreeNumber, Member
+from casadi_skin.optimise.observables import FamilyEquations, FreeNumber
 from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.orbit import Orbit
 
 STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 
@@ -120,31 +121,38 @@ class ChainFamily:
 
     # Numbers --------------------------------------------------------------------------------------------------------
 
-    def at(self, values: Mapping[str, Any]) -> Chain:
-        """The chain of these parameters; of a nonuniform one, that with the mean alpha."""
-        chain = self.model
-        alpha = float(np.mean(values.get("alpha_n", values.get("alpha", chain.alpha))))
-        return replace(
-            chain, alpha=alpha, gamma=float(values.get("gamma", chain.gamma)), g=float(values.get("g", chain.g))
-        )
+    def at(self, values: Mapping[str, Any]) -> Chain | None:
+        """The chain of these parameters; None of a nonuniform one."""
+        uniform = len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) == 1
+        return self._mean(values) if uniform else None
+
+    def _mean(self, values: Mapping[str, Any]) -> Chain:
+        """The chain with the mean stiffness."""
+        alpha = float(np.mean(values.get("alpha_n", values.get("alpha", self.model.alpha))))
+        gamma, g = (float(values.get(name, getattr(self.model, name))) for name in ("gamma", "g"))
+        return replace(self.model, alpha=alpha, gamma=gamma, g=g)
 
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         """Factors that make displacements of q, shape (components,)."""
-        return np.asarray(np.sqrt(S) * self.at(values).rho)
+        return np.asarray(np.sqrt(S) * self._mean(values).rho)
 
     def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
         """The equations of q as a model with one parameter, and the value of that at S."""
-        chain = self.at(values)
+        chain = self._mean(values)
         model = chain.gauge_model()
         if "alpha_n" in values:
             uneven = ca.SX(np.asarray(values["alpha_n"]) - chain.alpha)
             model = replace(model, rhs=model.rhs - uneven * model.state, hamiltonian=None)
         return model, chain.g * S
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Member] | None:
+    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
         """The orbits at amplitudes; None of a nonuniform chain. Raises ValueError and ArithmeticError."""
-        if len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) > 1:
-            return None
         at, chain = sorted(set(amplitudes)), self.at(values)
+        if chain is None:
+            return None
         branch = follow_family(chain, self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
-        return [Member.of(branch.at(S=S).point) for S in amplitudes]
+        return [branch.at(S=S) for S in amplitudes]
+
+    def nodes(self, orbit: Orbit, theta: Array) -> Array:
+        """q of a member at phases, shape (components, phases)."""
+        return orbit.point.problem.sample(orbit.point.z, theta).T

@@ -7,18 +7,16 @@ objective or a condition uses a slope, its tangent.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.trigonometric import prolongation_matrix
+from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.nlp import Limits, Nlp
-from casadi_skin.optimise.observables import Member
-
-if TYPE_CHECKING:
-    from casadi_skin.optimise.family_search import FamilySearch
+from casadi_skin.orbits.orbit import Orbit
 
 SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: what the square root is kept away from
 OPTIONS: Mapping[str, Any] = {
@@ -26,7 +24,6 @@ OPTIONS: Mapping[str, Any] = {
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.compl_inf_tol": 1e-9,
     "ipopt.max_iter": 200,
-    "ipopt.mumps_pivtol": 1e-2,  # with 1e-6 the first multipliers are noise, and some starts run away
     "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the start, or 1: far from orbits nothing is bounded
     "ipopt.diverging_iterates_tol": 1e8,
 }
@@ -35,7 +32,7 @@ OPTIONS: Mapping[str, Any] = {
 class FamilyNlp(Nlp):
     """The nonlinear programme of a search on a number of harmonics."""
 
-    def __init__(self, search: FamilySearch, harmonics: int) -> None:
+    def __init__(self, search: FamilyStatement, harmonics: int) -> None:
         self.search, self.harmonics = search, harmonics
         free, orbits = search.symbols(harmonics)
         objective = ca.SX(search.evaluated(search.objective, orbits))
@@ -107,14 +104,14 @@ class FamilyNlp(Nlp):
 
     # Points ---------------------------------------------------------------------------------------------------------
 
-    def packed(self, free: Sequence[float], members: Sequence[Member]) -> Array:
+    def packed(self, free: Sequence[float], members: Sequence[Orbit]) -> Array:
         """Unknowns from the free numbers and the orbits; tangents are solved for."""
         from scipy.sparse.linalg import splu
 
         theta = (np.arange(self.harmonics) + 0.5) * np.pi / (2 * self.harmonics)
         x = np.concatenate([free, np.zeros(int(np.prod(self._shape)))])
         for part, member in zip(self._parts(x), members, strict=True):
-            part[0] = np.append(member.sample(theta).T.ravel(), member.Omega**2)
+            part[0] = np.append(self.search.family.nodes(member, theta).ravel(), member.Omega**2)
         if self.has_tangent:
             residual, jacobian, state = self.residual(x), self.jacobian(x), self._shape[2]
             for k, part in enumerate(self._parts(x)):

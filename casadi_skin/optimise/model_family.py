@@ -8,27 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import short_repr
-from casadi_skin.bvp.problem import Array, Scalar
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.arclength import ArclengthContinuation
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import ContinuationSettings, Point, Target
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.optimise.observables import QUANTITIES, RESERVED, FamilyEquations, FreeNumber, Member, Observables
-from casadi_skin.solvers.levels import Levels
-from casadi_skin.solvers.newton import NewtonCorrector
-
-SMALL = 1e-4  # of the S wanted: where the linear mode is corrected, and the family is followed from
-HARMONICS = (4, 6, 8, 10, 12, 16, 24, 32, 48, 64, 96, 128)
+from casadi_skin.optimise.observables import QUANTITIES, RESERVED, FamilyEquations, FreeNumber, Observables
+from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.request import FamilyRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,17 +42,17 @@ class ModelFamily:
         if model.order != 2 or not even or model.half_period != (-1,) * model.full_size or model.forced:
             accepted = "a guess of an orbit, or a model of second order that declares reversal with even positions and "
             raise ValueError(f"guess: given none for {model.name}; accepted: {accepted}half_period with all signs -1")
+        if model.normalisation is not None:
+            accepted = "a model without: S is the sum of squares"
+            raise ValueError(f"normalisation: given with {model.name}; accepted in a search: {accepted}")
         energy = () if model.hamiltonian is None else ("energy", "energy_slope")
         reserved = {*QUANTITIES, *RESERVED} - {"energy", "energy_slope"} | set(energy)
         for name in (*model.parameter_names, *model.outputs):
             if name in reserved:
                 raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")
-        number = {None: 1, "first": 1, "last": model.size}.get(mode, mode) if isinstance(mode, str | None) else mode
-        if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= model.size:
-            raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1 to {model.size}, first, last")
-        family = cls(model, number, named_values(model, parameters))
-        family._linear_mode({})  # raises where it does not oscillate
-        return family
+        values = named_values(model, parameters)
+        number = FamilyRequest(model, 1 if mode is None else mode, 1.0, parameters=values).mode
+        return cls(model, int(number), values)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ModelFamily, (self.model, self.mode, dict(self.values))
@@ -98,45 +91,23 @@ class ModelFamily:
             own={name: partial(Observables.at_rest, expression=e) for name, e in outputs.items()},
         )
 
+    def at(self, values: Mapping[str, Any]) -> OdeModel:
+        nominal = tuple(float(values.get(name, value)) for name, value in self.values.items())
+        return replace(self.model, nominal=nominal, checked=False)
+
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         return np.full(self.size, math.sqrt(S))
 
     def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
         return _scaled(self, tuple(sorted(values.items()))), S
 
-    def _linear_mode(self, values: Mapping[str, Any]) -> tuple[Array, float]:
-        """The mode at unit length with its frequency; raises ValueError where it does not oscillate."""
-        model, p = self.model, [float(values.get(name, value)) for name, value in self.values.items()]
-        stiffness = -np.array(ca.DM(model.rhs_and_jacobian()(np.zeros(model.size), p)[1]))
-        squares, modes = np.linalg.eig(stiffness)
-        order = np.argsort(squares.real)
-        square = complex(squares[order[self.mode - 1]])
-        if not (square.real > 0 and abs(square.imag) < 1e-9 * square.real):
-            raise ValueError(f"mode: given {self.mode}, whose linear frequency squared is {square:.6g}; accepted: > 0")
-        mode = modes[:, order[self.mode - 1]].real
-        mode *= np.sign(mode[np.argmax(np.abs(mode))]) / np.linalg.norm(mode)
-        return np.asarray(mode), math.sqrt(square.real)
+    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit]:
+        at = sorted(set(amplitudes))
+        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance, corrector="newton")
+        return [branch.at(S=S) for S in amplitudes]
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Member]:
-        mode, Omega = self._linear_mode(values)
-        model, wanted = self.plain(values, 0.0)[0], sorted(set(amplitudes))
-        levels = Levels(lambda H: TrigonometricProblem(model, H), lambda p: NewtonCorrector(p), HARMONICS)
-        at = tuple(Target(Scalar.PARAMETER, S) for S in wanted)
-        solver = PointSolver(levels, ContinuationSettings(wanted[-1], tolerance, at, tiny_first=False))
-        problem, first = levels.problem(HARMONICS[0]), SMALL * wanted[0]
-        assert isinstance(problem, TrigonometricProblem)
-        row = problem.parameter_row()
-        correction = levels.corrector(problem).correct(problem.pack(mode, Omega, first), row, first)
-        start = solver.refined(problem, correction, row, Scalar.PARAMETER) if correction.converged else None
-        if start is None:
-            raise ArithmeticError(f"{self.model.name}: no orbit near the linear mode; {correction.message}")
-        walk, found = ArclengthContinuation(solver, (start,)), dict[float, Point]()
-        for point in walk:
-            found.setdefault(point.parameter, point)
-        missing = [S for S in wanted if S not in found]
-        if missing:
-            raise ArithmeticError(f"{self.model.name}: the family has no orbit at S = {missing[0]:.6g}; {walk.detail}")
-        return [Member.of(found[S]) for S in amplitudes]
+    def nodes(self, orbit: Orbit, theta: Array) -> Array:
+        return np.asarray(orbit.evaluate(theta / orbit.Omega).T / math.sqrt(orbit.S))
 
 
 @lru_cache(maxsize=4)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
-
-from casadi_skin.arguments import accepted_names
 
 NAMED: Mapping[str, str] = MappingProxyType(
     {
@@ -28,9 +26,6 @@ NAMED: Mapping[str, str] = MappingProxyType(
         "roughness": "sum of (alpha_{n+1} - alpha_n)^2",
     }
 )
-# Quantities of the chain, the same for all orbits of a search.
-SHARED = ("gamma", "alpha", "g", "upper_cutoff", "lower_cutoff", "amplification", "log_amplification", "roughness")
-
 FREE: Mapping[str, str] = MappingProxyType(
     {
         "S": "total amplitude",
@@ -40,8 +35,3 @@ FREE: Mapping[str, str] = MappingProxyType(
         "alpha_n": "on-site stiffness, one a site",
     }
 )
-
-
-def nearest_name(name: str, known: Iterable[str]) -> str:
-    """Words that name the nearest known name, if any is near, and all that are known."""
-    return accepted_names(name, known)

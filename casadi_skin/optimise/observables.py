@@ -14,10 +14,8 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.arguments import accepted_names
 from casadi_skin.bvp.trigonometric import cosine_matrix, second_derivative_matrix
-from casadi_skin.continuation.points import Point
-from casadi_skin.optimise.names import nearest_name
 
 # Attributes of `Observables` that are no quantities.
 RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
@@ -43,20 +41,6 @@ class FreeNumber:
     lower: float
     upper: float
     names: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Member:
-    """An orbit of a family: frequency, number of odd cosines, and a function of phases that gives q, (phases, n)."""
-
-    Omega: float
-    harmonics: int
-    sample: Callable[[Array], Array]
-
-    @classmethod
-    def of(cls, point: Point) -> Member:
-        """From a point of the family in odd cosines."""
-        return cls(point.Omega, point.problem.resolution, lambda theta: point.problem.sample(point.z, theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +122,7 @@ class Observables:
         if name in equations.own:
             return equations.own[name](self)
         if name not in equations.names:
-            raise AttributeError(f"observable: given {name}; {nearest_name(name, equations.names)}")
+            raise AttributeError(f"observable: given {name}; {accepted_names(name, equations.names)}")
         return QUANTITIES[name](self)
 
     @property

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import accepted_names, short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement, check_expression, named_values
@@ -18,8 +18,7 @@ from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
-from casadi_skin.optimise.names import nearest_name
-from casadi_skin.optimise.result import Optimum, PlainCheck
+from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
@@ -274,7 +273,7 @@ def _output(
     if isinstance(given, str):
         known = [name for name in quantities if label != "running" or name not in SPECIAL]
         if given not in known:
-            raise ValueError(f"{label}: given {short_repr(given)}; {nearest_name(given, known)}, or an expression")
+            raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, known)}, or an expression")
         return given
     symbols = [model.full_state, model.parameters]
     check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])

@@ -16,9 +16,9 @@ from functools import lru_cache, partial
 from multiprocessing import get_context
 from multiprocessing.managers import SyncManager
 from types import FrameType
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import short_repr, whole
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.threads import one_thread
 
@@ -48,28 +48,7 @@ class SearchProgress:
 
 
 Report = Callable[[SearchProgress], None]
-
-
-class Job(Protocol):
-    """A start of a search."""
-
-    @property
-    def number(self) -> int: ...
-    @property
-    def name(self) -> str: ...
-
-
-class Ended(Protocol):
-    """What a start led to: `last` has its iterations, objective and largest violation."""
-
-    @property
-    def start(self) -> Job: ...
-    @property
-    def last(self) -> tuple[int, float, float]: ...
-
-
-J = TypeVar("J", bound=Job)
-T = TypeVar("T", bound=Ended)
+Solve = Callable[[Any, Monitor | None], Any]  # (start, monitor) -> outcome
 
 
 class Runner:
@@ -80,8 +59,7 @@ class Runner:
     """
 
     def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
-        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-            raise ValueError(f"workers: given {short_repr(workers)}; accepted: a whole number >= 1")
+        whole("workers", workers, 1)
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
             raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
@@ -105,18 +83,21 @@ class Runner:
             for number, handler in before.items():
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
-    def run(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
-        """Results of `solve(job, monitor)` as they end; after an interruption those of jobs that had begun.
+    def run(self, solve: Solve, jobs: Sequence[Any]) -> Generator[Any]:
+        """Outcomes of `solve(job, monitor)` as they end; after an interruption those of jobs that had begun.
 
+        A job has a `number` and a `name`, an outcome its `start` and `last`: iterations, objective and violation.
         For other processes `solve` is a method of an object that can be pickled, or a partial of a function with one.
         An executor of the caller is not waited for after an interruption. Raises RuntimeError if a process ends early.
         """
         for done, ended in enumerate(self._ended(solve, jobs), start=1):
             yield ended
             if self.report is not None and not self.interrupted:
-                self.report(SearchProgress(ended.start.number, len(jobs), done, *ended.last, ended.start.name))
+                iteration, objective, violation = ended.last
+                where = (ended.start.number, len(jobs), done, iteration, objective, violation, ended.start.name)
+                self.report(SearchProgress(*where))
 
-    def _ended(self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J]) -> Generator[T]:
+    def _ended(self, solve: Solve, jobs: Sequence[Any]) -> Generator[Any]:
         if self.executor is not None:
             yield from self._elsewhere(solve, jobs, self.executor, None)
         elif self.workers > 1 and len(jobs) > 1:
@@ -131,10 +112,10 @@ class Runner:
                 yield solve(job, _monitor(where, self.report, lambda: self.interrupted))
 
     def _elsewhere(
-        self, solve: Callable[[J, Monitor | None], T], jobs: Sequence[J], executor: Executor, shared: _Shared | None
-    ) -> Generator[T]:
+        self, solve: Solve, jobs: Sequence[Any], executor: Executor, shared: _Shared | None
+    ) -> Generator[Any]:
         data, done = pickle.dumps(solve), 0
-        waiting: set[Future[T | None]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
+        waiting: set[Future[Any]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
         try:
             while waiting:
                 ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
@@ -211,7 +192,7 @@ def unpickled(solve: bytes) -> Any:
     return pickle.loads(solve)
 
 
-def _work(solve: bytes, job: Job, starts: int, shared: _Shared | None) -> Any:
+def _work(solve: bytes, job: Any, starts: int, shared: _Shared | None) -> Any:
     """Solve one start in another process; None where the search was stopped before."""
     _ignore_interrupts()
     if shared is not None and shared.stop.is_set():

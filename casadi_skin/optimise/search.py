@@ -11,8 +11,9 @@ from functools import partial
 
 import numpy as np
 
+from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.processes import Report, Runner
-from casadi_skin.optimise.result import Optimum, SearchResult, SearchStatus
+from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
 
 SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one

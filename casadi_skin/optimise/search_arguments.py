@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from casadi_skin.arguments import number, short_repr
-from casadi_skin.optimise.names import nearest_name
+from casadi_skin.arguments import accepted_names, number, short_repr
 
 PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
 CONDITION = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
@@ -29,19 +28,12 @@ class Condition:
         return self.lower == self.upper
 
 
-def whole(name: str, value: Any, least: int) -> int:
-    """The value; raises ValueError where it is no whole number from `least` on."""
-    if isinstance(value, bool) or not hasattr(value, "__index__") or value < least:
-        raise ValueError(f"{name}: given {short_repr(value)}; accepted: a whole number >= {least}")
-    return int(value)
-
-
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
     """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
     names, accepted = (free,) if isinstance(free, str) else tuple(free), tuple(known)
     for name in names:
         if name not in accepted:
-            raise ValueError(f"free: given {short_repr(name)}; {nearest_name(str(name), accepted)}")
+            raise ValueError(f"free: given {short_repr(name)}; {accepted_names(name, accepted)}")
     if not names or len(set(names)) < len(names):
         given = short_repr(list(names)) if names else "none"
         raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
@@ -89,7 +81,7 @@ def checked_bounds(
     for name, given in (bounds or {}).items():
         place = f"bounds[{name}]"
         if name not in known:
-            raise ValueError(f"bounds: given {short_repr(name)}; {nearest_name(str(name), known)}")
+            raise ValueError(f"bounds: given {short_repr(name)}; {accepted_names(name, known)}")
         lower, upper = pair(place, given)
         if name in free:
             if lower == upper:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import short_repr, whole
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
@@ -16,7 +16,6 @@ from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.processes import Report
 from casadi_skin.optimise.result import SearchResult
 from casadi_skin.optimise.search import search
-from casadi_skin.optimise.search_arguments import whole
 from casadi_skin.optimise.search_problem import SearchProblem
 
 STARTS = 8

@@ -13,7 +13,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
 from casadi_skin.optimise.optimality import optimality
-from casadi_skin.optimise.result import Optimum
+from casadi_skin.optimise.optimum import Optimum
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
 FEASIBLE = 1e-9  # violation of a constraint, relative to its terms
@@ -99,15 +99,10 @@ class Outcome:
 
 
 class SearchProblem(Protocol):
-    """A search as its engine sees it; `search` runs any of them. It can be pickled where its parts can.
+    """A search as its engine sees it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
 
-    Attributes:
-        model: the chain or the model.
-        maximise: whether the objective is maximised.
-        free_names: names of the free numbers, one each.
-        columns: names of the quantities that tables show.
-        resolution_name: what the resolution of an optimum counts.
-        wanted: where optima have to be, in words, such as on which family.
+    `columns` are the quantities that tables show, `resolution_name` is what the resolution of an optimum counts, and
+    `wanted` tells where optima have to be, in words.
     """
 
     @property

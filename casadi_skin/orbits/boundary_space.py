@@ -112,6 +112,7 @@ class BoundarySpace:
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     knows_stability: bool = field(default=False, init=False)
+    S_rate: float = field(default=1.0, init=False)
 
     @property
     def model(self) -> OdeModel:
@@ -258,6 +259,11 @@ class BoundarySpace:
     def state_names(self) -> tuple[str, ...]:
         return self.statement.model.state_names
 
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the states, from 1."""
+        return np.arange(1, len(self.state_names) + 1)
+
     def parameters(self, point: Point) -> dict[str, float]:
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
@@ -331,7 +337,7 @@ class BoundarySpace:
         )
         return by_sensitivities
 
-    def floquet_vectors(self, floquet: Floquet) -> ComplexArray:
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
         from scipy.optimize import linear_sum_assignment
 

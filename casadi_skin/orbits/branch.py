@@ -22,6 +22,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
 if TYPE_CHECKING:
     import xarray
@@ -38,22 +39,24 @@ class Branch:
         space: what the solutions belong to.
         solutions: orbits, equilibria or solutions of a boundary-value problem; special points located on the way among
             them.
-        changes: changes of stability that were located.
+        located: changes of stability between neighbouring solutions of a branch that is no family.
         with_stability: whether stability was computed with the solutions.
         end: why the branch ended; None where it was interrupted.
         detail: more about the end, in words.
         misses: values that were asked for, by the name of the quantity, at which no solution was found.
         stopped: whether the condition `until` ended the branch.
+        with_events: whether changes of stability are sought.
     """
 
     space: SolutionSpace
     solutions: tuple[Solution, ...]
-    changes: tuple[StabilityChange, ...] = ()
+    located: tuple[StabilityChange, ...] = ()
     with_stability: bool = False
     end: End | None = None
     detail: str = ""
     misses: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     stopped: bool = False
+    with_events: bool = False
 
     def __len__(self) -> int:
         return len(self.solutions)
@@ -61,7 +64,8 @@ class Branch:
     def __repr__(self) -> str:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
-        changes = f", {len(self.changes)} changes of stability" if self.with_stability and self.changes else ""
+        sought = self.with_events and self.with_stability
+        changes = f", {len(self.changes)} changes of stability" if sought and not self.space.knows_stability else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
         return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {self.reason}>"
@@ -137,6 +141,48 @@ class Branch:
     def multiplier_error(self) -> Array:
         """Estimated absolute error of the multipliers of each orbit, shape (orbits,); see `Orbit.multiplier_error`."""
         return np.array([orbit.multiplier_error for orbit in self.orbits])
+
+    # Changes of stability ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def stability_diagram(self) -> StabilityDiagram | None:
+        """Every tongue of instability of a family; None where changes of stability are not sought, or of no family.
+
+        Computed when it is first asked for, from the course of the family and not from its points.
+        """
+        if not (self.with_stability and self.with_events and self.solutions and isinstance(self.space, Family)):
+            return None
+        from casadi_skin.orbits.family_tongues import family_tongues
+
+        return family_tongues(self.space, (self.start, *(solution.point for solution in self.solutions)))
+
+    @property
+    def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
+        """Changes of stability in order: every one of a family, of other branches those between two solutions."""
+        return self.located if self.stability_diagram is None else self.stability_diagram.changes
+
+    @property
+    def unresolved(self) -> tuple[Unresolved, ...]:
+        """Stretches of a family on which changes of stability may be missing, with the reason."""
+        return () if self.stability_diagram is None else self.stability_diagram.unresolved
+
+    def first_instability(self, growth: float = 0.0) -> Place | None:
+        """Where a family first becomes unstable, with the error of S.
+
+        Arguments:
+            growth: depth of a tongue, log |multiplier| over a period, from which on it counts.
+
+        Returns:
+            The start of the first tongue that is as deep; None where there is none. One may be missing where
+            `unresolved` names a stretch before it.
+
+        Raises:
+            ValueError: changes of stability were not sought, or the branch is no family.
+        """
+        if self.stability_diagram is None:
+            raise ValueError("first_instability: accepted: a family followed with stability=True, events=True")
+        tongue = self.stability_diagram.first_instability(growth)
+        return None if tongue is None else tongue.start
 
     # Special points ---------------------------------------------------------------------------------------------------
 

@@ -107,6 +107,11 @@ class Coordinates(ABC):
         """Values of the parameters of the model by name."""
 
     @property
+    def position_names(self) -> tuple[str, ...]:
+        """Names of the positions at `output_sites`."""
+        return self.model.state_names[: self.model.size]
+
+    @property
     def output_sites(self) -> Indices:
         """Numbers of the positions in files and pictures, counted from 1."""
         return np.arange(1, self.mode.size + 1)

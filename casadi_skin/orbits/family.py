@@ -233,8 +233,18 @@ class Family:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of what `evaluate` gives: the positions."""
-        return self.coordinates.model.state_names[: self.coordinates.model.size]
+        """Names of the positions at `output_sites`."""
+        return self.coordinates.position_names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the positions in files and pictures."""
+        return self.coordinates.output_sites
+
+    @property
+    def S_rate(self) -> float:
+        """Relative change of S per that of the free parameter."""
+        return self.coordinates.S_rate
 
     def parameters(self, point: Point) -> dict[str, float]:
         """Values of the parameters of the model by name."""
@@ -243,6 +253,10 @@ class Family:
     def interval(self, point: Point) -> tuple[float, float]:
         """From phase zero over the period."""
         return 0.0, self.value("period", point)
+
+    def energy(self, point: Point) -> float:
+        """The conserved quantity; raises ValueError where the model declares none."""
+        return self.value("S", point) * self.coordinates.energy(point.problem, point.z)
 
     def positions(self, point: Point, theta: Array, sites: Indices | None = None) -> Array:
         """Positions over sqrt(S) at phases theta, shape (len(theta), sites)."""

@@ -15,7 +15,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import number, short_repr, whole
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Bounds, Statement, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
@@ -108,8 +108,7 @@ def _check(
     cycles: int,
     free: Sequence[str],
 ) -> None:
-    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"cycles: given {short_repr(cycles)}; accepted: a whole number >= 1")
+    whole("cycles", cycles, 1)
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []

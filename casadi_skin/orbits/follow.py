@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import check_name, number, numbers, short_repr
+from casadi_skin.arguments import check_name, number, numbers, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
@@ -135,15 +135,14 @@ class Following:
 
     def _change_before(self, solution: Solution) -> StabilityChange | None:
         """The change of stability between the last orbit and this one, where they differ."""
-        if not (self.events and self.solutions):
+        if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
             return None
         before = self.solutions[-1]
         assert isinstance(before, Orbit)
         assert isinstance(solution, Orbit)
         if before.floquet().stable == solution.floquet().stable:
             return None
-        largest = self.space.request.amplitude_max if isinstance(self.space, Family) else 1.0
-        return locate_change(self.space, before, solution, largest)
+        return locate_change(self.space, before, solution)
 
     def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
         """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
@@ -206,9 +205,11 @@ class Following:
         self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
     ) -> Branch:
         """The branch of what has been computed, with a known end."""
-        found = (tuple(self.solutions), tuple(self.changes))
-        known = self.stability or self.space.knows_stability
-        return Branch(self.space, *found, known, end, detail, misses, stopped or self._stopped)
+        return Branch(
+            self.space, tuple(self.solutions), tuple(self.changes),
+            self.stability or self.space.knows_stability, end, detail, misses,
+            stopped or self._stopped, self.events,
+        )  # fmt: skip
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
@@ -251,7 +252,7 @@ def follow_family(
         max_points: number of orbits after which it ends wherever it is.
         until: ends the family at the first orbit for which it is true.
         stability: whether multipliers are computed for each orbit.
-        events: whether changes of stability are located.
+        events: whether every change of stability is sought.
         tolerance: bounds the relative error of Omega, profile and multipliers.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
         progress: called with each orbit.
@@ -347,8 +348,7 @@ def following_settings(
     for value in numbers("at", at):
         if not min(start, end) <= value <= max(start, end):
             raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
-    if isinstance(max_points, bool) or not isinstance(max_points, int) or max_points < 2:
-        raise ValueError(f"max_points: given {short_repr(max_points)}; accepted: a whole number >= 2")
+    whole("max_points", max_points, 2)
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from casadi_skin import methods
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import number, numbers, short_repr, whole
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
 
@@ -57,7 +57,8 @@ class Method:
             given = getattr(self, name)
             if given not in accepted and not (given is None and name != "corrector"):
                 raise ValueError(f"{name}: given {short_repr(given)}; accepted: {', '.join(accepted)}")
-        _check_whole("intervals", self.intervals, 1, MOST_INTERVALS)
+        if self.intervals is not None:
+            whole("intervals", self.intervals, 1, MOST_INTERVALS)
         if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
             raise TypeError(f"symmetry: given {short_repr(self.symmetry)}; accepted: a SymmetryClass")
         self._check_together()
@@ -74,14 +75,8 @@ class Method:
 
     def check_degree(self, lowest: int) -> None:
         """Raises ValueError for a degree that is none from `lowest` on, which depends on what is solved."""
-        _check_whole("degree", self.degree, lowest, HIGHEST_DEGREE)
-
-
-def _check_whole(name: str, given: object, low: int, high: int) -> None:
-    """Raises ValueError for what is no whole number in a range; None is left open."""
-    if given is None or (isinstance(given, int) and not isinstance(given, bool) and low <= given <= high):
-        return
-    raise ValueError(f"{name}: given {short_repr(given)}; accepted: a whole number from {low} to {high}")
+        if self.degree is not None:
+            whole("degree", self.degree, lowest, HIGHEST_DEGREE)
 
 
 @dataclass(frozen=True)
@@ -109,8 +104,7 @@ class Targets:
             object.__setattr__(self, name, numbers(name, getattr(self, name)))
         if self.period_max is not None:
             number("period_max", self.period_max)
-        if not (isinstance(self.max_points, int) and self.max_points >= 1) or isinstance(self.max_points, bool):
-            raise ValueError(f"max_points: given {short_repr(self.max_points)}; accepted: a whole number >= 1")
+        whole("max_points", self.max_points, 1)
 
     def check(self, amplitude_max: float, linear_period: float, mode: int) -> None:
         """Raises ValueError for values that the family does not come to: above its ends, or below its linear period."""

@@ -36,9 +36,7 @@ class Orbit(Solution):
     @property
     def symmetry(self) -> SymmetryClass:
         """Which part of the period was unknown."""
-        symmetry = self.space.symmetry  # type: ignore[attr-defined]
-        assert isinstance(symmetry, SymmetryClass)
-        return symmetry
+        return self.space.symmetry
 
     @property
     def Omega(self) -> float:
@@ -76,8 +74,7 @@ class Orbit(Solution):
         Not 0 for an orbit asked for by its Omega or period, which has these exactly, and where S hardly changes along
         the family: near its folds, and where S has come to a limit that the period has not.
         """
-        rate = self.space.coordinates.S_rate if isinstance(self.space, Family) else 1.0
-        return self.point.error.parameter * rate * self.S
+        return self.point.error.parameter * self.space.S_rate * self.S
 
     @property
     def profile_error(self) -> float:
@@ -152,9 +149,7 @@ class Orbit(Solution):
     @property
     def output_sites(self) -> Indices:
         """Numbers of the components in files and pictures: all, or those of the nonlinear core of a long chain."""
-        if isinstance(self.space, Family):
-            return self.space.coordinates.output_sites
-        return np.arange(1, len(self.space.state_names) + 1)
+        return self.space.output_sites
 
     @property
     def harmonics(self) -> int:
@@ -204,9 +199,7 @@ class Orbit(Solution):
         Of a chain that of its gauge, with rho = 1 at the edge that the modes lean to; infinite where an infinite tail
         moves along.
         """
-        if isinstance(self.space, Family):
-            return self.S * self.space.coordinates.energy(self.point.problem, self.point.z)
-        return self._boundary_space().energy(self.point)
+        return self.space.energy(self.point)
 
     @cached_property
     def Omega_shift(self) -> float:
@@ -267,9 +260,7 @@ class Orbit(Solution):
         Raises:
             ValueError: at |gamma| = 1 of a chain, where the gauge has no image of them.
         """
-        if isinstance(self.space, Family):
-            return self.space.floquet_vectors(self.point, self.floquet())
-        return self._boundary_space().floquet_vectors(self.floquet())
+        return self.space.floquet_vectors(self.point, self.floquet())
 
     def transient_growth(self, quarters: int = 40) -> TransientGrowth:
         """Largest amplification of perturbations at multiples of a quarter period, in the coordinates of the model.

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from casadi_skin.bvp.problem import Indices
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
 if TYPE_CHECKING:
@@ -25,6 +28,9 @@ class SolutionSpace(Protocol):
         to: value of `parameter` at which the branch ends.
         knows_stability: whether stability is computed with every solution, asked for or not.
         free: names of parameters that are found with the state.
+        state_names, output_sites: names and numbers of the components in files and pictures.
+        symmetry: which part of the period is unknown.
+        S_rate: the relative change of S per that of the free parameter.
     """
 
     @property
@@ -53,6 +59,12 @@ class SolutionSpace(Protocol):
     def stability_batch(self) -> int: ...
     @property
     def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def output_sites(self) -> Indices: ...
+    @property
+    def symmetry(self) -> SymmetryClass: ...
+    @property
+    def S_rate(self) -> float: ...
 
     def continuation(self, history: tuple[Point, ...]) -> Continuation:
         """The continuation from the last points of it, the start among them."""
@@ -90,8 +102,16 @@ class SolutionSpace(Protocol):
         """Start and end of the interval, or the period from phase zero."""
         ...
 
+    def energy(self, point: Point) -> float:
+        """The conserved quantity of an orbit; raises ValueError where the model declares none."""
+        ...
+
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
+        ...
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
+        """Floquet vectors at phase zero, one a column in the order of the multipliers."""
         ...
 
 

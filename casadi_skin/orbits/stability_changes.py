@@ -9,29 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.orbit import Orbit
 
-WIDTH = 1e-6  # of the bracket in what is followed, or relative to its largest value where that is below 1
+WIDTH = 1e-6  # of the bracket in what is followed
 FINEST = 1e-14  # of the way from one orbit to the next
 TINY = 1e-300  # a gap of nothing, which still has its sign
 
 
 @dataclass(frozen=True)
 class StabilityChange:
-    """A change of stability along a branch.
+    """A change of stability between two solutions of a branch that is no family (see `StabilityEdge`).
 
     Attributes:
-        value: of the quantity that the branch is followed in, S of a family.
+        value: of the quantity that the branch is followed in.
         Omega: frequency there.
         kind: that of the instability on the unstable side, "real" or "complex".
         stable_before, stable_after: in the order of the branch.
-        mu: of reversible orbits where on the mu axis the instability is born: -1 (where the energy has an extremum
-            along the family) or 0 for a real one, the collision for a complex one; of others the real part of the
-            multiplier.
-        width: of the bracket, in what the branch is followed in.
+        angle: of the multiplier by which the unstable side is unstable, in [0, pi]: pi where a period doubles.
+        error: width of the bracket, in what the branch is followed in.
     """
 
     value: float
@@ -39,18 +37,8 @@ class StabilityChange:
     kind: str
     stable_before: bool
     stable_after: bool
-    mu: float
-    width: float
-
-    @property
-    def S(self) -> float:
-        """The place along a family."""
-        return self.value
-
-    @property
-    def S_width(self) -> float:
-        """Width of the bracket along a family."""
-        return self.width
+    angle: float
+    error: float
 
 
 class _NotFoundError(ArithmeticError):
@@ -101,7 +89,7 @@ class _Bracket:
             self.first, self.low = orbit, fraction
         elif not as_before and fraction < self.high:
             self.last, self.high = orbit, fraction
-        size = max(_distance(found, self.unstable), TINY)
+        size = max(abs(found.max_abs_multiplier - 1.0), TINY)
         return size if as_before else -size
 
     def close(self, width: float) -> None:
@@ -129,61 +117,24 @@ class _Bracket:
                 return
 
 
-def _distance(found: Floquet, unstable: Floquet) -> float:
-    """How far an orbit is from the change of stability that a near unstable orbit names."""
-    if not (isinstance(found, ReversibleFloquet) and isinstance(unstable, ReversibleFloquet)):
-        return abs(found.max_abs_multiplier - 1.0)
-    return _to_instability(found, unstable) if found.stable else _from_stability(found)
-
-
-def _from_stability(unstable: ReversibleFloquet) -> float:
-    """Size of the instability that `_born` names: distance of mu from [-1, 0], or the square of that of two mu."""
-    mu, real = _born(unstable)
-    error = float(unstable.mu_error[np.argmin(np.abs(unstable.mu - mu))])
-    return abs(mu.real + 0.5) - 0.5 - error if real else 4.0 * mu.imag**2
-
-
-def _to_instability(stable: ReversibleFloquet, unstable: ReversibleFloquet) -> float:
-    """How far the mu of a stable orbit are from the instability of a near one, in the measure of `_from_stability`."""
-    mu, real = _born(unstable)
-    if real:
-        outwards = stable.mu.real if mu.real > -0.5 else -1.0 - stable.mu.real
-        return float(np.min(stable.mu_error - outwards))
-    values = np.sort(stable.mu.real)
-    middles = 0.5 * (values[1:] + values[:-1])
-    pair = int(np.argmin(np.abs(middles - mu.real)))
-    return float(values[pair + 1] - values[pair]) ** 2
-
-
-def _born(unstable: Floquet) -> tuple[complex, bool]:
-    """The mu (or else the multiplier) by which an orbit is unstable, farthest outside, and whether it is real."""
-    if not isinstance(unstable, ReversibleFloquet):
-        others = unstable.others[unstable.outside]
-        worst = complex(others[np.argmax(np.abs(others))])
-        return worst, worst.imag == 0.0
-    outside = np.flatnonzero(~unstable.is_inside)
-    real = outside[unstable.is_real[outside]]
-    chosen = real if real.size else outside
-    return complex(unstable.mu[chosen[np.argmax(np.abs(unstable.mu[chosen] + 0.5))]]), real.size > 0
-
-
-def locate_change(space: SolutionSpace, before: Orbit, after: Orbit, largest: float) -> StabilityChange:
+def locate_change(space: SolutionSpace, before: Orbit, after: Orbit) -> StabilityChange:
     """Find the change of stability on the stretch of branch between two neighbouring orbits (Brent 1973).
 
-    `largest` is the size of the largest value of what is followed. Where the corrector fails inside the bracket the
-    change is given with the bracket reached. Raises FlowError from the flow map.
+    Where the corrector fails inside the bracket the change is given with the bracket reached. Raises FlowError from
+    the flow map.
     """
     bracket = _Bracket(space, before, after)
     with suppress(_NotFoundError):
-        bracket.close(WIDTH * min(1.0, largest))
+        bracket.close(WIDTH)
     first, last = bracket.first, bracket.last
-    mu, real = _born(bracket.unstable)
+    others = bracket.unstable.others[bracket.unstable.outside]
+    multiplier = complex(others[np.argmax(np.abs(others))])
     return StabilityChange(
         value=0.5 * (bracket.value(first) + bracket.value(last)),
         Omega=0.5 * (first.Omega + last.Omega),
-        kind="real" if real else "complex",
+        kind="complex" if multiplier.imag else "real",
         stable_before=before.floquet().stable,
         stable_after=after.floquet().stable,
-        mu=mu.real,
-        width=bracket.width,
+        angle=abs(float(np.angle(multiplier))),
+        error=bracket.width,
     )

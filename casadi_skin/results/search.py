@@ -10,8 +10,10 @@ import msgspec
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.result import CosineOrbit, Optimum, SearchResult
+from casadi_skin.optimise.optimum import Optimum
+from casadi_skin.optimise.result import SearchResult
 from casadi_skin.optimise.search_problem import Ending, Outcome, SearchProblem, Start
 from casadi_skin.results.dataset import Cell, Dataset, Variable, versions, write_csv, write_netcdf
 
@@ -153,7 +155,7 @@ def _cosines(found: Sequence[Optimum]) -> list[Variable]:
     harmonics, sites = max(o.resolution for o in found), found[0].orbit.profile.size
     coefficients = np.zeros((len(found), harmonics, sites))
     for k, optimum in enumerate(found):
-        coefficients[k, : optimum.resolution] = optimum.orbit.coefficients
+        coefficients[k, : optimum.resolution] = optimum.orbit.cosines
     meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
     profiles = np.stack([o.orbit.profile for o in found])
     variables = [

@@ -23,6 +23,7 @@ from casadi_skin.scene.model_tables import EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
 MOST_WORDS = 16  # that a line of the plan lists
+TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
 Lines = list[tuple[str, str]]
@@ -135,7 +136,7 @@ def _family_lines(request: Request) -> Lines:
     ]
     built = f"scaled model, collocation equations, {method.corrector} corrector"
     if stability is not None:
-        what = "multipliers and events" if stability.events else "multipliers"
+        what = "multipliers and every change of stability" if stability.events else "multipliers"
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
@@ -186,8 +187,13 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
         stability = time.perf_counter() - started
         point += stability
         words += f" and {1e3 * stability:.2g} ms for its multipliers"
-    low, high = (families * (building + n * point) for n in TYPICAL_POINTS)
+    counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if _with_events(request) else (0, 0), strict=True)
+    low, high = (families * (building + (points + samples) * point) for points, samples in counts)
     return f"{words} (measured now); {low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"
+
+
+def _with_events(request: Request) -> bool:
+    return request.scene.stability is not None and request.scene.stability.events
 
 
 # Equilibria -----------------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -143,9 +143,16 @@ class Run:
                         self._table = "family.csv" if isinstance(known.space, Family) else f"{name}.csv"
                         self._keep(known.solutions, known.space)
                         self.branches.append(known)
+                    self._seek_changes(name, self.branches[-1])
                     self.seconds.append(time.perf_counter() - started)
             except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
                 self.failures.append(str(error))
+
+    def _seek_changes(self, name: str, branch: Branch) -> None:
+        """Every change of stability of a family, where the scene asks for events."""
+        if branch.with_events and isinstance(branch.space, Family):
+            self.progress.say(f"j = {name}: changes of stability")
+            branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
 
     def _spaces(self) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
@@ -205,6 +212,8 @@ class Run:
                     journal.append(ChangeRecord(name, result))
         finally:
             branch = following.branch()
+            if branch.end is None and not branch.stopped:  # interrupted: its changes of stability are not sought now
+                branch = replace(branch, with_events=False)
             self.branches.append(branch)
             self._keep(branch.solutions[len(self._rows) - before :], following.space)
         journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))

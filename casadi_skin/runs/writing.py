@@ -17,9 +17,14 @@ from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.progress import Progress
 from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
+from casadi_skin.results.stability_tables import (
+    EVENT_COLUMNS,
+    TONGUE_COLUMNS,
+    event_rows,
+    further_rows,
+    tongue_rows,
+)
 from casadi_skin.runs.request import Request
-
-EVENT_COLUMNS = ("mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width")
 
 
 def write_branches(
@@ -53,10 +58,17 @@ def origin(request: Request, scene_text: str, branch: Branch | None = None) -> d
 
 
 def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
-    """events.csv and the pictures of families."""
+    """events.csv with the tables beside it, and the pictures of families."""
     stability = request.scene.stability
     if stability is not None and stability.events:
-        write_csv(directory / "events.csv", EVENT_COLUMNS, [row for branch in branches for row in event_rows(branch)])
+        diagrams = [(mode_of(b), b.stability_diagram) for b in branches]
+        known = [(mode, diagram) for mode, diagram in diagrams if diagram is not None]
+        for name, columns, rows in (
+            ("events", EVENT_COLUMNS, event_rows),
+            ("further_events", EVENT_COLUMNS, further_rows),
+            ("tongues", TONGUE_COLUMNS, tongue_rows),
+        ):
+            write_csv(directory / f"{name}.csv", columns, [row for each in known for row in rows(*each)])
     figures.save(figures.frequency_figure(branches), directory / "frequency")
     profile = figures.profile_figure(branches)
     if profile is not None:
@@ -71,15 +83,6 @@ def mode_of(branch: Branch) -> int:
     """Number of the linear mode of a family."""
     assert isinstance(branch.space, Family)
     return branch.space.coordinates.mode_number
-
-
-def event_rows(branch: Branch) -> list[dict[str, Cell]]:
-    """Rows of events.csv: changes of stability along a family."""
-    rows: list[dict[str, Cell]] = []
-    for c in branch.changes:
-        values = (mode_of(branch), c.S, c.Omega, c.kind, int(c.stable_before), int(c.stable_after), c.mu, c.S_width)
-        rows.append(dict(zip(EVENT_COLUMNS, values, strict=True)))
-    return rows
 
 
 def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
@@ -109,13 +112,13 @@ def special_columns(branch: Branch) -> list[str]:
 
 def special_rows(branch: Branch) -> list[dict[str, Cell]]:
     """Rows of special_points.csv: folds and changes of stability in the order of the branch."""
-    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.changes)
+    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.located)
     folds = {id(point.solution): point for point in branch.special_points}
     for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
-        if branch.changes and before is not None and _is_stable(before) != _is_stable(here):
+        if branch.located and before is not None and _is_stable(before) != _is_stable(here):
             change = next(changes)
             kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
-            rows.append([kind, change.value, change.width, TWO_PI / change.Omega])
+            rows.append([kind, change.value, change.error, TWO_PI / change.Omega])
         if id(here) in folds:
             fold = folds[id(here)]
             period = here.period if isinstance(here, Orbit) else math.nan

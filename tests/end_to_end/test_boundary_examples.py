@@ -2,40 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from outputs import drawn, load
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-Load = Callable[[str], ModuleType]
 
-
-@pytest.fixture
-def load(tmp_path: Path) -> Load:
-    """An example by name; what it draws is looked at in passing."""
-
-    def by_name(name: str) -> ModuleType:
-        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-
-    return by_name
-
-
-def drawn(path: Path) -> bool:
-    return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
-
-
-def test_bratu_fold(load: Load, tmp_path: Path) -> None:
+def test_bratu_fold(tmp_path: Path) -> None:
     branch = load("bratu_fold").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert [round(fold["lambda"], 9) for fold in branch.folds] == [3.513830719]  # Bratu 1914: 8 (z^2 - 1), z tanh z = 1
@@ -45,7 +21,7 @@ def test_bratu_fold(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_van_der_pol(load: Load, tmp_path: Path) -> None:
+def test_van_der_pol(tmp_path: Path) -> None:
     branch = load("van_der_pol").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert abs(branch.at(1.0).period - 6.6632868593231301897) < 1e-9  # Hairer, Norsett and Wanner 1993, exercise I.16.1
@@ -59,7 +35,7 @@ def test_van_der_pol(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_forced_duffing(load: Load, tmp_path: Path) -> None:
+def test_forced_duffing(tmp_path: Path) -> None:
     branch = load("forced_duffing").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     for fold in branch.folds:  # where a multiplier is 1
@@ -74,7 +50,7 @@ def test_forced_duffing(load: Load, tmp_path: Path) -> None:
         np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0)[0], atol=1e-6)
 
 
-def test_lyapunov_orbit(load: Load, tmp_path: Path) -> None:
+def test_lyapunov_orbit(tmp_path: Path) -> None:
     example = load("lyapunov_orbit")
     branch = example.main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -92,7 +68,7 @@ def test_lyapunov_orbit(load: Load, tmp_path: Path) -> None:
     assert abs(orbit.period - 3.1237510090) < 1e-8
 
 
-def test_boundary_layer(load: Load, tmp_path: Path) -> None:
+def test_boundary_layer(tmp_path: Path) -> None:
     example = load("boundary_layer")
     found = example.main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

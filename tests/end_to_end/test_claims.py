@@ -61,6 +61,13 @@ def test_all_claims() -> None:
         ("a kick of 0.005 at the left end", Verdict.AGREES, "per cent"),
         ("c_j = 2 delta", Verdict.MISPRINT, "25.000000"),
         ("collapse to omega_0^2", Verdict.AGREES, "0e+00"),
+        ("windows alternate", Verdict.AGREES, "47 changes"),
+        ("for gamma in (0, 1]", Verdict.IN_RANGE, "1 eigenvector"),
+        ("V = J^-1 W is Hermitian and symplectic", Verdict.MISPRINT, "0e+00"),
+        ("holds whenever U^T = U", Verdict.MISPRINT, "at gamma = 0"),
+        ("j = 1 is similar to the linear skin mode", Verdict.AGREES, "0.9962"),
+        ("a power law in N is expected", Verdict.AGREES, "at N = 4000"),
+        ("S ~ r^p is expected", Verdict.MISPRINT, "falls with r"),
     ):
         claim = found(claims, words)
         assert claim.verdict == verdict.value, claim

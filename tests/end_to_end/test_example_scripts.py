@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from outputs import EXAMPLES, drawn, load
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Orbit
 from casadi_skin.dynamics import distance_from_orbit, evolve
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
-Load = Callable[[str], ModuleType]
-
-
-@pytest.fixture
-def load() -> Load:
-    def by_name(name: str) -> ModuleType:
-        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-
-    return by_name
 
 
 def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
@@ -49,11 +32,8 @@ def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.nd
     return end[2 * N :].reshape(2 * N, columns)
 
 
-def drawn(path: Path) -> bool:
-    return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
-
-
-def test_follow_one_family(load: Load, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_follow_one_family(tmp_path: Path) -> None:
     branch = load("follow_one_family").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     reference = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # independent codes
@@ -67,7 +47,15 @@ def test_follow_one_family(load: Load, tmp_path: Path) -> None:
     assert abs(slope) < 1e-4 * abs(elsewhere)
 
 
-def test_floquet_vectors(load: Load, tmp_path: Path) -> None:
+def test_stability_boundary(tmp_path: Path) -> None:
+    found = load("stability_boundary").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
+    assert drawn(tmp_path / "picture.png")
+    # Scans in steps of 1e-5 by another program; windows of 3e-4 and 2e-5 in S.
+    np.testing.assert_allclose(found[:, 0, 0], [0.15880, 0.02295], atol=6e-6)
+    assert np.all(found[:, 0, 1] < 1e-9)
+
+
+def test_floquet_vectors(tmp_path: Path) -> None:
     orbit, multipliers, vectors = load("floquet_vectors").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert abs(np.abs(multipliers).max() - 1.1712757348) < 1e-9  # independent code
@@ -78,7 +66,7 @@ def test_floquet_vectors(load: Load, tmp_path: Path) -> None:
     np.testing.assert_allclose(image, vectors[:, chosen] * multipliers[chosen], rtol=0, atol=1e-6)
 
 
-def test_kick_from_the_far_end(load: Load, tmp_path: Path) -> None:
+def test_kick_from_the_far_end(tmp_path: Path) -> None:
     example = load("kick_from_the_far_end")
     orbit, growth = example.main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -92,7 +80,7 @@ def test_kick_from_the_far_end(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_smallest_kick(load: Load, tmp_path: Path) -> None:
+def test_smallest_kick(tmp_path: Path) -> None:
     kick = load("smallest_kick").main(tmp_path / "picture.png", starts=2)
     assert drawn(tmp_path / "picture.png")
     orbit, n = kick.orbit, kick.orbit.model.sites
@@ -112,7 +100,7 @@ def test_smallest_kick(load: Load, tmp_path: Path) -> None:
     assert abs(kick.linear_norm * gain / (0.5 * np.sqrt(orbit.S)) - 1) < 1e-5
 
 
-def test_thousand_sites(load: Load, tmp_path: Path) -> None:
+def test_thousand_sites(tmp_path: Path) -> None:
     example = load("thousand_sites")
     extended, breather = example.main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -143,7 +131,7 @@ def residual(orbit: Orbit) -> float:
 
 
 @pytest.mark.slow
-def test_duffing_check(load: Load, tmp_path: Path) -> None:
+def test_duffing_check(tmp_path: Path) -> None:
     example = load("duffing_check")
     errors = example.main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -158,7 +146,7 @@ def test_duffing_check(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_export_c(load: Load, tmp_path: Path) -> None:
+def test_export_c(tmp_path: Path) -> None:
     numbers, in_c, in_python = load("export_c").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert abs(numbers["period"] / (2 * np.pi / 1.018532435491958) - 1) < 1e-13  # independent codes
@@ -168,7 +156,7 @@ def test_export_c(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_chain_as_fmu(load: Load, tmp_path: Path) -> None:
+def test_chain_as_fmu(tmp_path: Path) -> None:
     differences = load("chain_as_fmu").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert differences["CoSimulation"] < 1e-11
@@ -176,7 +164,7 @@ def test_chain_as_fmu(load: Load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_foreign_fmu(load: Load, tmp_path: Path) -> None:
+def test_foreign_fmu(tmp_path: Path) -> None:
     branch = load("foreign_fmu").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert branch.at(1.0).period == pytest.approx(6.66328685932313, abs=1e-8)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from apart import modules_of_a_run
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.cli import main
@@ -110,12 +109,6 @@ def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
     assert "[export]: at: given S = 0.4, which = 0; the branch covers" in capsys.readouterr().err
     assert not (tmp_path / "out" / "export").exists()
-
-
-def test_without_the_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
-    scene = write_scene(tmp_path / "s.toml", FAMILY)
-    loaded = modules_of_a_run(scene, tmp_path / "out")
-    assert not [name for name in loaded if "export" in name and name.startswith("casadi_skin")]
 
 
 @pytest.mark.slow

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
+from outputs import read_rows
 
 from casadi_skin.cli import main
 from casadi_skin.studies.stress import physical
@@ -23,11 +23,6 @@ FILES = {
 
 
 CHOSEN = ("gamma = 1, g = 1", "gamma = 0, g = -1", "gamma = 1, j = 12", "gamma = nan", "gamma = -1.5")
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.fixture
@@ -59,7 +54,7 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     out = tmp_path / "out"
     assert main(["extremes", "--quick", "--out", str(out), "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
-    written = rows(out / "extremes.csv")
+    written = read_rows(out / "extremes.csv")
     assert tuple(written[0]) == COLUMNS
     verdicts = {row["case"]: row["verdict"] for row in written}
     assert verdicts["gamma = 1, g = 1"] == verdicts["gamma = 0, g = -1"] == "holds"
@@ -68,8 +63,8 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         assert row["fault"] == ""
         assert (row["digits"] == "") == (row["verdict"] == "refused")
         assert row["digits"] == "" or float(row["digits"]) >= float(row["promised"]) == 12.0
-    assert [row["sites"] for row in rows(out / "physical_against_gauge.csv")] == ["4", "8"]
-    assert [float(row["S"]) for row in rows(out / "threshold.csv")][::2] == pytest.approx(
+    assert [row["sites"] for row in read_rows(out / "physical_against_gauge.csv")] == ["4", "8"]
+    assert [float(row["S"]) for row in read_rows(out / "threshold.csv")][::2] == pytest.approx(
         [0.367762016876, 0.366992903607]
     )
     told = capsys.readouterr().out
@@ -86,7 +81,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     out = tmp_path / "out"
     assert main(["extremes", "--quick", "--out", str(out), "--quiet"]) == 1
     assert "not as expected: theme, a wrong one: 3.0 digits agree, 6.0 are promised" in capsys.readouterr().out
-    assert rows(out / "extremes.csv")[0]["verdict"] == "fault"
+    assert read_rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
 
 @pytest.mark.usefixtures("fewest")
@@ -106,7 +101,7 @@ def test_an_interruption_keeps_what_was_computed(
     out = tmp_path / "out"
     assert main(["extremes", "--quick", "--out", str(out), "--quiet"]) == 130
     assert "after 2 cases" in capsys.readouterr().err
-    assert len(rows(out / "extremes.csv")) == 2
+    assert len(read_rows(out / "extremes.csv")) == 2
     assert (out / "extremes.png").exists()
 
 
@@ -114,4 +109,4 @@ def test_an_interruption_keeps_what_was_computed(
 def test_the_quick_cases(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["extremes", "--quick", "--out", str(out), "--quiet"]) == 0
-    assert all(row["fault"] == "" for row in rows(out / "extremes.csv"))
+    assert all(row["fault"] == "" for row in read_rows(out / "extremes.csv"))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 from apart import ended
+from outputs import read_rows
 from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
@@ -38,11 +38,6 @@ def written(path: Path, **values: object) -> Path:
     return path
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.parametrize(
     ("end", "rest", "regime"),
     [
@@ -59,7 +54,7 @@ def test_the_example_of_an_infinite_chain(
     scene.write_text(text.replace("amplitude_max = 3.2", f"amplitude_max = {end}") + rest, encoding="utf-8")
     assert main(["run", str(scene), "--out", str(out)]) == 0
     assert "end breather of the infinite chain born at S_c = 0.3669929036" in capsys.readouterr().out
-    points = rows(out / "family.csv")
+    points = read_rows(out / "family.csv")
     asked = {float(row["S"]): row for row in points if row["requested"] == "1"}
     assert float(asked[3.0]["Omega"]) == pytest.approx(0.7659589000207, abs=1e-8)
     assert asked[0.2]["energy"] == ""
@@ -79,7 +74,7 @@ def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
     assert ended(signal.SIGINT, 13, scene, broken) == 130
-    assert 1 < len(rows(broken / "family.csv")) < len(rows(whole / "family.csv"))
+    assert 1 < len(read_rows(broken / "family.csv")) < len(read_rows(whole / "family.csv"))
     assert main(["run", str(scene), "--out", str(broken), "--quiet", "--resume"]) == 0
     assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()
 

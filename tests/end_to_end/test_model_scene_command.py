@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from apart import undrawn
+from outputs import read_rows
 
 from casadi_skin.cli import main
 
@@ -38,11 +39,6 @@ def write_scene(folder: Path, name: str, rest: str) -> Path:
     return path
 
 
-def rows(directory: Path) -> list[dict[str, str]]:
-    with (directory / "branch.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def period_by_crossings(mu: float, until: float = 90.0) -> float:
     """Time from one rising zero of x to the next, once the oscillator of van der Pol has settled."""
     from scipy.integrate import solve_ivp
@@ -64,7 +60,7 @@ def period_by_crossings(mu: float, until: float = 90.0) -> float:
 @pytest.mark.slow
 def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(EXAMPLES / "van_der_pol.toml"), "--out", str(tmp_path / "out")]) == 0
-    table = rows(tmp_path / "out")
+    table = read_rows(tmp_path / "out" / "branch.csv")
     assert [float(r["mu"]) for r in table if r["requested"] == "1"] == [2.0, 5.0]
     for row in table:
         if float(row["mu"]) in (1.0, 5.0, 10.0):
@@ -108,7 +104,7 @@ def test_the_resonance_of_duffing(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     out = tmp_path / "out"
     assert main(["run", str(EXAMPLES / "duffing_resonance.toml"), "--out", str(out)]) == 0
-    table = rows(out)
+    table = read_rows(out / "branch.csv")
     folds = [float(r["omega"]) for r in table if r["fold"] == "1"]
     assert folds == pytest.approx(FOLDS, abs=1e-8)
     check_special_points(out, 1e-8)
@@ -146,7 +142,7 @@ def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 1.4\nat = [1.2]\n[stability]\n"
     out = tmp_path / "out"
     assert main(["run", str(write_scene(tmp_path, "van_der_pol", rest)), "--out", str(out)]) == 0
-    table = rows(out)
+    table = read_rows(out / "branch.csv")
     assert [float(r["mu"]) for r in table if r["requested"] == "1"] == [1.2]
     assert float(table[-1]["period"]) == pytest.approx(period_by_crossings(1.4, 40.0), rel=1e-7)
     assert all(r["stable"] == "1" and r["unstable"] == "0" for r in table)
@@ -165,7 +161,7 @@ def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) ->
     rest = "[solution]\nguess = { x = 0.0 }\n[continuation]\nparameter = 'mu'\nto = 4\nat = [2.0]\nmax_points = 40\n"
     out = tmp_path / "out"
     assert main(["run", str(write_scene(tmp_path, "problem", rest)), "--out", str(out)]) == 1
-    table = rows(out)
+    table = read_rows(out / "branch.csv")
     assert {path.name for path in out.iterdir()} == PICTURES | {
         "branch.csv", "branch.nc", "special_points.csv", "scene.toml", "scene_model.py", "journal.msgpack",
     }  # fmt: skip
@@ -185,7 +181,7 @@ def test_one_orbit_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert {path.name for path in out.iterdir()} == {
         "branch.csv", "branch.nc", "orbit.png", "orbit.svg", "scene.toml", "scene_model.py",
     }  # fmt: skip
-    (row,) = rows(out)
+    (row,) = read_rows(out / "branch.csv")
     assert list(row) == [
         *("point", "requested", "fold", "period", "mu", "x_min", "x_max", "y_min", "y_max"),
         *("error", "parameter_error", "intervals", "residual"),
@@ -207,7 +203,9 @@ def test_methods_agree(tmp_path: Path) -> None:
     for rest in ("", "[method]\ntranscription = 'radau'\ncorrector = 'newton'\ndegree = 5\nflow = 'cvodes'\n"):
         scene = write_scene(tmp_path, "van_der_pol", ORBIT + "[stability]\n" + rest)
         assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--overwrite"]) == 0
-        found.append([float(rows(tmp_path / "out")[0][name]) for name in ("period", "max_abs_multiplier")])
+        found.append(
+            [float(read_rows(tmp_path / "out" / "branch.csv")[0][name]) for name in ("period", "max_abs_multiplier")]
+        )
     np.testing.assert_allclose(found[0], found[1], rtol=1e-7)
 
 
@@ -274,7 +272,7 @@ def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 60\nmax_step = 0.02\n"
     scene, out = write_scene(tmp_path, "van_der_pol", rest), tmp_path / "out"
     process = undrawn("run", scene, "--out", out)
-    while not (out / "branch.csv").exists() or len(rows(out)) < 2:
+    while not (out / "branch.csv").exists() or len(read_rows(out / "branch.csv")) < 2:
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
@@ -283,5 +281,5 @@ def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
     assert "Traceback" not in error
     assert "what was computed is in" in error
     assert "end" in output
-    assert len(rows(out)) >= 2
+    assert len(read_rows(out / "branch.csv")) >= 2
     assert (out / "journal.msgpack").exists()

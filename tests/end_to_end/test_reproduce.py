@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
+from outputs import read_rows
 
 from casadi_skin import Chain
 from casadi_skin.cli import main
@@ -15,11 +15,6 @@ from casadi_skin.studies.paper.figures_families import sensitivity_figure
 from casadi_skin.studies.paper.paper_data import PaperData
 from casadi_skin.studies.paper.reproduce import FIGURES, PaperReproduction
 from casadi_skin.theory import multiple_scales
-
-
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
@@ -34,11 +29,11 @@ def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.Capture
     tables = {"fig1_forces.csv", "fig2_spectrum.csv", "fig2_modes.csv", "fig2_sketch.csv"}
     pictures = {f"fig{k}.{kind}" for k in (1, 2) for kind in ("png", "svg")}
     assert {path.name for path in out.iterdir()} == tables | pictures
-    spectrum = read(out / "fig2_spectrum.csv")
+    spectrum = read_rows(out / "fig2_spectrum.csv")
     np.testing.assert_allclose(column(spectrum, "omega"), column(spectrum, "omega_closed_form"), rtol=1e-13)
     dense = np.sqrt(np.sort(np.linalg.eigvals(Chain(24, 1.0, 0.25, 0.0).dynamical_matrix()).real))
     np.testing.assert_allclose(column(spectrum, "omega"), dense, rtol=1e-11)
-    modes = column(read(out / "fig2_modes.csv"), "u").reshape(2, 24)
+    modes = column(read_rows(out / "fig2_modes.csv"), "u").reshape(2, 24)
     D = Chain(24, 1.0, 0.25, 0.0).dynamical_matrix()
     for u, omega in zip(modes, dense[[0, -1]], strict=True):
         np.testing.assert_allclose(D @ u, omega**2 * u, atol=1e-12)
@@ -139,7 +134,7 @@ def test_all_figures_and_the_numbers_in_their_data(tmp_path: Path) -> None:
             assert (tmp_path / f"{name}.{kind}").stat().st_size > 10_000
         assert list(tmp_path.glob(f"{name}_*.csv"))
 
-    profiles = read(tmp_path / "fig3_profiles.csv")
+    profiles = read_rows(tmp_path / "fig3_profiles.csv")
     Omega = {(row["g"], row["mode"]): float(row["Omega"]) for row in profiles}
     assert Omega[("1", "24")] == pytest.approx(2.219433261085633, rel=1e-9)
     assert Omega[("-1", "1")] == pytest.approx(1.036393147166972, rel=1e-9)
@@ -148,29 +143,29 @@ def test_all_figures_and_the_numbers_in_their_data(tmp_path: Path) -> None:
         assert y @ y == pytest.approx(0.2, rel=1e-8)
 
     # The mode returns after a whole period: the evolution does not share the periodic representation of the orbit.
-    evolution = read(tmp_path / "fig3_evolution_j1.csv")
+    evolution = read_rows(tmp_path / "fig3_evolution_j1.csv")
     y = np.column_stack([column(evolution, f"y_{n}") for n in range(1, 25)])
     norm = np.linalg.norm(y, axis=1)
     minima = np.flatnonzero((norm[1:-1] < norm[:-2]) & (norm[1:-1] < norm[2:])) + 1
     quarters = np.diff(column(evolution, "t")[minima])
     assert np.mean(quarters) == pytest.approx(np.pi / Omega[("-1", "1")], abs=0.02)
 
-    size = read(tmp_path / "fig4_size.csv")
+    size = read_rows(tmp_path / "fig4_size.csv")
     last = next(row for row in size if row["gamma"] == "0.69999999999999996" and row["N"] == "100")
     assert 101**3 * float(last["analytical"]) == pytest.approx(19.308, abs=1e-3)
     np.testing.assert_allclose(column(size, "numerical"), column(size, "analytical"), rtol=0.02)
 
-    multipliers = read(tmp_path / "fig5_multipliers.csv")
+    multipliers = read_rows(tmp_path / "fig5_multipliers.csv")
     at_one = [row for row in multipliers if row["S"] == "1"]
     assert len(at_one) == 48
     assert max(column(at_one, "modulus")) == pytest.approx(1.1712757, abs=1e-6)
     off_axis = [row for row in multipliers if row["S"] == "3" and abs(float(row["imaginary"])) > 1e-6]
     assert max(column(off_axis, "modulus")) == pytest.approx(1.2016343, abs=1e-6)
-    changes = column(read(tmp_path / "fig5_changes.csv"), "S")
+    changes = column(read_rows(tmp_path / "fig5_changes.csv"), "S")
     assert changes[0] == pytest.approx(0.4317448, abs=1e-5)
     assert len(changes) >= 27  # windows as narrow as 0.0015 lie between S = 2.3 and 3
 
-    gain, optimal = read(tmp_path / "fig6_gain.csv"), read(tmp_path / "fig6_optimal.csv")
+    gain, optimal = read_rows(tmp_path / "fig6_gain.csv"), read_rows(tmp_path / "fig6_optimal.csv")
     assert column(gain, "site_1")[-1] > 100.0
     assert max(column(gain, "site_24")) < 2.0
     assert np.all(column(optimal, "site_1_linear") <= column(optimal, "optimal") * (1 + 1e-9))
@@ -178,6 +173,6 @@ def test_all_figures_and_the_numbers_in_their_data(tmp_path: Path) -> None:
     kicked = np.interp(column(optimal, "t"), column(gain, "t"), column(gain, "site_1"))
     np.testing.assert_allclose(kicked[early], column(optimal, "site_1_linear")[early], rtol=0.02)
 
-    theory = read(tmp_path / "fig7_theory.csv")
+    theory = read_rows(tmp_path / "fig7_theory.csv")
     small = [row for row in theory if float(row["S"]) < 0.02]
     np.testing.assert_allclose(column(small, "shift_theory_over_shift"), 1.0, atol=0.02)

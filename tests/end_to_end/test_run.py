@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import subprocess
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from apart import ended, killed
+from outputs import read_rows
 
 from casadi_skin.cli import main
 
@@ -46,14 +46,9 @@ def write_scene(
     return path
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def requested(directory: Path) -> dict[tuple[int, float], float]:
     """Omega at the requested points by mode and S."""
-    table = rows(directory / "family.csv")
+    table = read_rows(directory / "family.csv")
     return {(int(r["mode"]), float(r["S"])): float(r["Omega"]) for r in table if r["requested"] == "1"}
 
 
@@ -63,9 +58,13 @@ def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.Ca
     assert main(["run", str(scene), "--out", str(out)]) == 0
     names = {path.name for path in out.iterdir()}
     pictures = {f"{stem}.{kind}" for stem in ("frequency", "profile", "spectrum") for kind in ("png", "svg")}
-    assert pictures | {"family.csv", "events.csv", "spectrum.csv", "family.nc", "scene.toml"} <= names
+    assert (
+        pictures
+        | {"family.csv", "events.csv", "tongues.csv", "further_events.csv", "spectrum.csv", "family.nc", "scene.toml"}
+        <= names
+    )
     assert not any("journal" in name or name.startswith(".") for name in names)
-    table = rows(out / "family.csv")
+    table = read_rows(out / "family.csv")
     assert list(table[0])[: len(FAMILY_COLUMNS)] == FAMILY_COLUMNS
     assert [r["mode"] for r in table] == sorted(r["mode"] for r in table)
     for mode in ("1", "4"):
@@ -95,7 +94,7 @@ def test_netcdf_is_readable_by_xarray_and_says_the_same_as_the_table(tmp_path: P
     scene = write_scene(tmp_path / "small.toml", rest="[stability]\nvectors = true\n")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
     with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
-        table = rows(tmp_path / "out" / "family.csv")
+        table = read_rows(tmp_path / "out" / "family.csv")
         np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
         assert (data.profile.values**2).sum(axis=1) == pytest.approx(data.S.values, rel=1e-12)
         at_zero = data.coefficients.values.sum(axis=1)
@@ -117,27 +116,31 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
     monkeypatch.setattr("casadi_skin.stability.cvodes.CvodesFlow", refuse)
     scene = write_scene(tmp_path / "small.toml")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
-    assert not set(STABILITY_COLUMNS) & set(rows(tmp_path / "out" / "family.csv")[0])
+    assert not set(STABILITY_COLUMNS) & set(read_rows(tmp_path / "out" / "family.csv")[0])
     assert not (tmp_path / "out" / "events.csv").exists()
     with pytest.raises(AssertionError, match="variational"):
         main(["run", str(write_scene(tmp_path / "b.toml", rest="[stability]\n")), "--out", str(tmp_path / "b")])
 
 
-def test_the_methods_of_a_scene_agree(tmp_path: Path) -> None:
+METHODS = (
+    'corrector = "ipopt"',
+    'transcription = "gauss"\ncorrector = "newton"',
+    'flow = "gauss"',
+    'corrector = "newton"',
+    'flow = "cvodes"',
+    'flow = "rk4"',
+)
+
+
+@pytest.mark.parametrize("methods", [METHODS[:3], pytest.param(METHODS, marks=pytest.mark.slow)], ids=["some", "all"])
+def test_the_methods_of_a_scene_agree(tmp_path: Path, methods: tuple[str, ...]) -> None:
     found = []
-    for method in (
-        'corrector = "ipopt"',
-        'corrector = "newton"',
-        'transcription = "gauss"\ncorrector = "newton"',
-        'flow = "cvodes"',
-        'flow = "gauss"',
-        'flow = "rk4"',
-    ):
+    for method in methods:
         rest = f"[stability]\nevents = false\n[accuracy]\ntolerance = 1e-9\n[method]\n{method}\n"
         scene = write_scene(tmp_path / "scene.toml", sites=3, g=1.0, mode="3", rest=rest)
         out = tmp_path / method[:18].replace('"', "").replace(" ", "")
         assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
-        points = [r for r in rows(out / "family.csv") if r["requested"] == "1"]
+        points = [r for r in read_rows(out / "family.csv") if r["requested"] == "1"]
         found.append([(float(r["Omega"]), float(r["max_abs_multiplier"])) for r in points])
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], rtol=0, atol=2e-8)
@@ -158,11 +161,11 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
     told = capsys.readouterr().err
     assert "mode 1" in told
     assert "does not exist at S = 5" in told
-    table = rows(out / "family.csv")
+    table = read_rows(out / "family.csv")
     assert [float(r["S"]) for r in table if r["requested"] == "1"] == [1.0]
     assert 2.9 < max(float(r["S"]) for r in table) < limit
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 1
-    assert rows(out / "family.csv") == table
+    assert read_rows(out / "family.csv") == table
 
 
 # Interruption -------------------------------------------------------------------------------------------------------
@@ -212,7 +215,7 @@ def test_a_killed_run_keeps_its_points_and_resumes_to_the_same_result(
     resumed, expected = requested(out), requested(whole)
     assert list(resumed) == list(expected)
     np.testing.assert_allclose(list(resumed.values()), list(expected.values()), rtol=0, atol=1e-10)
-    assert len(rows(out / "family.csv")) == len(rows(whole / "family.csv"))
+    assert len(read_rows(out / "family.csv")) == len(read_rows(whole / "family.csv"))
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0  # nothing left to do
 
 
@@ -245,7 +248,7 @@ def test_an_interrupted_run_writes_what_it_has(
     told = capsys.readouterr().err
     assert "--resume" in told
     assert "Traceback" not in told
-    assert len(rows(out / "family.csv")) > 1
+    assert len(read_rows(out / "family.csv")) > 1
     assert (out / "family.nc").exists()
     assert (out / "journal.msgpack").exists()
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
@@ -283,7 +286,7 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
     assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
     assert (out / "thesis.tex").read_text(encoding="utf-8") == "years of work"
-    assert rows(out / "family.csv")[0]["mode"] == "1"
+    assert read_rows(out / "family.csv")[0]["mode"] == "1"
 
 
 def test_a_path_that_cannot_be_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from apart import ended, killed
 from drawing import blank_pictures
+from outputs import read_rows
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
@@ -112,11 +113,6 @@ def write_scene(folder: Path, text: str, model: str = "") -> Path:
     return path
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def pair_forces(y: np.ndarray) -> np.ndarray:
     """Forces of two Duffing oscillators y'' = -y - y^3 that a spring of stiffness 0.1 couples."""
     return np.asarray(-y - y**3 - 0.1 * (y - y[::-1]))
@@ -145,10 +141,11 @@ def test_families_of_a_lattice_of_ones_own(pair_run: Path) -> None:
     pictures = {"frequency", "profile", "spectrum", "dynamics", "multipliers_j1", "multipliers_j2"}
     assert {path.name for path in pair_run.iterdir()} == {
         *(f"{stem}.{kind}" for stem in pictures for kind in ("png", "svg")), "film_j1.gif", "film_j2.gif",
-        "family.csv", "events.csv", "family.nc", "spectrum.csv", "dynamics.csv", "dynamics.nc", "export",
+        "family.csv", "events.csv", "further_events.csv", "tongues.csv", "family.nc",
+        "spectrum.csv", "dynamics.csv", "dynamics.nc", "export",
         "scene.toml", "scene_model.py",
     }  # fmt: skip
-    table = rows(pair_run / "family.csv")
+    table = read_rows(pair_run / "family.csv")
     assert {r["mode"] for r in table} == {"1", "2"}
     model = run_file(pair_run.parent / "models.py", MODELS)["pair"]
     for mode in (1, 2):
@@ -163,14 +160,14 @@ def test_families_of_a_lattice_of_ones_own(pair_run: Path) -> None:
             assert float(row["Omega"]) == pytest.approx(exact, abs=2e-9)
             assert float(row["energy"]) == pytest.approx(stiffness * square + square**2 / 2.0, rel=1e-12)
     # Lame's equation of perturbations of y = -y': the stability of mode 2 changes at h = 1 + m, where A^2 = 2/15.
-    (event,) = rows(pair_run / "events.csv")
+    (event,) = read_rows(pair_run / "events.csv")
     assert (event["mode"], event["kind"], event["stable_before"], event["stable_after"]) == ("2", "real", "1", "0")
     assert float(event["S"]) == pytest.approx(4.0 / 15.0, abs=1e-6)
 
 
 def test_netcdf_and_spectrum_of_a_lattice_of_ones_own(pair_run: Path) -> None:
     xarray = pytest.importorskip("xarray")
-    table = rows(pair_run / "family.csv")
+    table = read_rows(pair_run / "family.csv")
     with xarray.open_dataset(pair_run / "family.nc", engine="scipy") as data:
         np.testing.assert_array_equal(data.Omega.values, [float(r["Omega"]) for r in table])
         y = data.profile.values
@@ -194,7 +191,7 @@ def test_netcdf_and_spectrum_of_a_lattice_of_ones_own(pair_run: Path) -> None:
             np.testing.assert_allclose((after - before) / 2e-7, expected, atol=1e-5)
         assert data.attrs["model"] == "pair"
         assert "def lattice" in data.attrs["model_source"]
-    frequencies = [float(r["omega"]) for r in rows(pair_run / "spectrum.csv")]
+    frequencies = [float(r["omega"]) for r in read_rows(pair_run / "spectrum.csv")]
     np.testing.assert_allclose(frequencies, [1.0, np.sqrt(1.2)], rtol=1e-14)
 
 
@@ -206,7 +203,7 @@ def flow_of_pair(state: np.ndarray, period: float) -> np.ndarray:
 
 
 def test_time_evolution_of_a_perturbed_mode(pair_run: Path) -> None:
-    table = rows(pair_run / "dynamics.csv")
+    table = read_rows(pair_run / "dynamics.csv")
     assert list(table[0]) == ["t", "energy", "y_0", "y_1"]
     amplitude, kick = 0.5, 0.1 / np.sqrt(2.0)  # S = 0.5 out of phase, and half of the kick in each component
     sign = np.sign(float(table[0]["y_1"]))
@@ -226,7 +223,7 @@ def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, capsys: pytest.Ca
     printed = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()[1:]]
     np.testing.assert_allclose(printed, exact, rtol=1e-13)
     assert main(["run", str(scene), "--out", str(out)]) == 0
-    np.testing.assert_allclose([float(r["omega"]) for r in rows(out / "spectrum.csv")], exact, rtol=1e-14)
+    np.testing.assert_allclose([float(r["omega"]) for r in read_rows(out / "spectrum.csv")], exact, rtol=1e-14)
     assert {"spectrum.png", "spectrum.svg"} <= {path.name for path in out.iterdir()}
 
 
@@ -249,7 +246,7 @@ def test_time_evolution_of_a_limit_cycle(tmp_path: Path, capsys: pytest.CaptureF
     scene, out = write_scene(tmp_path, CYCLE, "van_der_pol"), tmp_path / "out"
     assert main(["run", str(scene), "--out", str(out)]) == 0
     assert "dynamics: cvodes in physical coordinates" in capsys.readouterr().out
-    table = rows(out / "dynamics.csv")
+    table = read_rows(out / "dynamics.csv")
     assert list(table[0]) == ["t", "x", "y"]
     t, states = (np.array([[float(r[n]) for n in names] for r in table]) for names in (["t"], ["x", "y"]))
     assert t[-1, 0] == pytest.approx(2 * 6.6632868593231, abs=1e-8)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
@@ -266,7 +263,7 @@ def test_time_evolution_of_a_limit_cycle(tmp_path: Path, capsys: pytest.CaptureF
 def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["run", str(write_scene(tmp_path, CHAIN_ORBIT)), "--out", str(out)]) == 0
-    table = rows(out / "branch.csv")
+    table = read_rows(out / "branch.csv")
     assert [float(r["gamma"]) for r in table if r["requested"] == "1"] == [0.25]
     for row in (table[0], next(r for r in table if r["requested"] == "1"), table[-1]):
         chain = Chain(3, 1.0, float(row["gamma"]), 1.0)
@@ -276,14 +273,14 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
         assert float(row["y_1_max"]) == pytest.approx(abs(orbit.profile[0]), abs=1e-6)
         assert float(row["max_abs_multiplier"]) == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-5)
         assert bool(int(row["stable"])) == orbit.floquet().stable
-    motion = rows(out / "dynamics.csv")
+    motion = read_rows(out / "dynamics.csv")
     assert list(motion[0]) == ["t", "y_1", "y_2", "y_3"]
     last = [float(motion[0][f"y_{n}"]) for n in (1, 2, 3)]
     flow = solve_ivp(
         lambda t, s: [*s[3:], *chain_forces(s[:3], 0.4)], (0.0, 5.0), [*last, 0, 0, 0], rtol=1e-11, atol=1e-12
     )
     np.testing.assert_allclose([float(motion[-1][f"y_{n}"]) for n in (1, 2, 3)], flow.y[:3, -1], atol=1e-7)
-    assert not rows(out / "special_points.csv")
+    assert not read_rows(out / "special_points.csv")
     assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
 
 
@@ -297,7 +294,12 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module", params=KINDS)
+def kinds(quick: str) -> list[Any]:
+    """All kinds, of which one is quick."""
+    return [pytest.param(kind, marks=() if kind == quick else pytest.mark.slow) for kind in KINDS]
+
+
+@pytest.fixture(scope="module")
 def long_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
     """A scene beside its uninterrupted run, a number of records at which it is stopped, and its table of points."""
     model, text, records, table = KINDS[request.param]
@@ -317,7 +319,15 @@ def the_same_bytes(directory: Path, whole: Path) -> None:
 
 
 @pytest.mark.usefixtures("pictures", "interruptible")
-@pytest.mark.parametrize("stop", [killed, None], ids=["killed", "interrupted"])
+@pytest.mark.parametrize(
+    ("long_run", "stop"),
+    [
+        *(pytest.param(*kind.values, killed, marks=kind.marks) for kind in kinds("cycles")),
+        *(pytest.param(*kind.values, None, marks=kind.marks) for kind in kinds("a family of pendula")),
+    ],
+    ids=[f"{kind}-{word}" for word in ("killed", "interrupted") for kind in KINDS],
+    indirect=["long_run"],
+)
 def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
     tmp_path: Path, long_run: tuple[Path, int, str], stop: Callable[[int, Path, Path], int] | None,
     capsys: pytest.CaptureFixture[str],
@@ -330,15 +340,15 @@ def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
         assert told.out == ""
         assert "what was computed is in" in told.err
         assert told.err.count("\n") == 1
-        reported = rows(out / table)
+        reported = read_rows(out / table)
         assert len(reported) >= 2
     else:
         assert stop(records, scene, out) == -signal.SIGKILL
-        reported = rows(out / table) if (out / table).exists() else []
+        reported = read_rows(out / table) if (out / table).exists() else []
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     the_same_bytes(out, whole)
-    final = rows(whole / table)
+    final = read_rows(whole / table)
     for row in reported:
         row.pop("fold", None)  # it shows with the points after it
         assert any(row.items() <= other.items() for other in final)
@@ -365,10 +375,11 @@ def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
 
 
-@pytest.mark.usefixtures("pictures")
+@pytest.mark.usefixtures("pictures", "interruptible")
 def test_a_journal_of_another_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out"
-    assert killed(4, scene, out) == -signal.SIGKILL
+    assert ended(signal.SIGINT, 4, scene, out) == 130
+    capsys.readouterr()
     record = json.dumps({"type": "point"}).encode()
     (out / "journal.msgpack").write_bytes(len(record).to_bytes(4, "little") + record)
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2

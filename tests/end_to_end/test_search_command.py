@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outputs import read_rows
 from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
@@ -39,21 +39,16 @@ def write(path: Path, **changes: str) -> Path:
     return path
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_run_writes_optima_starts_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["run", str(write(tmp_path / "s.toml")), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "the best optimum sits on a bound: gamma <= 0.6; 3 of 3 starts led to it" in printed
-    (best,) = rows(out / "search.csv")
+    (best,) = read_rows(out / "search.csv")
     assert float(best["gamma"]) == pytest.approx(0.6, abs=1e-6)
     assert best["on_family"] == "1"
     assert abs(float(best["Omega_difference"])) < 1e-9
-    assert [row["ending"] for row in rows(out / "starts.csv")] == ["converged"] * 3
+    assert [row["ending"] for row in read_rows(out / "starts.csv")] == ["converged"] * 3
     with netcdf_file(out / "search.nc", mmap=False) as file:
         profile = file.variables["profile"].data[0].astype(float)
     assert np.sum(profile**2) ** 2 / np.sum(profile**4) == pytest.approx(float(best["objective"]), rel=1e-9)
@@ -143,11 +138,11 @@ def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path
     assert "go on with --resume" in error
     assert "interrupted after" in told
     assert "best so far" in told
-    kept = len(rows(out / "starts.csv"))
+    kept = len(read_rows(out / "starts.csv"))
     assert 0 < kept < 60
-    assert float(rows(out / "search.csv")[0]["gamma"]) == pytest.approx(0.6, abs=1e-6)
+    assert float(read_rows(out / "search.csv")[0]["gamma"]) == pytest.approx(0.6, abs=1e-6)
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    assert len(rows(out / "starts.csv")) == 60
+    assert len(read_rows(out / "starts.csv")) == 60
     assert not journal.exists()
 
 
@@ -155,6 +150,6 @@ def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path
 def test_the_example_scene(tmp_path: Path) -> None:
     scene = EXAMPLES / "search_hardest_breather.toml"
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
-    best = rows(tmp_path / "out" / "search.csv")[0]
+    best = read_rows(tmp_path / "out" / "search.csv")[0]
     assert float(best["gamma"]) == pytest.approx(0.663154498, abs=1e-7)
     assert float(best["S"]) == pytest.approx(0.961039022, abs=1e-8)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
+from outputs import read_rows
 
 from casadi_skin.cli import main
 from casadi_skin.studies.work_precision import measuring, settings
@@ -38,11 +38,6 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tolerance of each method in place of three, no shooting, and no memory."""
     monkeypatch.setattr(settings, "SHOOTING_SITES", 1)
@@ -59,7 +54,7 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
     assert "For Omega" in told
     assert f"45 settings; 6 files in {out}" in told
     assert {path.name for path in out.iterdir()} == FILES
-    rows, flows = read(out / "tradeoff.csv"), read(out / "flows.csv")
+    rows, flows = read_rows(out / "tradeoff.csv"), read_rows(out / "flows.csv")
     assert (len(rows), len(flows)) == (3 + 10 * 3, 4 * 3)
     assert [row["method"] for row in rows[:3]] == ["draft", "standard", "reference"]
     for row in (*rows, *flows):
@@ -70,21 +65,27 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
         if row in rows and "shooting" not in row["method"]:
             assert float(row["Omega_error"]) <= float(row["tolerance"])
             assert float(row["profile_error"]) <= float(row["tolerance"])
-    differences = [float(row[f"{name}_difference"]) for row in read(out / "reference.csv") for name in ("Omega", "mu")]
+    differences = [
+        float(row[f"{name}_difference"]) for row in read_rows(out / "reference.csv") for name in ("Omega", "mu")
+    ]
     assert max(differences) < 1e-13
 
 
 @pytest.mark.usefixtures("pictures")
-@pytest.mark.parametrize(("methods", "flows"), [(2, 1), pytest.param(8, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("modes", "methods", "flows"), [("2", 2, 1), pytest.param("[1, 2]", 8, 4, marks=pytest.mark.slow)]
+)
 def test_a_few_settings_and_what_an_interruption_leaves(
     scene: Path,
     tmp_path: Path,
+    modes: str,
     methods: int,
     flows: int,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     few(monkeypatch)
+    scene.write_text(TINY + FAMILY.replace("[1, 2]", modes), encoding="utf-8")
     monkeypatch.setattr(study_module, "orbit_settings", lambda *asked: settings.orbit_settings(*asked)[:methods])
     monkeypatch.setattr(study_module, "flow_settings", lambda *asked: settings.flow_settings(*asked)[:flows])
     real, count = study_module.measure, 0
@@ -98,18 +99,18 @@ def test_a_few_settings_and_what_an_interruption_leaves(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 130
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--quiet"]) == 130
     told = capsys.readouterr()
     assert told.err == f"interrupted after 4 settings; the results so far are in {out}\n"
     assert {path.name for path in out.iterdir()} == FILES - {"flows.csv"}
-    assert len(read(out / "tradeoff.csv")) == 4
+    assert len(read_rows(out / "tradeoff.csv")) == 4
 
     monkeypatch.setattr(study_module, "measure", real)
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--overwrite", "--quiet"]) == 0
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--overwrite", "--quiet"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
-    assert len(read(out / "tradeoff.csv")) == 3 + methods
-    assert len(read(out / "flows.csv")) == flows
-    assert {row["memory_MB"] for row in read(out / "flows.csv")} == {"50"}
+    assert len(read_rows(out / "tradeoff.csv")) == 3 + methods
+    assert len(read_rows(out / "flows.csv")) == flows
+    assert {row["memory_MB"] for row in read_rows(out / "flows.csv")} == {"50"}
 
 
 def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

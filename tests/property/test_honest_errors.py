@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
+from outputs import read_rows
 
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.cli import main
@@ -20,11 +20,6 @@ from casadi_skin.studies.exact import LONG_DOUBLES, exact_orbit
 from casadi_skin.studies.exact_multipliers import exact_mu, paired
 
 CASES, SEED = 12, 2026
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def error(
@@ -42,7 +37,7 @@ def test_estimates_of_random_cases_are_honest(tmp_path: Path, count: int) -> Non
     assert all(q.true <= 2.0 * q.estimate for q in study.errors())
     assert len(study.errors("Omega")) == len(study.errors("profile")) == count
     assert len(study.errors("multipliers")) == sum(outcome.case.sites > 1 for outcome in study.outcomes)
-    written = rows(tmp_path / "honesty.csv")
+    written = read_rows(tmp_path / "honesty.csv")
     assert list(written[0]) == list(COLUMNS)
     assert [int(row["index"]) for row in written] == list(range(count))
     for row, outcome in zip(written, study.outcomes, strict=True):
@@ -123,7 +118,7 @@ def test_estimates_that_are_too_small_are_found_out(
     assert main(arguments) == 1
     told = capsys.readouterr().out
     assert "not honest: Omega" in told
-    assert any("far off" in row["Omega_verdict"] for row in rows(tmp_path / "out" / "honesty.csv"))
+    assert any("far off" in row["Omega_verdict"] for row in read_rows(tmp_path / "out" / "honesty.csv"))
 
 
 @pytest.mark.usefixtures("pictures")
@@ -138,7 +133,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason(
     out = tmp_path / "out"
     arguments = ["honesty", "--cases", "1", "--first", str(first), "--seed", str(SEED), "--out", str(out), "--quiet"]
     assert main(arguments) == 1
-    (row,) = rows(out / "honesty.csv")
+    (row,) = read_rows(out / "honesty.csv")
     assert (row["index"], row["reason"], row["multipliers_true"]) == (str(first), "FlowError: out of reach", "")
     assert row["Omega_verdict"] == "covered"
     told = capsys.readouterr().out
@@ -159,7 +154,7 @@ def test_an_interruption_keeps_what_was_computed(
     out = tmp_path / "out"
     assert main(["honesty", "--cases", "5", "--seed", str(SEED), "--out", str(out), "--quiet"]) == 130
     assert "after 2 cases" in capsys.readouterr().err
-    assert [row["index"] for row in rows(out / "honesty.csv")] == ["0", "1"]
+    assert [row["index"] for row in read_rows(out / "honesty.csv")] == ["0", "1"]
     assert (out / "honesty.png").exists()
 
 

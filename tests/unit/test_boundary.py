@@ -137,7 +137,9 @@ def test_a_nonlinear_corner_is_followed_to_a_millionth() -> None:
     assert branch.solutions[-1].parameters["eps"] == pytest.approx(1e-6, rel=1e-9)
 
 
-@pytest.mark.parametrize(("order", "q"), [(0, 1.0), (1, 5.0), (2, 5.0)])
+@pytest.mark.parametrize(
+    ("order", "q"), [(1, 5.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0, 1.0), (2, 5.0)))]
+)
 def test_eigenvalues_of_mathieu_with_an_integral_normalisation(order: int, q: float) -> None:
     """u'' + (a - 2 q cos 2x) u = 0, even; the mean square is fixed, a is free. Against scipy.special.mathieu_a."""
     a, p, x = ca.SX.sym("a"), ca.SX.sym("q"), ca.SX.sym("x")

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin import BoundaryValueProblem, Orbit, find_orbit
+from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.follow import Following, following_space
@@ -30,8 +30,13 @@ def cubic() -> Solution:
     return BoundaryValueProblem(model, [s**3 - 3 * s - a], parameters={"a": -4.0}).solve([-2.2], tolerance=1e-10)
 
 
-def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
-    branch = cubic.follow("a", 4.0, at=[0.0, 1.0])
+@pytest.fixture(scope="module")
+def branch(cubic: Solution) -> Branch:
+    """All of the S."""
+    return cubic.follow("a", 4.0, at=[0.0, 1.0])
+
+
+def test_an_s_is_followed_round_both_folds(branch: Branch) -> None:
     assert branch.complete
     assert branch.reason == "reached the end asked for"
     np.testing.assert_allclose([f.parameters["a"] for f in branch.folds], [2.0, -2.0], atol=1e-9)
@@ -44,8 +49,7 @@ def test_an_s_is_followed_round_both_folds(cubic: Solution) -> None:
     assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_passages_that_are_not_there_are_refused(cubic: Solution) -> None:
-    branch = cubic.follow("a", 4.0, at=[0.0])
+def test_passages_that_are_not_there_are_refused(branch: Branch) -> None:
     with pytest.raises(
         ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"
     ):
@@ -54,9 +58,8 @@ def test_passages_that_are_not_there_are_refused(cubic: Solution) -> None:
         branch.at(4.5)
 
 
-def test_values_that_were_not_asked_for_are_solved_when_they_are(cubic: Solution) -> None:
+def test_values_that_were_not_asked_for_are_solved_when_they_are(branch: Branch) -> None:
     """Roots of x^3 - 3 x = a beside a point of the branch, between its points, and next to its folds."""
-    branch = cubic.follow("a", 4.0, at=[0.0])
     beside = branch.solutions[3].parameters["a"]
     for a in (-3.3, beside, beside * (1 + 1e-15), beside * (1 + 1e-11), 0.37, -0.37, 1.9999, -1.9999, 3.9):
         roots = [x.real for x in np.roots([1, 0, -3, -a]) if abs(x.imag) < 1e-12]

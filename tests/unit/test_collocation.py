@@ -226,9 +226,10 @@ def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) 
     assert placed.at(2.0).Omega == pytest.approx(even.at(2.0).Omega, rel=1e-10)
 
 
-def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken() -> None:
+@pytest.mark.parametrize("S", [2.99, pytest.param(2.99999, marks=pytest.mark.slow)])
+def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken(S: float) -> None:
     tools = Family(
-        family_request(Chain(1, 1.0, 0.0, -1.0), 1, 2.99999, tolerance=1e-8, transcription="gauss", corrector="newton")
+        family_request(Chain(1, 1.0, 0.0, -1.0), 1, S, tolerance=1e-8, transcription="gauss", corrector="newton")
     )
     point = followed(tools).orbits[-1].point
     problem = point.problem

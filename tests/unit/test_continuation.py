@@ -66,7 +66,7 @@ def worst_relative_error(branch: Branch) -> float:
 # One site: the Duffing oscillator -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-11])
+@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (0.5, 3.0), (-1.0, 2.5), (-2.0, 1.2)])
 @pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
 def test_one_site_has_the_exact_frequency_along_the_whole_family(
@@ -454,7 +454,13 @@ COMBINATIONS = [
 ]
 
 
-@pytest.mark.parametrize(("chain", "mode", "amplitude_max"), COMBINATIONS)
+@pytest.mark.parametrize(
+    ("chain", "mode", "amplitude_max"),
+    [
+        *COMBINATIONS[2:5],
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (*COMBINATIONS[:2], COMBINATIONS[5])),
+    ],
+)
 @pytest.mark.parametrize("tolerance", [1e-6, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-3, 1e-9))])
 def test_the_estimated_error_covers_the_true_one(
     chain: Chain, mode: int, amplitude_max: float, tolerance: float

@@ -55,7 +55,9 @@ def test_an_orbit_of_a_pendulum_chain_closes_and_keeps_its_energy(
     assert "energy kept to" in found.status
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [method if method == "cvodes" else pytest.param(method, marks=pytest.mark.slow) for method in METHODS]
+)
 def test_an_orbit_with_even_harmonics_closes(method: str) -> None:
     orbit = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-10).at(0.02)
     t = np.linspace(0.0, orbit.period, 21)

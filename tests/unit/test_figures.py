@@ -4,6 +4,7 @@ import dataclasses
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
@@ -15,7 +16,10 @@ from matplotlib.lines import Line2D
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
+from casadi_skin.figures.style import blank, finished, style
 from casadi_skin.theory import multiple_scales
+
+pytestmark = pytest.mark.usefixtures("pictures")
 
 SOFT = Chain(8, 1.0, 0.25, -1.0)
 
@@ -57,8 +61,8 @@ def test_stretches_alternate_and_meet_at_the_located_changes(soft: Branch) -> No
     drawn = family_lines(frequency_figure([soft]).axes[0])
     assert len(drawn) == len(soft.changes) + 1
     for before, after, change in zip(drawn, drawn[1:], soft.changes, strict=False):
-        joint = (change.S, change.Omega)
-        assert tuple(points(before)[-1]) == joint == tuple(points(after)[0])
+        assert tuple(points(before)[-1]) == tuple(points(after)[0])
+        assert points(before)[-1] == pytest.approx((change.value, change.Omega), rel=1e-14)
         assert (before.get_label() == "stable") == change.stable_before
         assert (after.get_label() == "stable") == change.stable_after
     for line in drawn:
@@ -66,7 +70,7 @@ def test_stretches_alternate_and_meet_at_the_located_changes(soft: Branch) -> No
 
 
 def test_stretches_meet_midway_where_changes_were_not_located(soft: Branch) -> None:
-    drawn = family_lines(frequency_figure([dataclasses.replace(soft, changes=())]).axes[0])
+    drawn = family_lines(frequency_figure([dataclasses.replace(soft, with_events=False)]).axes[0])
     flip = int(np.flatnonzero(np.diff(soft.stable))[0])
     middle = [soft.S[flip : flip + 2].mean(), soft.Omega[flip : flip + 2].mean()]
     assert points(drawn[0])[-1] == pytest.approx(middle)
@@ -79,10 +83,10 @@ def test_stretches_together_are_the_branch_in_its_order(soft: Branch) -> None:
     (line,) = family_lines(frequency_figure([folded]).axes[0])
     assert np.array_equal(points(line)[1:], np.column_stack([folded.S, folded.Omega]))
     drawn = np.concatenate([points(line) for line in family_lines(frequency_figure([soft]).axes[0])])
-    joints = {(change.S, change.Omega) for change in soft.changes}
-    rest = np.array([row for row in drawn if tuple(row) not in joints])
-    assert np.array_equal(rest[1:], np.column_stack([soft.S, soft.Omega]))
-    assert tuple(rest[0]) == (0.0, soft.start.Omega)
+    assert drawn[0] == pytest.approx((0.0, soft.start.Omega), abs=1e-14)
+    assert np.all(np.diff(drawn[:, 0]) >= -1e-14)
+    for S, Omega in drawn[1::97]:  # between points the curve is that of orbits corrected there
+        assert Omega == pytest.approx(soft.at(S=float(S)).Omega, rel=1e-6)  # the tolerance of the family
 
 
 def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) -> None:
@@ -104,12 +108,13 @@ def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) 
     assert "dimensionless" in axes.get_title()
 
 
-def test_labels_of_many_families_stay_apart_and_inside() -> None:
-    chain = Chain(12, 1.0, 0.6, 1.0)
-    branches = [follow_family(chain, j, 0.1, tolerance=1e-3, corrector="newton") for j in range(1, 13)]
+@pytest.mark.parametrize("sites", [6, pytest.param(12, marks=pytest.mark.slow)])
+def test_labels_of_many_families_stay_apart_and_inside(sites: int) -> None:
+    chain = Chain(sites, 1.0, 0.6, 1.0)
+    branches = [follow_family(chain, j, 0.1, tolerance=1e-3, corrector="newton") for j in range(1, sites + 1)]
     figure = frequency_figure(branches)
     heights = sorted(text.xyann[1] for text in figure.axes[0].texts)
-    assert len(heights) == 12
+    assert len(heights) == sites
     assert min(np.diff(heights)) >= 0.048 - 1e-12
     assert heights[0] > -0.02
     assert heights[-1] <= 1.0
@@ -175,14 +180,15 @@ def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"]
 
 
-def test_long_chains_are_lines_without_markers() -> None:
-    branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), 1000, 1e-3, at=[1e-3], tolerance=1e-2, tail="full")
+@pytest.mark.parametrize("sites", [400, pytest.param(1000, marks=pytest.mark.slow)])
+def test_long_chains_are_lines_without_markers(sites: int) -> None:
+    branch = follow_family(Chain(sites, 1.0, 0.25, 1.0), sites, 1e-3, at=[1e-3], tolerance=1e-2, tail="full")
     figure = profile_figure([branch])
     assert figure is not None
     assert [axes.get_yscale() for axes in figure.axes] == ["linear", "log"]
     assert {line.get_marker() for axes in figure.axes for line in axes.get_lines()} == {"None"}
-    assert figure.axes[0].get_xlim()[0] > 800  # the sites that move; all of them on the logarithmic scale
-    assert figure.axes[1].get_xlim() == (0.5, 1000.5)
+    assert figure.axes[0].get_xlim()[0] > sites - 200  # the sites that move; all of them on the logarithmic scale
+    assert figure.axes[1].get_xlim() == (0.5, sites + 0.5)
 
 
 def test_a_chain_without_its_tail_is_drawn_at_its_core() -> None:
@@ -206,11 +212,17 @@ def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
 def test_multipliers_leave_the_circle_at_the_changes(soft: Branch) -> None:
     figure = multiplier_figure(soft)
     assert figure is not None
-    moduli, *planes = figure.axes
+    moduli, angles, *planes = figure.axes
     (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
-    assert {(change.S, 1.0) for change in soft.changes} <= {tuple(point) for point in points(largest)}
-    vertical = [line.get_xdata()[0] for line in moduli.get_lines() if "change of" in str(line.get_label())]
-    assert vertical == [change.S for change in soft.changes]
+    S, heights = points(largest).T
+    for change in soft.changes:
+        beside = np.interp(change.value + (1e-9 if change.stable_before else -1e-9), S, heights)
+        assert heights[np.argmin(np.abs(S - change.value))] == pytest.approx(1.0, abs=1e-6)
+        assert beside > 1.0
+    ticks = [segment[0, 0] for lines in moduli.collections for segment in lines.get_segments()]
+    assert sorted(ticks) == [change.value for change in soft.changes]
+    marks = [line for line in angles.get_lines() if str(line.get_label()).startswith("stability changes")]
+    assert sum(len(points(line)) for line in marks) == len(soft.changes)
     assert [axes.get_title(loc="left").split("$")[1] for axes in planes] == ["S = 0.2", "S = 2", "S = 3"]
     kinds = ("on the unit circle", "real, off the circle", "complex, off the circle")
     for axes in planes:
@@ -259,16 +271,29 @@ def test_spectrum_leaves_out_modes_that_do_not_oscillate() -> None:
 # Files --------------------------------------------------------------------------------------------------------------
 
 
-def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path) -> None:
-    one = Chain(1, 1.0, 0.0, 1.0)
+def without_numbers() -> Figure:
+    """A line in a box with a letter, quickly drawn."""
+    with style():
+        figure = blank(1.0, 1.0)
+        axes = figure.subplots()
+        axes.set(xticks=[], yticks=[], xlabel="a")
+        axes.plot([0.0, 1.0], [0.0, 1.0], label="b")
+        return finished(figure, [axes], 1)
+
+
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize(
+    "draw", [without_numbers, pytest.param(lambda: spectrum_figure(Chain(1, 1.0, 0.0, 1.0)), marks=pytest.mark.slow)]
+)
+def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Callable[[], Figure]) -> None:
     before = dict(matplotlib.rcParams)
-    figure = spectrum_figure(one)
+    figure = draw()
     first = save(figure, tmp_path / "spectrum.v1")
     assert dict(matplotlib.rcParams) == before
     assert [path.name for path in first] == ["spectrum.v1.png", "spectrum.v1.svg"]
     contents = [path.read_bytes() for path in first]
     with matplotlib.rc_context({"font.size": 20.0, "xtick.direction": "out", "savefig.bbox": "tight"}):
-        other = save(spectrum_figure(one), tmp_path / "other")
+        other = save(draw(), tmp_path / "other")
     assert [path.read_bytes() for path in other] == contents
     assert [path.read_bytes() for path in save(figure, tmp_path / "other")] == contents  # replaced, by one drawn before
     assert len(list(tmp_path.iterdir())) == 4

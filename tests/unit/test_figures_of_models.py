@@ -32,6 +32,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.progress import Progress
 from casadi_skin.results.extremes import extremes
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 SITES = 8
 
 
@@ -87,8 +89,10 @@ def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]
     assert points(first)[0] == pytest.approx([0.0, omega[0]])
     assert points(third)[0] == pytest.approx([0.0, omega[2]])
     (change,) = families[1].changes
-    assert tuple(points(third)[-1]) == (change.S, change.Omega) == tuple(points(unstable)[0])
-    np.testing.assert_array_equal(points(first)[1:], np.column_stack([families[0].S, families[0].Omega]))
+    assert tuple(points(third)[-1]) == tuple(points(unstable)[0])
+    assert points(third)[-1] == pytest.approx((change.value, change.Omega), rel=1e-14)
+    S, Omega = points(first)[:: len(points(first)) // 5].T
+    assert Omega[1:] == pytest.approx([families[0].at(S=float(value)).Omega for value in S[1:]], rel=1e-6)
     (band,) = [patch for patch in axes.patches if patch.get_label() == "linear band"]
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omega[0], omega[-1]))
@@ -197,7 +201,7 @@ def test_a_resonance_loses_stability_between_its_folds(resonance: Branch) -> Non
 
 
 def test_a_change_that_was_not_located_is_drawn_at_the_fold(resonance: Branch) -> None:
-    top = branch_figure(dataclasses.replace(resonance, changes=())).axes[0]
+    top = branch_figure(dataclasses.replace(resonance, located=())).axes[0]
     folds = {tuple(row) for line in lines(top, "fold") for row in points(line)}
     for line in lines(top, "unstable"):
         assert {tuple(points(line)[0]), tuple(points(line)[-1])} <= folds
@@ -254,11 +258,11 @@ def test_multipliers_of_a_cycle_and_of_a_family(cycles: Branch, families: list[B
     assert figure.axes[0].get_xlabel() == "mu"
     figure = multiplier_figure(families[1])
     assert figure is not None
-    assert len(lines(figure.axes[1], "trivial pair")) == 1
+    assert len(lines(figure.axes[2], "trivial pair")) == 1
     assert figure.get_suptitle() == "family $j = 3$; FPUT-beta: bond = $1$"
-    assert [line.get_xdata()[0] for line in figure.axes[0].get_lines() if "change of" in str(line.get_label())] == [
-        families[1].changes[0].S
-    ]
+    (ticks,) = figure.axes[0].collections
+    assert ticks.get_label() == "change of stability (complex)"
+    assert [segment[0, 0] for segment in ticks.get_segments()] == [families[1].changes[0].value]
 
 
 # Orbits and evolutions ------------------------------------------------------------------------------------------------
@@ -273,11 +277,25 @@ def test_orbits_of_every_kind_are_drawn_over_their_period(cycles: Branch, famili
         figure = orbit_figure(orbit)
         t, x = first_curve(figure).T
         assert (t[0], t[-1]) == pytest.approx((0.0, orbit.period))
-        np.testing.assert_allclose(x, orbit.evaluate(t)[:, 0], atol=1e-14)
+        first = int(np.argmax(np.abs(orbit.profile))) if orbit is families[0].orbits[-1] else 0
+        np.testing.assert_allclose(x, orbit.evaluate(t)[:, first], atol=1e-14)
         plane = points(figure.axes[1].get_lines()[0])
         np.testing.assert_allclose(plane[0], plane[-1], atol=1e-8)
     assert figure.get_suptitle() == "FPUT-beta: bond = $1$, $j = 1$, $S = 0.5$"
-    assert figure.axes[0].get_ylabel() == "states (first 6 of 8)"
+    assert figure.axes[0].get_ylabel() == "states (6 of 8)"
+    ranked = np.argsort(-np.abs(families[0].orbits[-1].profile))[:6]
+    drawn = [points(line)[0, 1] for line in figure.axes[0].get_lines()]
+    np.testing.assert_allclose(np.abs(drawn), np.abs(families[0].orbits[-1].profile[ranked]), rtol=1e-12)
+
+
+def test_an_orbit_of_an_infinite_chain_is_drawn_at_its_edge() -> None:
+    orbit = follow_family(Chain(np.inf, 1.0, 0.25, 1.0), "last", 1.0, at=[1.0], tolerance=1e-4).at(1.0)
+    figure = orbit_figure(orbit)
+    curves = {str(line.get_label()): points(line) for line in figure.axes[0].get_lines()}
+    assert set(curves) == {f"y_{-n}" for n in range(6)}
+    for name, (t, x) in ((name, curve.T) for name, curve in curves.items()):
+        np.testing.assert_allclose(x, orbit.evaluate(t, [int(name[2:])])[:, 0], atol=1e-14)
+    assert [figure.axes[1].get_xlabel(), figure.axes[1].get_ylabel()] == list(curves)[:2]
 
 
 def test_an_orbit_with_one_position_is_drawn_with_its_velocity() -> None:
@@ -325,7 +343,9 @@ def frames(path: Path) -> list[np.ndarray]:
     return found
 
 
-def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branch, tmp_path: Path, quick: bool) -> None:
     x, t = ca.SX.sym("x"), ca.SX.sym("t")
     relaxed = OdeModel("relaxation", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
     wells = follow_family(two_wells(), 1, 0.02, at=[0.02], tolerance=1e-6).at(0.02)
@@ -335,6 +355,8 @@ def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branc
         ("positions", wells),
         ("one_state", find_orbit(relaxed, lambda t: [np.cos(t)])),
     ):
+        if quick and name != "plane":
+            continue
         pictures = frames(animate(orbit, tmp_path / f"{name}.gif", frames=4))
         assert len(pictures) == 4
         below_the_clock = [picture[picture.shape[0] // 3 :] for picture in pictures]

@@ -125,7 +125,9 @@ def test_a_softening_chain_converges_with_order_twice_the_degree(degree: int) ->
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * degree, abs=0.7)
 
 
-@pytest.mark.parametrize(("sites", "mode", "kappa"), [(1, 1, -1.0), (2, 2, 2.0), (5, 1, -1.2)])
+@pytest.mark.parametrize(
+    ("sites", "mode", "kappa"), [(1, 1, -1.0), (2, 2, 2.0), pytest.param(5, 1, -1.2, marks=pytest.mark.slow)]
+)
 def test_the_three_classes_and_odd_cosines_find_the_same_orbit(sites: int, mode: int, kappa: float) -> None:
     chain = Chain(sites, 1.0, 0.3, np.sign(kappa))
     reference = TrigonometricProblem(chain.gauge_model(), 20)

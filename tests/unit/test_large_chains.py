@@ -41,7 +41,7 @@ def tail(orbit: Orbit) -> Array:
     ("sites", "gamma", "g", "options", "smallest"),
     [
         (200, 0.99, 1.0, {}, -372.4237),
-        (200, 1.0 - 1e-9, 1.0, {}, -1765.4168),
+        pytest.param(200, 1.0 - 1e-9, 1.0, {}, -1765.4168, marks=pytest.mark.slow),
         pytest.param(200, -0.99, -1.0, {}, -374.3432, marks=pytest.mark.slow),
         pytest.param(200, -0.99, 1.0, {"walker": "arclength"}, -372.4237, marks=pytest.mark.slow),
         pytest.param(1000, 0.25, 1.0, {}, -181.6282, marks=pytest.mark.slow),
@@ -95,6 +95,7 @@ def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
             assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
 
 
+@pytest.mark.usefixtures("pictures")
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
     branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
     write_netcdf(tmp_path / "family.nc", dataset_of([branch]))

@@ -60,11 +60,12 @@ def test_what_is_no_polynomial_is_refused(make, words: str) -> None:  # type: ig
         polynomial_terms(make(x, p), x, p)
 
 
-def test_a_sum_of_many_terms_takes_time_in_proportion() -> None:
-    model = Chain(3000, 1.0, 0.0, 1.0).gauge_model()
+@pytest.mark.parametrize("sites", [500, pytest.param(3000, marks=pytest.mark.slow)])
+def test_a_sum_of_many_terms_takes_time_in_proportion(sites: int) -> None:
+    model = Chain(sites, 1.0, 0.0, 1.0).gauge_model()
     (constant, squares) = polynomial_terms(model.normalisation, model.state, model.parameters)
     assert constant.coefficients == pytest.approx([-1.0])
-    assert squares.rows.size == 3000
+    assert squares.rows.size == sites
 
 
 # Homogeneous parts ----------------------------------------------------------------------------------------------------
@@ -91,9 +92,10 @@ def test_homogeneous_parts_scale_by_their_degree_and_sum_up_to_the_whole() -> No
     np.testing.assert_allclose(at(parts[3], point), [(0.3 + 2.2) ** 3, 4 * 0.3**3, 0.0], rtol=1e-14)
 
 
-def test_homogeneous_parts_of_a_lattice_are_not_multiplied_out() -> None:
-    """Cubes of differences of a thousand sites: as many operations in each part as in the whole, but for a factor."""
-    x = ca.SX.sym("x", 1000)
+@pytest.mark.parametrize("sites", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_homogeneous_parts_of_a_lattice_are_not_multiplied_out(sites: int) -> None:
+    """Cubes of differences of many sites: as many operations in each part as in the whole, but for a factor."""
+    x = ca.SX.sym("x", sites)
     d = ca.vertcat(x, 0) - ca.vertcat(0, x)
     whole = ca.vertcat(d[1:] - d[:-1] + d[1:] ** 3 - d[:-1] ** 3 - x)
     parts = homogeneous_parts(whole, x)

@@ -406,11 +406,12 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     assert folds[0][0] > 3.9 > 2.3 > folds[0][1]
 
 
-def test_stability_along_shot_orbits_is_that_of_the_others() -> None:
+@pytest.mark.parametrize("S", [0.2, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_stability_along_shot_orbits_is_that_of_the_others(S: float) -> None:
     chain = Chain(3, 1.0, 0.25, -1.0)
     mus = []
     for name in ("shooting", "trigonometric"):
-        orbit = follow_family(chain, 1, 1.0, at=(1.0,), transcription=name, corrector="newton", stability=True).at(1.0)
+        orbit = follow_family(chain, 1, S, at=(S,), transcription=name, corrector="newton", stability=True).at(S)
         mus.append(np.sort(orbit.floquet().mu.real))
     np.testing.assert_allclose(mus[0], mus[1], atol=1e-6)
 
@@ -438,17 +439,18 @@ def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     assert corrector.tolerance == pytest.approx(1e-8)
 
 
+@pytest.mark.parametrize("S", [0.2, pytest.param(1.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("symmetry", [HALF, pytest.param(FULL, marks=pytest.mark.slow)])
-def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryClass) -> None:
+def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryClass, S: float) -> None:
     chain = Chain(2, 1.0, 0.3, 1.0)
     branches = [
-        follow_family(chain, 2, 1.0, at=(1.0,), transcription="shooting", corrector="newton", symmetry=kind)
+        follow_family(chain, 2, S, at=(S,), transcription="shooting", corrector="newton", symmetry=kind)
         for kind in (None, symmetry)
     ]
     assert symmetry_class(branches[0].space.coordinates.scaled) is QUARTER
     assert isinstance(branches[1].start.problem, ShootingProblem)
     assert branches[1].start.problem.symmetry is symmetry
-    assert branches[1].at(1.0).Omega == pytest.approx(branches[0].at(1.0).Omega, rel=1e-8)
+    assert branches[1].at(S).Omega == pytest.approx(branches[0].at(S).Omega, rel=1e-8)
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ from casadi_skin.dynamics import Evolution, evolve
 from casadi_skin.figures import save
 from casadi_skin.figures.spacetime import COLOURS, spacetime_figure
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 CHAIN = Chain(6, 1.0, 0.3, 1.0)
 
 

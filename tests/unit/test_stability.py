@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -530,36 +529,37 @@ def test_both_sides_of_a_change_are_as_it_says() -> None:
     for branch in (with_changes(SOFT, 1, 0.6, 1e-11), with_changes(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, 1e-10)):
         assert branch.complete
         assert branch.changes
-        for change in branch.changes:
-            assert 0 < change.S_width <= 1e-6
-            before, after = (branch.at(change.S + side * change.S_width) for side in (-1, 1))
+        edges = [0.0, *(change.S for change in branch.changes), branch.values[-1]]
+        for i, change in enumerate(branch.changes, start=1):
+            assert 0 < change.S_error <= 1e-9
+            apart = min(0.1 * (edges[i] - edges[i - 1]), 0.1 * (edges[i + 1] - edges[i]), 1e-5)
+            before, after = (branch.at(change.S + side * apart) for side in (-1, 1))
             assert before.floquet().stable == change.stable_before
             assert after.floquet().stable == change.stable_after
             assert change.stable_before != change.stable_after
-            assert change.Omega == pytest.approx(0.5 * (before.Omega + after.Omega), abs=1e-9)
+            assert change.Omega == pytest.approx(0.5 * (before.Omega + after.Omega), abs=1e-8)
             unstable = (after if change.stable_before else before).floquet()
             counts = {"real": unstable.unstable_real, "complex": unstable.unstable_complex}
             assert counts[change.kind] > 0
 
 
-def test_changes_are_between_the_points_whose_stability_differs() -> None:
+def test_points_are_stable_where_the_changes_say_so() -> None:
     branch = with_changes(SOFT, 1, 0.6, 1e-11)
-    flips = [(a.S, b.S) for a, b in pairwise(branch.orbits) if a.floquet().stable != b.floquet().stable]
-    assert len(flips) == len(branch.changes) == 1
-    assert flips[0][0] < branch.changes[0].S < flips[0][1]
     assert branch.with_stability
-    np.testing.assert_array_equal(branch.stable, branch.S < branch.changes[0].S)
+    np.testing.assert_array_equal(branch.stable, branch.changes[0].value > branch.S)
 
 
-def test_complex_instabilities_are_born_where_two_mu_meet() -> None:
+@pytest.mark.parametrize(("end", "count"), [(2.5, 12), pytest.param(3.0, 47, marks=pytest.mark.slow)])
+def test_complex_instabilities_are_born_where_two_mu_meet(end: float, count: int) -> None:
     """Beyond S = 2.37 the softening end breather gains and loses stability by Krein collisions."""
-    branch = with_changes(SOFT, 1, 3.0, 1e-9)
+    branch = with_changes(SOFT, 1, end, 1e-9)
     collisions = [change for change in branch.changes if change.kind == "complex"]
-    assert len(collisions) >= 6
-    # Orbits 1e-4 apart in S change near 2.3752, 2.3757 and 2.3768: which are found depends on the points in between.
-    assert 2.375 < min(change.S for change in collisions) < 2.377
-    for change in collisions:
-        side = 1 if change.stable_after else -1  # the stable one
+    assert len(branch.changes) == count == len(collisions) + 1  # scans in steps of 1e-5 by other programs have as many
+    windows = np.diff([change.S for change in branch.changes])
+    for i, change in enumerate(branch.changes[1:-1], start=1):
+        side, room = (1, windows[i]) if change.stable_after else (-1, windows[i - 1])  # the stable one
+        if room < 1e-4:
+            continue
         near = branch.at(change.S + side * 2e-6).floquet().mu.real
         farther = branch.at(change.S + side * 2e-5).floquet().mu.real
         gaps = [np.diff(np.sort(mu[np.argsort(np.abs(mu - change.mu))[:2]]))[0] for mu in (near, farther)]

@@ -123,7 +123,7 @@ def family(
     ("sites", "gamma", "g"),
     [
         (70, -0.7, 1.0),
-        (70, 0.7, -1.0),
+        pytest.param(70, 0.7, -1.0, marks=pytest.mark.slow),
         pytest.param(70, 0.7, 1.0, marks=pytest.mark.slow),
         pytest.param(70, -0.7, -1.0, marks=pytest.mark.slow),
         pytest.param(140, 0.4, 1.0, marks=pytest.mark.slow),
@@ -180,11 +180,12 @@ def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
     assert infinite.at(3.0).energy == pytest.approx(million.at(3.0).energy, rel=1e-10)
 
 
-def test_sites_of_an_infinite_chain_are_counted_from_its_edge() -> None:
-    right, left = (family(math.inf, gamma, 1.0, None).at(3.0) for gamma in (0.25, -0.25))
+@pytest.mark.parametrize("S", [0.5, pytest.param(3.0, marks=pytest.mark.slow)])
+def test_sites_of_an_infinite_chain_are_counted_from_its_edge(S: float) -> None:
+    right, left = (family(math.inf, gamma, 1.0, None, S).at(S) for gamma in (0.25, -0.25))
     near = right.evaluate(0.0, sites=[0, -1, -2, -300])
     np.testing.assert_allclose(left.evaluate(0.0, sites=[1, 2, 3, 301]), near, rtol=1e-9)
-    whole = family(10**6, 0.25, 1.0, None).at(3.0).evaluate(0.0, sites=[10**6, 10**6 - 1, 10**6 - 2, 10**6 - 300])
+    whole = family(10**6, 0.25, 1.0, None, S).at(S).evaluate(0.0, sites=[10**6, 10**6 - 1, 10**6 - 2, 10**6 - 300])
     np.testing.assert_allclose(near, whole, rtol=1e-9)
     with pytest.raises(ValueError, match="sites: given 0 to 1; accepted: whole numbers up to 0"):
         right.evaluate(0.0, sites=[0, 1])

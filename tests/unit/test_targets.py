@@ -173,7 +173,7 @@ def folded(walker: str, at_Omega: tuple[float, ...] = (), at_period: tuple[float
     )
 
 
-@WALKERS
+@pytest.mark.parametrize("walker", ["arclength", pytest.param("series", marks=pytest.mark.slow)])
 def test_points_at_Omega_and_period_are_among_the_orbits_and_are_what_the_branch_gives(walker: str) -> None:
     plain = folded(walker)
     low, high = np.quantile(plain.Omega, [0.3, 0.7])

@@ -6,9 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import number, short_repr, whole
 from casadi_skin.bvp.problem import Indices
-from casadi_skin.optimise.search_arguments import whole
 from casadi_skin.orbits.orbit import Orbit
 
 NORMS = ("physical", "energy")

@@ -13,43 +13,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.integrators.srkn import srkn_step
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
 STEP = 0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
 PHASES = 720  # of the orbit, between which its reach is sought
-
-
-@dataclass(frozen=True, eq=False)
-class PlainOrbit:
-    """An orbit in arrays and numbers, without the solver that found it, which cannot be sent to another process.
-
-    `cosines` are the coefficients of cos((2k+1) Omega t), shape (harmonics, sites), `profile` displacements at t = 0.
-    """
-
-    model: Chain
-    S: float
-    Omega: float
-    profile: Array
-    cosines: Array
-
-    @classmethod
-    def of(cls, orbit: Orbit) -> PlainOrbit:
-        """The arrays and numbers of an orbit."""
-        return cls(orbit.model, orbit.S, orbit.Omega, orbit.profile, orbit.coefficients(orbit.harmonics))
-
-    @property
-    def harmonics(self) -> int:
-        """Number of odd harmonics."""
-        return len(self.cosines)
-
-    def coefficients(self, harmonics: int) -> Array:
-        """The coefficients, as `dynamics.distance_from_orbit` needs them; raises ValueError for another number."""
-        if harmonics != self.harmonics:
-            raise ValueError(f"harmonics: given {harmonics}; accepted: {self.harmonics}, those that are kept")
-        return self.cosines
 
 
 @dataclass(frozen=True)
@@ -97,7 +67,7 @@ class Loop:
 class KickedFlow:
     """The flow of a chain from the phase zero of an orbit, kicked or not, over `steps` equal steps up to `time`."""
 
-    orbit: PlainOrbit
+    orbit: CosineOrbit
     time: float
     steps: int
 
@@ -105,15 +75,15 @@ class KickedFlow:
     def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
         """With as many steps as the fastest linear vibration needs."""
         fastest = float(np.sqrt(orbit.model.alpha + 2.0 * (1.0 + orbit.model.coupling)))
-        return cls(PlainOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
+        return cls(CosineOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
 
-    def __reduce__(self) -> tuple[type[KickedFlow], tuple[PlainOrbit, float, int]]:
+    def __reduce__(self) -> tuple[type[KickedFlow], tuple[CosineOrbit, float, int]]:
         return KickedFlow, (self.orbit, self.time, self.steps)  # another process builds its own functions
 
     @property
     def size(self) -> int:
         """Number of components of the state, 2N."""
-        return 2 * self.orbit.model.sites
+        return 2 * int(self.orbit.model.sites)
 
     @cached_property
     def output_scale(self) -> Array:

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
-from casadi_skin.optimise.kick.flow import KickedFlow, PlainOrbit
+from casadi_skin.optimise.cosine_orbit import CosineOrbit
+from casadi_skin.optimise.kick.flow import KickedFlow
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.theory.linear import Array
 
@@ -36,7 +37,7 @@ class Escape:
         return float(self.distance[k]), float(self.t[k])
 
 
-def escape(orbit: Orbit | PlainOrbit, kick: ArrayLike, t: ArrayLike, tolerance: float = 1e-11) -> Escape:
+def escape(orbit: Orbit | CosineOrbit, kick: ArrayLike, t: ArrayLike, tolerance: float = 1e-11) -> Escape:
     """Distance from the orbit after a kick (2N,) of positions and velocities at t = 0, by CVODES.
 
     Where the state runs to infinity, as with g < 0, up to the last time before.

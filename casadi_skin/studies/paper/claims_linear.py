@@ -19,6 +19,7 @@ def linear_claims(data: PaperData) -> Iterator[Claim]:
     chain = data.chain(1.0)
     yield from _spectrum(chain)
     yield from _eigenvectors(chain)
+    yield from _one_way()
     yield from _matrices(chain)
 
 
@@ -111,6 +112,18 @@ def _eigenvectors(chain: Chain) -> Iterator[Claim]:
     )  # fmt: skip
 
 
+def _one_way() -> Iterator[Claim]:
+    """Skin modes at the end of the range of gamma that the paper gives."""
+    D = Chain(SITES, ALPHA, 1.0, 1.0).dynamical_matrix()
+    rank = int(np.linalg.matrix_rank(D - (2.0 + ALPHA) * np.eye(SITES)))
+    yield claim(
+        "Sec. II", "skin modes r^(n/2) sin(n j pi/(N+1)) for gamma in (0, 1]", "also at gamma = 1",
+        f"at gamma = 1 D has {SITES - rank} eigenvector, at one end site", Verdict.IN_RANGE if rank == SITES - 1
+        else Verdict.AGREES,
+        "they hold for 0 < gamma < 1; at 1 r is infinite and D a single Jordan block", ROUND_OFF,
+    )  # fmt: skip
+
+
 def _matrices(chain: Chain) -> Iterator[Claim]:
     y = np.random.default_rng(0).normal(size=SITES)
     J = np.block([[np.zeros((SITES, SITES)), -np.eye(SITES)], [np.eye(SITES), np.zeros((SITES, SITES))]])
@@ -140,6 +153,21 @@ def _matrices(chain: Chain) -> Iterator[Claim]:
         f"largest entry of W - W^T: {asymmetry:.2f}; of its block W_21: {symmetric:.0e}",
         Verdict.MISPRINT if asymmetry > 1e-6 else Verdict.AGREES,
         "its block W_21 and V = J^-1 W are symmetric, W is not", ROUND_OFF,
+    )  # fmt: skip
+    V = -J @ W  # W = J V
+    defect = float(np.max(np.abs(V.T @ J @ V - J)))
+    yield claim(
+        "App. A", "V = J^-1 W is Hermitian and symplectic", "both",
+        f"largest entry of V - V^T: {np.max(np.abs(V - V.T)):.0e}; of V^T J V - J: {defect:.2f}",
+        Verdict.MISPRINT if defect > 1e-6 else Verdict.AGREES, "V is symmetric, which is all that is needed", ROUND_OFF,
+    )  # fmt: skip
+    reciprocal = np.array(Chain(SITES, ALPHA, 0.0, 1.0).variational_matrix("physical")(y, 1.0).full())
+    U, defect = -J @ reciprocal, float(np.max(np.abs(reciprocal.T @ J @ reciprocal - J)))
+    yield claim(
+        "App. A", "Z^T J Z = J holds whenever U^T = U, Z = J U", "holds",
+        f"at gamma = 0: largest entry of U - U^T {np.max(np.abs(U - U.T)):.0e}, of Z^T J Z - J {defect:.2f}",
+        Verdict.MISPRINT if defect > 1e-6 else Verdict.AGREES,
+        "Z^T J + J Z = 0 holds: Z is Hamiltonian, and the flow that it generates symplectic", ROUND_OFF,
     )  # fmt: skip
     spectra = [np.sort_complex(np.linalg.eigvals(m)) for m in (Z, W)]
     difference = float(np.max(np.abs(np.sort(np.abs(spectra[0])) - np.sort(np.abs(spectra[1])))))

@@ -12,15 +12,14 @@ from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution
-from casadi_skin.figures.branch_lines import stability_pieces
-from casadi_skin.figures.frequencies import draw_band, family_path, label_ends
+from casadi_skin.figures.frequencies import draw_band, family_path, family_pieces, label_ends
 from casadi_skin.figures.profiles import LINES, MARKERS
 from casadi_skin.figures.spacetime import draw_spacetime
 from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.quantities import csv_row, places_of, quantities_of
-from casadi_skin.runs.writing import EVENT_COLUMNS, event_rows
+from casadi_skin.results.stability_tables import EVENT_COLUMNS, event_rows
 from casadi_skin.studies.paper.paper_data import (
     ALPHA,
     AMPLITUDE_MAX,
@@ -69,8 +68,9 @@ def changes_table(families: dict[float, dict[int, Branch]]) -> Rows:
     rows = [
         {"g": g, **row}
         for g, branches in families.items()
-        for branch in branches.values()
-        for row in event_rows(branch)
+        for mode, branch in branches.items()
+        if branch.stability_diagram is not None
+        for row in event_rows(mode, branch.stability_diagram)
     ]
     return ["g", *EVENT_COLUMNS], rows
 
@@ -84,9 +84,9 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     paths = [family_path(branch, False) for branch in branches]
     draw_band(axes, marked.model)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
-        for stable, piece in stability_pieces(branch, path, False):
+        for stable, piece in family_pieces(branch, path):
             axes.plot(*piece.T, color=colour, lw=2.0, ls="-" if stable else DASHED, zorder=3)
-        at = [(change.S, change.Omega) for change in branch.changes]
+        at = [(change.value, change.Omega) for change in branch.changes]
         axes.plot(*np.reshape(at, (-1, 2)).T, "|", ms=8, mew=0.8, color="black", zorder=5)
     for dashes, label in (("-", "stable"), (DASHED, "unstable")):
         axes.plot([], [], color="black", lw=2.0, ls=dashes, label=label)

@@ -13,6 +13,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
+from casadi_skin.figures.tongues import moduli as moduli_line
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.reduction import ComplexArray
@@ -26,6 +27,7 @@ from casadi_skin.studies.paper.figures_families import (
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
 from casadi_skin.studies.study import Rows, letter, stacked, table
 
+DENSE = 400  # places along the family of which all multipliers are drawn
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5
 KICKED_SITES = (SITES, 1)
 
@@ -47,20 +49,17 @@ def sorted_vectors(orbit: Orbit) -> tuple[ComplexArray, Array, NDArray[np.bool_]
 
 def _draw_moduli(axes: Axes, branch: Branch) -> None:
     """|lambda| of all multipliers off the circle against S, and below them a strip that is black where stable."""
-    S, moduli = [], []
-    for orbit in branch.orbits:
-        floquet = orbit.floquet()
-        outer = np.abs(floquet.others[floquet.outside])
-        S += [orbit.S] * (2 * outer.size)
-        moduli += [*outer, *1.0 / outer]
-    on_circle = [0.0, *(change.S for change in branch.changes)]
-    largest = np.concatenate([branch.max_abs_multiplier, np.ones(len(on_circle))])
-    at = np.concatenate([branch.S, on_circle])
-    order = np.argsort(at, kind="stable")
+    diagram = branch.stability_diagram
+    assert diagram is not None
+    at = np.linspace(diagram.start, diagram.end, DENSE)
+    growth = diagram.growths(at)
+    S, logs = np.repeat(diagram.S(at), growth.shape[1]), growth.ravel()
+    S, logs = S[logs > 0.0], logs[logs > 0.0]
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    axes.plot(at[order], largest[order], color="black", lw=1.0, label=f"largest {MODULUS}", zorder=2)
-    axes.plot(S, moduli, ".", ms=2.5, color="0.35", label=f"{MODULUS} off the unit circle", zorder=3)
-    ends = [0.0, *(change.S for change in branch.changes), float(branch.S.max())]
+    axes.plot(*moduli_line(diagram).T, color="black", lw=1.0, label=f"largest {MODULUS}", zorder=2)
+    both = np.concatenate([S, S]), np.exp(np.concatenate([logs, -logs]))
+    axes.plot(*both, ".", ms=2.0, color="0.35", label=f"{MODULUS} off the unit circle", zorder=3)
+    ends = [0.0, *(change.value for change in branch.changes), float(branch.S.max())]
     stable = [bool(branch.stable[0]), *(bool(change.stable_after) for change in branch.changes)]
     for left, right, is_stable in zip(ends[:-1], ends[1:], stable, strict=True):
         if is_stable:

@@ -30,11 +30,6 @@ SIZES = tuple(range(4, 101, 4))  # the paper gives no range
 GAMMA_SIZES = tuple(STATED_P)
 GAMMAS = tuple(np.round(np.arange(0.05, 0.801, 0.05), 2))
 FINITE_DIFFERENCE_S = 0.01
-DENSE_S = (  # figure 5: where multipliers leave the circle, and windows narrower than a step of the walk
-    *(0.433, 0.437, 0.445, 0.46),
-    *np.round(np.arange(1.9, 2.3, 0.01), 3).tolist(),
-    *np.round(np.arange(2.3, 3.0, 0.005), 3).tolist(),
-)
 KICK = 0.005
 KICK_TIME = 40.0
 EVOLUTION_TIME = 50.0
@@ -95,9 +90,9 @@ class PaperData:
         """Families of g = -1 by mode, with stability."""
         return {mode: self.end_breather if mode == 1 else self._family(-1.0, mode) for mode in MODES}
 
-    def _family(self, g: float, mode: int, also: tuple[float, ...] = ()) -> Branch:
+    def _family(self, g: float, mode: int) -> Branch:
         self._say(f"family j = {mode}, g = {g:+g}")
-        at = tuple(sorted({REPRESENTATIVE_S, 1.0, 2.0, 3.0, *also}))
+        at = (REPRESENTATIVE_S, 1.0, 2.0, 3.0)
         branch = follow_family(
             self.chain(g), mode, AMPLITUDE_MAX, at=at, stability=True, tolerance=TOLERANCE, corrector="ipopt"
         )
@@ -107,8 +102,8 @@ class PaperData:
 
     @cached_property
     def end_breather(self) -> Branch:
-        """The family of figure 5: j = 1, g = -1; dense where windows of stability are narrower than a step."""
-        return self._family(-1.0, 1, DENSE_S)
+        """The family of figure 5: j = 1, g = -1."""
+        return self._family(-1.0, 1)
 
     @cached_property
     def hardening_orbit(self) -> Orbit:

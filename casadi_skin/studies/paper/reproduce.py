@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from difflib import get_close_matches
 from itertools import chain
 from types import MappingProxyType
 
+from casadi_skin.arguments import check_name
 from casadi_skin.studies.paper.claim import COLUMNS, Claim
 from casadi_skin.studies.paper.claims_families import family_claims, sensitivity_claims
 from casadi_skin.studies.paper.claims_linear import linear_claims
@@ -53,10 +53,7 @@ class PaperReproduction(Study):
 
     def __post_init__(self) -> None:
         for name in self.targets:
-            if name not in TARGETS:
-                near = next(iter(get_close_matches(name[:40].lower(), TARGETS, n=1)), None)
-                hint = f"did you mean {near}? " if near else ""
-                raise ValueError(f"targets: given {name[:40]!r}; {hint}accepted: {', '.join(TARGETS)}")
+            check_name("targets", name, TARGETS)
 
     def run(self) -> None:
         data = PaperData(self.say)

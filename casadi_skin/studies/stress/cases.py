@@ -270,8 +270,8 @@ def _at_first_change(setup: Setup) -> Finding:
     """The orbit where the stability changes, as near as it is located."""
     branch = setup.family(stability=True)
     change = branch.changes[0]
-    finding = checks.against_long_double(branch.at(S=change.S), setup)
-    return replace(finding, got=f"S = {change.S:.7g}, {change.kind}: {finding.got}")
+    finding = checks.against_long_double(branch.at(S=change.value), setup)
+    return replace(finding, got=f"S = {change.value:.7g}, {change.kind}: {finding.got}")
 
 
 def _physical_cases() -> Iterator[Case]:

@@ -153,7 +153,10 @@ def _draw_presets(axes: Axes, measured: Sequence[Measured], of_mu: bool) -> None
 
 def _finish(axes: Axes, known: float) -> None:
     """Logarithmic axes, and the errors that the references cannot tell from zero."""
+    from matplotlib.ticker import LogLocator
+
     axes.set(xscale="log", yscale="log")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))  # labels of more in a decade overlap
     low, high = axes.get_ylim()
     if known == known and known > 0:
         label = "at the reference's round-off"

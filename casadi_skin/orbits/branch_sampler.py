@@ -1,0 +1,252 @@
+"""Orbits and transition matrices at any coordinate along a branch whose points are known.
+
+The coordinate is an arclength cut into sections: within one of them it is the component of z along a fixed direction,
+which grows along the branch also where the parameter folds. All orbits of a section are solved on one level of
+resolution, to round-off, so that everything is smooth in the coordinate, whatever the tolerance of the points was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import Point
+from casadi_skin.solvers.bordered import SingularError, Solve
+from casadi_skin.solvers.levels import Levels
+from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
+
+STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
+STEPS = 6  # of Newton's method
+SOLVED = 1e-8  # a step of Newton's method whose square is round-off
+NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
+NEIGHBOURS = 4  # points that an orbit is predicted from
+ORBIT_SAFETY = 2.0
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Points of one section in the unknowns of one problem, (points, size) each, with slopes dz/d coordinate.
+
+    `row` is the direction; `places` are row . z, ascending, and `offset` turns them into coordinates.
+    """
+
+    problem: Problem
+    row: Array
+    places: Array
+    z: Array
+    slopes: Array
+    offset: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Coordinates of its ends."""
+        return self.offset, self.offset + float(self.places[-1] - self.places[0])
+
+    def place(self, coordinate: float) -> float:
+        """row . z at a coordinate."""
+        return float(self.places[0]) + (coordinate - self.offset)
+
+    def predicted(self, place: float) -> tuple[Array, float]:
+        """The orbit by Hermite interpolation through the nearest points, and the distance of the two next to it."""
+        from scipy.interpolate import KroghInterpolator
+
+        right = int(np.clip(np.searchsorted(self.places, place), 1, self.places.size - 1))
+        first = int(np.clip(right - NEIGHBOURS // 2, 0, max(self.places.size - NEIGHBOURS, 0)))
+        chosen = slice(first, first + NEIGHBOURS)
+        values = np.stack([self.z[chosen], self.slopes[chosen]], axis=1).reshape(-1, self.z.shape[1])
+        curve = KroghInterpolator(np.repeat(self.places[chosen], 2), values)
+        return np.asarray(curve(place)), float(self.places[right] - self.places[right - 1])
+
+
+class OrbitSampler:
+    """A branch as `find_changes` takes it (`BranchSampler`), from its points.
+
+    Arguments:
+        point_solver: with the levels and the metric of the branch.
+        points: of the branch in order, the first may be a linear mode of zero amplitude.
+        flow: makes transition matrices.
+        accelerations: gives q'' at phase zero, shape (orbits, n); None in a model without a trivial multiplier.
+        amplitude: S of a value of the free parameter.
+        tolerance: relative error allowed to orbits.
+        fraction: of the period that transition matrices are over.
+        symplectic: whether transition matrices are.
+        S_rate: the relative change of S per that of the free parameter.
+    """
+
+    def __init__(
+        self,
+        point_solver: PointSolver,
+        points: Sequence[Point],
+        flow: FlowMap,
+        accelerations: Callable[[Sequence[OrbitState]], Array] | None,
+        amplitude: Callable[[float], float],
+        tolerance: float,
+        fraction: float,
+        symplectic: bool = True,
+        S_rate: float = 1.0,
+    ) -> None:
+        self.point_solver, self.flow = point_solver, flow
+        self.fraction, self.symplectic = fraction, symplectic
+        self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
+        self._S_rate = S_rate
+        self._sections = self._divided(points)
+
+    @property
+    def levels(self) -> Levels:
+        """Levels of resolution."""
+        return self.point_solver.levels
+
+    @property
+    def sections(self) -> Sequence[tuple[float, float]]:
+        """Ends of the sections."""
+        return [section.ends for section in self._sections]
+
+    # Sections -------------------------------------------------------------------------------------------------------
+
+    def _divided(self, points: Sequence[Point]) -> list[_Section]:
+        """The branch in as few sections as its turns allow."""
+        finest = max((point.problem for point in points), key=lambda problem: problem.resolution)
+        z = np.array([point.problem.prolong(point.z, finest) for point in points])
+        sections: list[_Section] = []
+        first, offset = 0, 0.0
+        while first < len(points) - 1:
+            last = first + 1
+            while last + 1 < len(points) and self._is_straight(finest, z[first : last + 2]):
+                last += 1
+            sections.append(self._section(points[first : last + 1], offset))
+            first, offset = last, sections[-1].ends[1]
+        return sections
+
+    def _is_straight(self, problem: Problem, z: Array) -> bool:
+        """Whether all chords from point to point go along the one from the first to the last."""
+        weights = self.point_solver.metric(problem, z[len(z) // 2])
+        chords, whole = np.diff(z, axis=0), z[-1] - z[0]
+        along = chords @ (weights * whole) / np.sqrt(np.sum(weights * whole**2) * np.sum(weights * chords**2, axis=1))
+        return bool(np.min(along) >= STEEPEST)
+
+    def _section(self, points: Sequence[Point], offset: float) -> _Section:
+        """Points of a section as solutions of one problem that is fine enough for all of them."""
+        hardest = max(range(len(points)), key=lambda i: (points[i].problem.resolution, i))
+        problem = points[hardest].problem
+        while True:
+            row = self._direction(problem, points)
+            solved, solve = self._solved(problem, points[hardest].problem.prolong(points[hardest].z, problem), row)
+            error = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
+            finer = self.levels.finer(problem)
+            enough = error.relative(problem.frequency(solved)) <= max(self._tolerance, error.round_off)
+            if enough or finer is None or self.levels.finer(finer) is None:
+                break
+            problem = finer
+        z, slopes = [], []
+        for point in points:
+            solved, solve = self._solved(problem, point.problem.prolong(point.z, problem), row)
+            z.append(solved)
+            slopes.append(solve(np.append(np.zeros(problem.size - 1), 1.0)))
+        places = np.array(z) @ row
+        return _Section(problem, row, places, np.array(z), np.array(slopes), offset)
+
+    def _direction(self, problem: Problem, points: Sequence[Point]) -> Array:
+        """The row of a section: from its first point to its last, of unit length in the metric."""
+        start, end = (point.problem.prolong(point.z, problem) for point in (points[0], points[-1]))
+        middle = points[len(points) // 2]
+        weights = self.point_solver.metric(problem, middle.problem.prolong(middle.z, problem))
+        chord = end - start
+        return np.asarray(weights * chord / np.sqrt(np.sum(weights * chord**2)))
+
+    # Orbits ---------------------------------------------------------------------------------------------------------
+
+    def _solved(self, problem: Problem, guess: Array, row: Array, allowed: float = np.inf) -> tuple[Array, Solve]:
+        """The orbit near a guess that has row . z in common with it, and the solver there, by Newton's method.
+
+        Raises OrbitNotFoundError where there is none within `allowed`, in the metric.
+        """
+        z, value = guess.copy(), float(row @ guess)
+        weights = self.point_solver.metric(problem, guess)
+        try:
+            for _ in range(STEPS):
+                residual, nonzeros = problem.evaluate(z)
+                solve = self.levels.solver(problem).factor(z, nonzeros, row)
+                step = solve(np.append(residual, row @ z - value))
+                z = z - step
+                size = float(np.sqrt(np.sum(weights * step**2)))
+                if size <= SOLVED:
+                    break
+                if not size <= 1.0:
+                    raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+        except SingularError as error:
+            raise OrbitNotFoundError(str(error)) from error
+        moved = float(np.sqrt(np.sum(weights * (z - guess) ** 2)))
+        if size > SOLVED or moved > allowed:
+            raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+        return z, solve
+
+    def sample(self, coordinates: Array) -> Samples:
+        """Samples at coordinates of one section (see `BranchSampler`)."""
+        middle = float(np.mean(coordinates))
+        section = min(self._sections, key=lambda s: max(s.ends[0] - middle, middle - s.ends[1]))
+        problem, solved = section.problem, []
+        for coordinate in coordinates.tolist():
+            place = section.place(coordinate)
+            guess, distance = section.predicted(place)
+            guess += (place - section.row @ guess) * section.row / (section.row @ section.row)
+            solved.append(self._solved(problem, guess, section.row, NEARBY * distance))
+        states = [OrbitState(problem, z) for z, _ in solved]
+        k = len(states) // 2
+        states[k] = self._with_better(problem, *solved[k])
+        transitions = self.flow.transitions(states)
+        return Samples(
+            transitions=np.stack([transition.matrix for transition in transitions]),
+            errors=np.stack([_error(transition) for transition in transitions]) + _orbit_error(transitions[k]),
+            directions=self._directions(section, states),
+            S=np.array([self._amplitude(state.parameter) for state in states]),
+            Omega=np.array([state.Omega for state in states]),
+        )
+
+    def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
+        """What spans the trivial direction: q'' at phase zero, or how positions there change along the branch.
+
+        With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
+        """
+        if self._accelerations is None or self.symplectic:
+            return None if self._accelerations is None else self._accelerations(states)
+        problem, last = section.problem, np.append(np.zeros(section.problem.size - 1), 1.0)
+        at_rest, found = np.zeros(1), []
+        for state in states:
+            _, nonzeros = problem.evaluate(state.z)
+            slope = self.levels.solver(problem).factor(state.z, nonzeros, section.row)(last)
+            q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
+            k = problem.parameter_index
+            found.append(2.0 / self._S_rate * state.z[k] * change + slope[k] * q)
+        return np.array(found)
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, between the points of the branch."""
+        section = min(self._sections, key=lambda s: max(s.ends[0] - coordinate, coordinate - s.ends[1]))
+        z, _ = section.predicted(section.place(coordinate))
+        return self._amplitude(float(z[section.problem.parameter_index]))
+
+    def _with_better(self, problem: Problem, z: Array, solve: Solve) -> OrbitState:
+        """An orbit with a better one, whose difference shows the error that orbits of the section make."""
+        better = self.levels.refined(problem, z, self.point_solver.tangent(problem, z, solve))[1]
+        return OrbitState(problem, z, None if better is None else OrbitState(better.problem, better.z))
+
+
+def _error(transition: Transition) -> Array:
+    """A matrix like the error of a transition matrix."""
+    if transition.truncation is not None:
+        return transition.truncation
+    size = transition.matrix.shape[0]
+    signs = np.sign(np.cos(np.arange(size * size) ** 2 % 6.25)).reshape(size, size)
+    return np.asarray(transition.error / size * signs)
+
+
+def _orbit_error(transition: Transition) -> Array:
+    """A matrix like the error of a transition matrix that the orbit makes."""
+    if transition.pair is None:
+        return np.zeros_like(transition.matrix)
+    return np.asarray(ORBIT_SAFETY * (transition.pair[1] - transition.pair[0]))

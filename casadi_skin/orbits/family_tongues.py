@@ -1,0 +1,55 @@
+"""Every change of stability of a family: the family's orbits and flow, given to the search for tongues."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.branch_sampler import OrbitSampler
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.spectrum import linear_spectrum
+from casadi_skin.stability.find_changes import find_changes
+from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.threads import one_thread
+
+ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
+AT_REST = 1e-12  # of the largest omega^2: what is rounding in that of a mode without restoring force
+FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
+
+
+def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: float = FLOW_TOLERANCE) -> StabilityDiagram:
+    """Every change of stability along a family, however narrow its window.
+
+    The result depends on the course of the family, not on its points or their tolerance: orbits and transition matrices
+    are computed anew, to tolerances of their own.
+
+    Arguments:
+        family: the family.
+        points: of it in order; the first may be its linear mode of zero amplitude.
+        flow_tolerance: of the transition matrices, in norm; a smaller one decides narrower tongues.
+
+    Returns:
+        Changes of stability, tongues, and what is not decided or not resolved.
+    """
+    whole = family.whole
+    request, coordinates = replace(whole.request, tolerance=flow_tolerance), whole.coordinates
+    squares = linear_spectrum(request.model, coordinates.parameters).squares
+    frequencies = np.sqrt(np.maximum(squares, 0.0))
+    others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != coordinates.mode_number}
+    oscillate = bool(squares[0] >= -AT_REST * squares[-1])
+    with one_thread():
+        sampler = OrbitSampler(
+            whole.point_solver,
+            [family.on_all_positions(point) for point in points],
+            Family(request).flow,
+            whole.accelerations,
+            request.S_of,
+            ORBIT_TOLERANCE,
+            whole.symmetry.value,
+            coordinates.symplectic,
+            coordinates.S_rate,
+        )
+        return find_changes(sampler, others if oscillate else None)

@@ -1,0 +1,276 @@
+"""From unstable segments to tongues, and from tongues to changes of stability."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_skin.stability.interpolation import Piece
+from casadi_skin.stability.rotation import Tracks
+from casadi_skin.stability.small_blocks import Edge, Segment
+from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
+
+SAME = 0.05  # distance of two mu at the end of an interval that may be one
+SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
+ZOOMS = 2
+LOOSE = 1e-9  # of an interval: error of an edge at its very end that neither side finds
+
+
+@dataclass(frozen=True)
+class Group:
+    """Segments that continue one another, in order of their starts, and all of their edges in order."""
+
+    segments: tuple[Segment, ...]
+    edges: tuple[Edge, ...]
+
+    @property
+    def start(self) -> float:
+        """Coordinate where it begins."""
+        return min(segment.start for segment in self.segments)
+
+    @property
+    def end(self) -> float:
+        """Coordinate where it ends."""
+        return max(segment.end for segment in self.segments)
+
+    @property
+    def first_edge(self) -> Edge | None:
+        """The edge at its start; None where it is open."""
+        return next((edge for edge in self.edges if edge.coordinate == self.start), None)
+
+    @property
+    def last_edge(self) -> Edge | None:
+        """The edge at its end; None where it is open."""
+        return next((edge for edge in reversed(self.edges) if edge.coordinate == self.end), None)
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is longer than the errors of its edges."""
+        return self.end - self.start > sum(edge.error for edge in (self.first_edge, self.last_edge) if edge is not None)
+
+
+# Segments that continue one another ---------------------------------------------------------------------------------
+
+
+class _Union:
+    """Numbers in groups that are joined pair by pair."""
+
+    def __init__(self, count: int) -> None:
+        self._parents = list(range(count))
+
+    def root(self, i: int) -> int:
+        """The number that stands for the group of i."""
+        while self._parents[i] != i:
+            self._parents[i] = self._parents[self._parents[i]]
+            i = self._parents[i]
+        return i
+
+    def join(self, i: int, j: int) -> None:
+        """Make one group of those of i and j."""
+        self._parents[self.root(j)] = self.root(i)
+
+
+def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> list[Group]:
+    """Join segments that continue one another; beyond the coordinates `unknown` nothing is known on one side."""
+    order = sorted(segments, key=lambda segment: (segment.start, segment.end))
+    union, ends = _Union(len(order)), set(unknown)
+    by_edge: dict[int, int] = {}
+    for i, segment in enumerate(order):
+        for edge in (segment.start_edge, segment.end_edge):
+            if edge is not None:
+                union.join(by_edge.setdefault(id(edge), i), i)
+    dropped: set[int] = set()
+    added: dict[int, Edge] = {}
+    for coordinate, lefts, rights in _boundaries(order):
+        loose_lefts = [i for i in lefts if order[i].end_edge is None]
+        loose_rights = [i for i in rights if order[i].start_edge is None]
+        pairs = _match(order, coordinate, loose_lefts, loose_rights)
+        for i, j in pairs:
+            union.join(i, j)
+        matched = {i for pair in pairs for i in pair}
+        for i in (i for i in (*loose_lefts, *loose_rights) if i not in matched and coordinate not in ends):
+            others = [k for k in (rights if i in loose_lefts else lefts) if k not in (*loose_lefts, *loose_rights)]
+            twins = _match(order, coordinate, [i], others)
+            if twins:  # the other side sees the edge at their common end
+                twin = twins[0][1]
+                union.join(i, twin)
+                dropped.add(id(order[twin].start_edge if i in loose_lefts else order[twin].end_edge))
+            else:
+                added[i] = _loose_edge(order[i], coordinate)
+    members: dict[int, list[int]] = defaultdict(list)
+    for i in range(len(order)):
+        members[union.root(i)].append(i)
+    return sorted((_group(order, m, dropped, added) for m in members.values()), key=lambda group: group.start)
+
+
+def _group(order: Sequence[Segment], members: Sequence[int], dropped: set[int], added: dict[int, Edge]) -> Group:
+    edges: dict[int, Edge] = {}
+    for i in members:
+        for edge in (order[i].start_edge, order[i].end_edge, added.get(i)):
+            if edge is not None and id(edge) not in dropped:
+                edges[id(edge)] = edge
+    return Group(tuple(order[i] for i in members), tuple(sorted(edges.values(), key=lambda edge: edge.coordinate)))
+
+
+def _boundaries(order: Sequence[Segment]) -> Iterator[tuple[float, list[int], list[int]]]:
+    """Ends of intervals in the middle of an instability, with the segments that end and begin there."""
+    lefts, rights = defaultdict(list), defaultdict(list)
+    for i, segment in enumerate(order):
+        lefts[segment.end].append(i)
+        rights[segment.start].append(i)
+    loose = {s.end for s in order if s.end_edge is None} | {s.start for s in order if s.start_edge is None}
+    for coordinate in sorted(loose):
+        yield coordinate, lefts.get(coordinate, []), rights.get(coordinate, [])
+
+
+def _match(
+    order: Sequence[Segment], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Segments with the same unstable mu at a coordinate."""
+    if not (lefts and rights):
+        return []
+    mu = {i: order[i].block.unstable_mu(order[i], coordinate) for i in (*lefts, *rights)}
+    pairs = []
+    for i in lefts:
+        for value in mu[i]:
+            distance, nearest = min((float(np.min(np.abs(mu[j] - value))), j) for j in rights)
+            if distance <= SAME:
+                pairs.append((i, nearest))
+    return pairs
+
+
+def _loose_edge(segment: Segment, coordinate: float) -> Edge:
+    """The edge at the end of an interval that neither of its sides finds inside."""
+    error = LOOSE * (segment.block.end - segment.block.start)
+    mu = complex(np.mean(segment.block.unstable_mu(segment, coordinate)))
+    if segment.is_complex:
+        return Edge(coordinate, error, "complex", mu.real, (1, -1) if segment.block.noise.size == 3 else ())
+    return Edge(coordinate, error, "real", float(np.round(mu.real)), ())
+
+
+# Tongues ------------------------------------------------------------------------------------------------------------
+
+
+def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tracks: Tracks | None) -> list[Tongue]:
+    """The result that each group of segments is."""
+    if not groups:
+        return []
+    growths, deepest = np.array([depth(group.segments) for group in groups]).T
+    nothing = np.zeros(len(groups))
+    starts = places(pieces, np.array([g.start for g in groups]), np.array([_error(g.first_edge) for g in groups]))
+    ends = places(pieces, np.array([g.end for g in groups]), np.array([_error(g.last_edge) for g in groups]))
+    bottoms = places(pieces, deepest, nothing)
+    found = []
+    for i, group in enumerate(groups):
+        meeting = _meeting(group, tracks)
+        found.append(
+            Tongue(
+                start=starts[i],
+                end=ends[i],
+                open_start=group.first_edge is None,
+                open_end=group.last_edge is None,
+                kind="complex" if group.segments[0].is_complex else "real",
+                modes=None if meeting is None else meeting[:2],
+                order=None if meeting is None else meeting[2],
+                growth=power * float(growths[i]),
+                S_deepest=bottoms[i].S,
+                decided=group.decided,
+            )
+        )
+    return found
+
+
+def _error(edge: Edge | None) -> float:
+    return 0.0 if edge is None else edge.error
+
+
+def _meeting(group: Group, tracks: Tracks | None) -> tuple[int, int, int] | None:
+    """The modes that meet at its first or last edge, and the order of their resonance."""
+    for edge in (group.first_edge, group.last_edge):
+        if edge is not None and tracks is not None:
+            angle = float(np.arccos(np.clip(1.0 + 2.0 * edge.mu, -1.0, 1.0)))
+            meeting = tracks.meeting(edge.coordinate, angle, alone=edge.kind == "real")
+            if meeting is not None:
+                return meeting
+    return None
+
+
+def depth(segments: Sequence[Segment]) -> tuple[float, float]:
+    """Largest log |lambda(M)| on segments, and the coordinate of it."""
+    widest = max(segment.end - segment.start for segment in segments)
+    deepest, step = max(_deepest(segment, segment.start, segment.end) for segment in segments), widest / (SAMPLES - 1)
+    for _ in range(ZOOMS):
+        low, high = deepest[1] - step, deepest[1] + step
+        near = [segment for segment in segments if segment.start <= high and segment.end >= low]
+        found = [_deepest(segment, max(low, segment.start), min(high, segment.end)) for segment in near]
+        deepest, step = max(deepest, *found), 2.0 * step / (SAMPLES - 1)
+    return max(deepest[0], 0.0), deepest[1]
+
+
+def _deepest(segment: Segment, start: float, end: float) -> tuple[float, float]:
+    """Largest log |lambda(M)| at samples of a stretch, and the coordinate of it."""
+    at = np.linspace(start, end, SAMPLES)
+    growth = segment.block.growth(at)
+    k = int(np.argmax(growth))
+    return float(growth[k]), float(at[k])
+
+
+# Changes ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Changes of stability, further edges, and windows that are not decided, each in order along the branch."""
+
+    changes: tuple[StabilityEdge, ...]
+    further: tuple[StabilityEdge, ...]
+    windows: tuple[StableWindow, ...]
+
+
+def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece], power: int) -> Edges:
+    """Edges of decided tongues, told apart by whether orbits on either side are stable."""
+    unions, windows = _unions(groups, tongues)
+    rows = []  # edge, whether stable before, whether stable after, number of its group
+    for union in unions:
+        start, end = min(groups[i].start for i in union), max(groups[i].end for i in union)
+        for i in union:
+            for edge in groups[i].edges:
+                before = edge is groups[i].first_edge and edge.coordinate == start
+                after = edge is groups[i].last_edge and edge.coordinate == end
+                rows.append((edge, before, after, i))
+    rows.sort(key=lambda row: row[0].coordinate)
+    if not rows:
+        return Edges((), (), tuple(windows))
+    at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
+    made = [
+        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, tongues[i].width, power)
+        for place, (edge, before, after, i) in zip(at, rows, strict=True)
+    ]
+    changes = tuple(edge for edge in made if edge.stable_before != edge.stable_after)
+    return Edges(changes, tuple(edge for edge in made if edge.stable_before == edge.stable_after), tuple(windows))
+
+
+def _unions(groups: Sequence[Group], tongues: Sequence[Tongue]) -> tuple[list[list[int]], list[StableWindow]]:
+    """Numbers of groups that overlap, or are no farther apart than their errors, and the windows between the latter."""
+    unions: list[list[int]] = []
+    windows: list[StableWindow] = []
+    last = -1  # the group that reaches farthest
+    for i, group in enumerate(groups):
+        if last < 0 or group.start > groups[last].end:
+            gap = np.inf if last < 0 else group.start - groups[last].end
+            if gap > _error(group.first_edge) + (0.0 if last < 0 else _error(groups[last].last_edge)):
+                unions.append([])
+            else:
+                windows.append(StableWindow(tongues[last].end, tongues[i].start))
+        unions[-1].append(i)
+        if last < 0 or group.end > groups[last].end:
+            last = i
+    return unions, windows
+
+
+def place_at(pieces: Sequence[Piece], coordinate: float) -> Place:
+    """The place at a coordinate that is known exactly."""
+    return places(pieces, np.array([coordinate]), np.zeros(1))[0]

@@ -1,0 +1,136 @@
+"""Chebyshev series on an interval: nodes, coefficients, values, and every real zero.
+
+See Trefethen, Approximation Theory and Approximation Practice (2013), chapters 3, 8 and 18.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebder
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+
+SLACK = 1e-9  # beyond the ends, in which a zero still counts
+NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
+NEGLIGIBLE = 1e-14  # of the largest coefficient: what the eigenvalue problem of the zeros leaves out
+POLISHING = 4  # steps of Newton's method on zeros
+TAIL = 3  # coefficients whose sum shows how far a series is from converged
+
+
+def _kept(matrix: Array) -> Array:
+    matrix.flags.writeable = False  # kept and shared
+    return matrix
+
+
+@cache
+def nodes(degree: int) -> Array:
+    """The `degree` + 1 points -cos(k pi / degree) in ascending order, the ends -1 and 1 and the middle among them."""
+    return _kept(np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / degree))
+
+
+@cache
+def transform(degree: int) -> Array:
+    """Matrix from values at `nodes` to coefficients, shape (degree + 1, degree + 1)."""
+    k = np.arange(degree + 1)
+    matrix = 2.0 / degree * np.cos(np.pi * np.outer(k, degree - k) / degree)
+    matrix[:, [0, -1]] *= 0.5
+    matrix[[0, -1]] *= 0.5
+    return _kept(matrix)
+
+
+@cache
+def derivative(degree: int) -> Array:
+    """Matrix from coefficients to those of the derivative, shape (degree + 1, degree + 1)."""
+    matrix = np.zeros((degree + 1, degree + 1))
+    matrix[:-1] = chebder(np.eye(degree + 1), axis=0) if degree else 0.0
+    return _kept(matrix)
+
+
+def basis(points: Array | float, degree: int) -> Array:
+    """Values of the polynomials 0 to `degree` at points in [-1, 1], shape (points, degree + 1)."""
+    angles = np.arccos(np.clip(points, -1.0, 1.0))
+    return np.asarray(np.cos(np.multiply.outer(angles, np.arange(degree + 1))))
+
+
+@cache
+def refinement(degree: int, finer: int) -> Array:
+    """Matrix from values at the nodes of one degree to those at the nodes of another, shape (finer + 1, degree + 1)."""
+    return _kept(basis(nodes(finer), degree) @ transform(degree))
+
+
+@cache
+def middle_slope(degree: int) -> Array:
+    """Weights of values at the nodes that give the derivative at 0, shape (degree + 1,)."""
+    return _kept(basis(0.0, degree) @ derivative(degree) @ transform(degree))
+
+
+def tail(coefficients: Array) -> Array:
+    """Size of the last coefficients, (degree + 1, ...) -> (...): what the series leaves out is no larger."""
+    return np.asarray(np.sum(np.abs(coefficients[-TAIL:]), axis=0))
+
+
+def excludes_zero(coefficients: Array, margin: float = 1.0) -> NDArray[np.bool_]:
+    """Which functions have certainly no zero in [-1, 1]: coefficients (degree + 1, ...) -> (...).
+
+    With a margin below 1 the variations about the mean are less than that part of it.
+    """
+    return np.asarray(margin * np.abs(coefficients[0]) > np.sum(np.abs(coefficients[1:]), axis=0))
+
+
+def real_zeros(coefficients: Array) -> list[tuple[Array, Array]]:
+    """Zeros in [-1, 1] of each of several functions, and where they come near zero without a change of sign.
+
+    The second are real parts of conjugate zeros next to the real axis. Eigenvalues of the colleague matrix (Good 1961),
+    all of one size at a time.
+
+    Arguments:
+        coefficients: shape (degree + 1, functions).
+
+    Returns:
+        For each function both lists of places in ascending order.
+    """
+    sizes = np.abs(coefficients)
+    significant = sizes > NEGLIGIBLE * np.max(sizes, axis=0)
+    degrees = np.max(np.arange(len(sizes))[:, None] * significant, axis=0, initial=0)
+    found: list[tuple[Array, Array]] = [(np.empty(0), np.empty(0))] * sizes.shape[1]
+    for degree in np.unique(degrees[degrees > 0]).tolist():
+        chosen = np.flatnonzero(degrees == degree)
+        values = np.linalg.eigvals(_colleagues(coefficients[: degree + 1, chosen]))
+        for row, k in zip(values, chosen.tolist(), strict=True):
+            near_axis = row[(np.abs(row.imag) <= NEARLY_REAL) & (np.abs(row.real) <= 1.0 + NEARLY_REAL)]
+            if near_axis.size:
+                found[k] = _sorted_out(coefficients[:, k], np.asarray(near_axis, dtype=complex))
+    return found
+
+
+def _colleagues(coefficients: Array) -> Array:
+    """Matrices whose eigenvalues are the zeros, shape (functions, degree, degree); the last coefficient is not 0."""
+    degree, count = coefficients.shape[0] - 1, coefficients.shape[1]
+    if degree == 1:
+        return np.asarray(-(coefficients[0] / coefficients[1])[:, None, None])
+    matrix = np.zeros((degree, degree))
+    k = np.arange(degree - 1)
+    matrix[k, k + 1] = matrix[k + 1, k] = 0.5
+    matrix[0, 1] = 1.0
+    matrices = np.tile(matrix, (count, 1, 1))
+    matrices[:, -1, :] -= 0.5 * (coefficients[:-1] / coefficients[-1]).T
+    return matrices
+
+
+def _sorted_out(coefficients: Array, zeros: NDArray[np.complex128]) -> tuple[Array, Array]:
+    """Real zeros after a few steps of Newton's method, and real parts of the others, each sorted."""
+    near = np.sort(np.clip(zeros.real[zeros.imag > 0.0], -1.0, 1.0))
+    x = zeros.real[zeros.imag == 0.0]
+    degree = len(coefficients) - 1
+    slope = derivative(degree) @ coefficients
+    step = np.full(x.shape, np.inf)
+    for _ in range(POLISHING if x.size else 0):
+        powers = basis(x, degree)
+        value, change = powers @ coefficients, powers @ slope
+        new = np.divide(value, change, out=np.zeros_like(value), where=change != 0.0)
+        new = np.where(np.abs(new) < np.abs(step), new, 0.0)
+        x, step = x - new, new
+    return np.sort(np.clip(x[np.abs(x) <= 1.0 + SLACK], -1.0, 1.0)), near

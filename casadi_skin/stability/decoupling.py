@@ -1,0 +1,175 @@
+"""Bases that make matrices block diagonal at each node of an interval, from their eigenvectors at its middle."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.stability import chebyshev
+
+DEGREE = 16  # of the series on an interval
+MIDDLE = DEGREE // 2
+ITERATIONS = 60
+CONVERGED = 1e-13
+SETTLED = 1e-9  # a step that rounding keeps from becoming smaller: its square is nothing to a block
+CONTRACTING = 0.5  # of the first step to the last of a few more, for all mu
+STEPS = 3
+SMALL = 1e-3  # steps below this contract
+
+Booleans = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+Numbers = NDArray[Any]  # real or complex
+
+
+def _weights(K: Numbers, same: Booleans) -> Numbers:
+    """1 / (mu_b - mu_a) between blocks, 0 inside of them; shape of K."""
+    diagonal = np.diagonal(K, axis1=2, axis2=3)
+    gaps = diagonal[:, :, None, :] - diagonal[:, :, :, None]
+    inside = same[:, None] | (gaps == 0.0)
+    return np.where(inside, 0.0, 1.0 / np.where(inside, 1.0, gaps))
+
+
+def contracts(K: Numbers, same: Booleans) -> Booleans:
+    """Whether the iteration for T converges for all mu of an interval, by its first steps at the ends."""
+    K = K[:, [0, -1]]
+    weights, inside = _weights(K, same), same[:, None]
+    first = T = K * weights
+    for _ in range(STEPS):
+        product = K + K @ T
+        block = np.where(inside, product, 0.0)
+        step = (product - block - T @ block) * weights
+        T = T + step
+    before, after = np.max(np.abs(first), axis=2), np.max(np.abs(step), axis=2)
+    return np.asarray(np.all(after <= CONTRACTING * np.maximum(before, SMALL), axis=(1, 2)))
+
+
+def decoupled(
+    K: Numbers,
+    same: Booleans,
+    columns: Indices,
+    near: Booleans,
+    vectors: Numbers,
+    inverse: Numbers,
+    matrices: Array,
+) -> tuple[Numbers, Numbers, Booleans]:
+    """Right and left bases of the columns at the nodes of any degree, and for which intervals they are found.
+
+    Since P K is symmetric, P makes left bases of right ones, but for mu near -1 and 0, where it is nearly singular.
+    """
+    T, found = _invariant(K, same, columns)
+    right = vectors[:, None] @ T
+    if matrices.shape[2] == 1:
+        near = np.ones_like(near)
+        rows = np.zeros_like(right.swapaxes(2, 3))
+    else:
+        rows = right.swapaxes(2, 3) @ matrices[:, :, 1]
+    valid = columns >= 0
+    special = valid & np.take_along_axis(near, np.where(valid, columns, 0), axis=1)
+    if special.any():
+        some = _columns_of(columns, special)
+        S, by_left = _invariant(K.swapaxes(2, 3), same, some)
+        found &= by_left
+        own = S.swapaxes(2, 3) @ inverse[:, None]
+        for i in range(len(K)):
+            rows[i][:, special[i]] = own[i][:, : np.count_nonzero(special[i])]
+    products = np.where(_within(same, columns)[:, None], rows @ right, 0.0)
+    found &= np.all(np.isfinite(products), axis=(1, 2, 3))
+    products[~found] = 0.0
+    idle = ~np.any(products != 0.0, axis=3)
+    products[..., range(products.shape[2]), range(products.shape[2])] += idle
+    return right, np.linalg.solve(products, rows), found
+
+
+def _columns_of(columns: Indices, chosen: Booleans) -> Indices:
+    """Chosen columns in order, -1 behind them."""
+    found = np.full((len(columns), int(np.max(np.sum(chosen, axis=1)))), -1, dtype=np.int64)
+    for i, (row, which) in enumerate(zip(columns, chosen, strict=True)):
+        found[i, : np.count_nonzero(which)] = row[which]
+    return found
+
+
+def _within(same: Booleans, columns: Indices) -> Booleans:
+    """Which columns are of one block, shape (intervals, c, c)."""
+    valid = columns >= 0
+    places = np.where(valid, columns, 0)
+    each = np.arange(len(columns))[:, None, None]
+    return np.asarray(same[each, places[:, :, None], places[:, None, :]] & valid[:, :, None] & valid[:, None, :])
+
+
+def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, Booleans]:
+    """Columns of T with unit blocks and K T = T L at each node, and for which intervals they converged.
+
+    From the middle, where T is the identity, to ever finer sets of nodes, each from what the last set predicts.
+    """
+    intervals, count, size = K.shape[:3]
+    degree = count - 1
+    valid = columns >= 0
+    places = np.where(valid, columns, 0)
+    each = np.arange(intervals)[:, None]
+    diagonal = np.diagonal(K, axis1=2, axis2=3)
+    gaps = diagonal[each, :, places].transpose(0, 2, 1)[:, :, None, :] - diagonal[:, :, :, None]
+    skipped = (same[each, places].swapaxes(1, 2) | ~valid[:, None, :])[:, None] | (gaps == 0.0)
+    weights = np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
+    inner = _within(same, columns)
+    T = np.zeros((intervals, count, size, columns.shape[1]), dtype=K.dtype)
+    T[each, degree // 2, places, np.arange(columns.shape[1])] = valid
+    done = np.ones(intervals, dtype=bool)
+    for known, wanted, prediction in nested_nodes(degree):
+        guess = np.tensordot(T[:, known], prediction, (1, 1)).transpose(0, 3, 1, 2)
+        T[:, wanted], converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner)
+        done &= converged
+    return T, done
+
+
+@cache
+def nested_nodes(degree: int) -> tuple[tuple[slice | Indices, Indices, Array], ...]:
+    """Nodes known, nodes wanted, and the matrix that predicts these from those, from the middle on."""
+    found = []
+    step = degree
+    known: Indices = np.array([degree // 2])
+    while step >= 1:
+        every = np.arange(0, degree + 1, step)
+        wanted = np.setdiff1d(every, known)
+        lower = known.size - 1
+        if lower == 0:
+            prediction = np.ones((wanted.size, 1))
+        else:
+            prediction = chebyshev.basis(chebyshev.nodes(degree)[wanted], lower) @ chebyshev.transform(lower)
+        found.append((known, wanted, prediction))
+        known, step = np.union1d(known, every), step // 2 if step < degree else degree // 4
+    return tuple(found)
+
+
+def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: Booleans) -> tuple[Numbers, Booleans]:
+    """T from a guess, by Newton's method without couplings inside a block, so that it converges linearly."""
+    shape, (size, width) = T.shape[:2], T.shape[2:]
+    T = np.ascontiguousarray(T).reshape(-1, size, width)
+    converged = np.zeros(len(T), dtype=bool)
+    active = np.arange(len(T))
+    here, turn, weights = K.reshape(-1, size, size), T.copy(), weights.reshape(-1, size, width)
+    rows, numbers = np.repeat(places, shape[1], axis=0), np.arange(len(T))[:, None]
+    inner = np.repeat(inner, shape[1], axis=0).astype(float)
+    before = np.full(len(T), np.inf)
+    for _ in range(ITERATIONS):
+        product = here @ turn
+        block = product[numbers[: len(rows)], rows]
+        block *= inner
+        with np.errstate(over="ignore", invalid="ignore"):
+            product -= turn @ block
+            step = np.multiply(product, weights, out=product)
+            turn += step
+            largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
+        enough = (largest <= CONVERGED) | ((largest <= SETTLED) & (largest > CONTRACTING * before))
+        T[active], converged[active] = turn, enough
+        going = ~enough & (largest < 1.0)
+        if not going.any():
+            break
+        if not going.all():
+            active, here, turn, weights = active[going], here[going], turn[going], weights[going]
+            rows, inner = rows[going], inner[going]
+        before = largest[going]
+    return T.reshape(*shape, size, width), np.asarray(converged.reshape(shape).all(axis=1))

@@ -1,0 +1,111 @@
+"""Every change of stability along a branch, for certain: the whole way from transition matrices to tongues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from casadi_skin.stability.assembly import edges_of, groups_of, place_at, tongues_of
+from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
+from casadi_skin.stability.interpolation import BranchSampler, Gap, Interpolated, Piece, interpolate, joined
+from casadi_skin.stability.rotation import TWO_PI, Tracks, follow_angles
+from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
+
+INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
+WORK = 4e9  # sum of m^3 over eigenvalue problems of m multipliers
+SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
+POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
+
+
+def find_changes(
+    branch: BranchSampler,
+    modes: Mapping[int, float] | None = None,
+    tolerance: float = INTERPOLATION,
+    work: float = WORK,
+    progress: Callable[[float], None] | None = None,
+) -> StabilityDiagram:
+    """Find every change of stability along a branch of periodic orbits of a reversible model.
+
+    Arguments:
+        branch: what gives transition matrices at any coordinate along it.
+        modes: frequencies of the linear modes, by number, at its start of zero amplitude, but for that mode which it
+            begins as; tongues are named by them.
+        tolerance: of the interpolation of the matrices along the branch, relative to their largest entries.
+        work: limit of the sum of m^3 over the eigenvalue problems of m multipliers; the rest of the branch is then
+            unresolved. The default is some minutes.
+        progress: called with the coordinate up to which everything is looked at.
+
+    Returns:
+        Changes of stability and tongues, with what is not decided and what is not known.
+    """
+    power = POWERS[branch.fraction]
+    known, found = _looked_at(branch, tolerance, work, progress)
+    groups = groups_of(found.segments, _unknown(known, found))
+    tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
+    tongues = tongues_of(groups, known.pieces, power, tracks)
+    decided = [i for i, tongue in enumerate(tongues) if tongue.decided]
+    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces, power)
+    return StabilityDiagram(
+        changes=edges.changes,
+        further=edges.further,
+        tongues=tuple(tongues[i] for i in decided),
+        undecided=tuple(tongue for tongue in tongues if not tongue.decided),
+        windows=edges.windows,
+        passages=tuple(
+            Passage(place_at(known.pieces, coordinate), mu, distance)
+            for coordinate, mu, distance in sorted(found.passages)
+        ),
+        unresolved=tuple(_unresolved(branch, known, found)),
+        symplectic=branch.symplectic,
+        power=power,
+        samples=known.samples,
+        pieces=tuple(known.pieces),
+    )
+
+
+def _looked_at(
+    branch: BranchSampler, tolerance: float, work: float, progress: Callable[[float], None] | None
+) -> tuple[Interpolated, Crossings]:
+    """Pieces of the branch one after the other, and what happens on them, as far as the work allows."""
+    known, found = Interpolated(), Crossings()
+    for piece in interpolate(branch, tolerance, known):
+        for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
+        find_crossings(piece.matrices, found, work - for_orbits, progress)
+        end = branch.sections[-1][1]
+        if found.work + for_orbits >= work and piece.matrices.end < end:
+            found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
+            break
+    found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
+    return known, found
+
+
+def _unknown(known: Interpolated, found: Crossings) -> set[float]:
+    """Coordinates where what is known of the branch, or of its multipliers, ends."""
+    starts = {piece.matrices.start for piece in known.pieces}
+    ends = {piece.matrices.end for piece in known.pieces}
+    return (starts ^ ends) | {coordinate for gap in (*known.gaps, *found.gaps) for coordinate in (gap.start, gap.end)}
+
+
+def _tracks(known: Interpolated, found: Crossings, modes: Mapping[int, float], fraction: float) -> Tracks | None:
+    """Rotation angles of the linear modes along the branch."""
+    if not known.pieces:
+        return None
+    start = place_at(known.pieces, known.pieces[0].matrices.start)
+    return follow_angles(found.spectra, modes, start.coordinate, 2.0 * TWO_PI * fraction / start.Omega)
+
+
+def _unresolved(branch: BranchSampler, known: Interpolated, found: Crossings) -> Iterator[Unresolved]:
+    """Stretches that are not known, with the amplitudes at their ends."""
+    rest = [gap for gap in found.gaps if gap.reason == NOT_LOOKED_AT]
+    if rest:  # as one, though in between some blocks may have been looked at
+        rest = [Gap(min(gap.start for gap in rest), max(gap.end for gap in rest), NOT_LOOKED_AT)]
+    others = [gap for gap in (*known.gaps, *found.gaps) if gap.reason != NOT_LOOKED_AT]
+    for gap in sorted([*joined(others), *rest], key=lambda gap: gap.start):
+        S_start, S_end = (_amplitude(branch, known.pieces, at) for at in (gap.start, gap.end))
+        yield Unresolved(S_start, S_end, gap.start, gap.end, gap.reason)
+
+
+def _amplitude(branch: BranchSampler, pieces: Sequence[Piece], coordinate: float) -> float:
+    """S at a coordinate, from the pieces where these hold it."""
+    if any(piece.matrices.start <= coordinate <= piece.matrices.end for piece in pieces):
+        return place_at(pieces, coordinate).S
+    return branch.amplitude(coordinate)

@@ -1,0 +1,139 @@
+"""Signed rotation angles of multipliers, followed along a branch from the linear modes that they begin as.
+
+lambda(M) = exp(i p) on the unit circle has p = signature times arccos(1 + 2 mu), and at small amplitude mode k has
+p = omega_k t, t the time that M takes. Angles of one signature keep their cyclic order; where p_k + p_l is a multiple
+of 2 pi, multipliers of opposite signatures meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.stability.reduction import ComplexArray
+
+TWO_PI = 2.0 * np.pi
+FASTEST = 4.0  # times the median rate: faster angles are those of mu about to meet, whose rates say little
+CERTAIN = 0.5  # of the distance to the next angle: how far one may be from where it is expected
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """All mu at a coordinate, shape (m,), with d mu/d coordinate and Krein signatures (0 off the circle)."""
+
+    coordinate: float
+    mu: ComplexArray
+    rates: ComplexArray
+    signatures: NDArray[np.int64]
+
+    def angles(self) -> tuple[Array, Array]:
+        """Signed angles and their rates, (m,) each; two complex mu have the angles that they met with."""
+        on_circle = self.signatures != 0
+        cosine = np.clip(1.0 + 2.0 * self.mu.real, -1.0, 1.0)
+        lambdas = (np.sqrt(self.mu) + np.sqrt(1.0 + self.mu)) ** 2
+        size = np.where(on_circle, np.arccos(cosine), np.abs(np.angle(lambdas)))
+        sign = np.where(on_circle, self.signatures, np.where(self.mu.imag < 0.0, -1, 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates = np.where(on_circle, -2.0 * self.rates.real / np.sqrt(1.0 - cosine**2), 0.0) * sign
+        limit = FASTEST * float(np.median(np.abs(rates[on_circle]))) if on_circle.any() else 0.0
+        return sign * size, np.where(np.abs(rates) <= limit, rates, 0.0)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Rotation angles along a branch, continuous, one column a linear mode, followed in two ways.
+
+    `angles` (2, places, m) at `coordinates`: each angle goes to the nearest one, or all keep their order around the
+    circle. Where two angles of one signature meet, they pass or avoid each other: what differs then is not certain.
+    """
+
+    modes: tuple[int, ...]
+    coordinates: Array
+    angles: Array
+
+    def meeting(self, coordinate: float, angle: float, alone: bool) -> tuple[int, int, int] | None:
+        """Modes (k, l) and the order of a meeting at `angle` in [0, pi]; one mode twice where it is `alone`.
+
+        None where it is not certain which angles meet.
+        """
+        nearest, ordered = (self._meeting(angles, coordinate, angle, alone) for angles in self.angles)
+        return nearest if nearest == ordered else None
+
+    def _meeting(self, angles: Array, coordinate: float, angle: float, alone: bool) -> tuple[int, int, int] | None:
+        here = np.array([np.interp(coordinate, self.coordinates, column) for column in angles.T])
+        first = _nearest(here, angle)
+        second = first if alone else _nearest(here, -angle)
+        if first is None or second is None or (not alone and first == second):
+            return None
+        order = round(float(here[first] + here[second]) / TWO_PI)
+        low, high = sorted((self.modes[first], self.modes[second]))
+        return low, high, order
+
+
+def _nearest(angles: Array, wanted: float) -> int | None:
+    """The angle nearest to one, modulo 2 pi; None where another one is nearly as near."""
+    distance = np.abs((angles - wanted + np.pi) % TWO_PI - np.pi)
+    order = np.argsort(distance)
+    if distance.size > 1 and distance[order[0]] > CERTAIN * distance[order[1]]:
+        return None
+    return int(order[0])
+
+
+def follow_angles(
+    spectra: Sequence[Spectrum], frequencies: Mapping[int, float], start: float, duration: float
+) -> Tracks | None:
+    """Rotation angles of linear modes along a branch.
+
+    Arguments:
+        spectra: at coordinates in ascending order.
+        frequencies: of the linear modes by number, without the one that the branch begins as.
+        start: coordinate of the linear modes, where the branch has zero amplitude.
+        duration: time that M takes there.
+
+    Returns:
+        The angles, or None where the numbers of modes and of mu differ.
+    """
+    modes = tuple(frequencies)
+    if not spectra or len(modes) != spectra[0].mu.size:
+        return None
+    first = duration * np.array([frequencies[k] for k in modes])
+    courses = [_course(first, spectra, start, assign) for assign in (_to_the_nearest, _in_cyclic_order)]
+    return Tracks(modes, np.array([start, *(spectrum.coordinate for spectrum in spectra)]), np.array(courses))
+
+
+Assignment = Callable[[Array, Array, Array], NDArray[np.int64]]
+
+
+def _course(first: Array, spectra: Sequence[Spectrum], start: float, assign: Assignment) -> Array:
+    """Angles from the first ones on, shape (1 + spectra, m)."""
+    course, before, rates = [first], start, np.zeros(first.size)
+    for spectrum in spectra:
+        angles, slopes = spectrum.angles()
+        step = spectrum.coordinate - before
+        share = 0.5 if len(course) > 1 else 0.0  # of the step by the rates before it, which linear modes have none of
+        ahead, back = course[-1] + share * step * rates, angles - (1.0 - share) * step * slopes
+        distance = (back[None, :] - ahead[:, None] + np.pi) % TWO_PI - np.pi
+        chosen = assign(course[-1], angles, distance)
+        course.append(ahead + distance[np.arange(first.size), chosen] + (angles - back)[chosen])
+        before, rates = spectrum.coordinate, slopes[chosen]
+    return np.array(course)
+
+
+def _to_the_nearest(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """Which angle each one goes to where the sum of distances from what rates predict is smallest."""
+    from scipy.optimize import linear_sum_assignment
+
+    return np.asarray(linear_sum_assignment(np.abs(distance))[1])
+
+
+def _in_cyclic_order(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """The same among assignments that keep the order around the circle."""
+    first, second = np.argsort(before % TWO_PI), np.argsort(after % TWO_PI)
+    moves = np.array([np.sum(np.abs(distance[first, np.roll(second, turn)])) for turn in range(first.size)])
+    chosen = np.empty(first.size, dtype=np.int64)
+    chosen[first] = np.roll(second, int(np.argmin(moves)))
+    return chosen

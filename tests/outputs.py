@@ -1,0 +1,31 @@
+"""What runs and examples leave, and examples as modules."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file by column."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def load(name: str) -> ModuleType:
+    """An example script by name."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def drawn(path: Path) -> bool:
+    """Whether a file is a PNG with something in it."""
+    return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
