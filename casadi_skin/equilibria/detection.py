@@ -25,9 +25,12 @@ if TYPE_CHECKING:
     from casadi_skin.equilibria.space import EquilibriumSpace
 
 DEEPEST = 14  # halvings of a stretch in which several eigenvalues cross
-SUSPECTED = 4  # halvings where they only seem to come back to the axis
+SUSPECTED = 10  # halvings where they only seem to come back to the axis
+TOGETHER = 4  # halvings after which a fold and a branch point that are not told apart are one
+MARGIN = 0.2  # of what a cubic changes by on a stretch: how far it may be from what it stands for
 BISECTIONS = 40
 SAME = 1e-9  # of a step or of a frequency
+BESIDE_FOUND = 1e-3  # of the way from a special point to an end: where the search for further ones begins
 BESIDE = 0.7  # of a stretch: how far from where it is expected a special point may be found
 
 
@@ -59,7 +62,7 @@ def _search(space: EquilibriumSpace, before: Point, after: Point, depth: int) ->
     expected = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
     if not (expected or reals or pairs) and not (depth < SUSPECTED and _returns(space, stretch, order)):
         return
-    if set(expected) == {FOLD, BRANCH_POINT} and not reals and depth >= SUSPECTED:
+    if set(expected) == {FOLD, BRANCH_POINT} and not reals and depth >= TOGETHER:
         expected, reals = [BRANCH_POINT], reals or [0]  # they are one, where a branch leaves another one to one side
     alone = len(reals) == len(expected) or not space.statics.oscillates
     if len(expected) <= 1 and alone and (expected or pairs):
@@ -67,7 +70,10 @@ def _search(space: EquilibriumSpace, before: Point, after: Point, depth: int) ->
         found = [_located(space, stretch, kind, place, order) for kind, place in asked]
         those = sorted((one for one in found if one is not None), key=lambda one: one.along)
         if len(those) == len(asked) and _differ(those):
-            yield from (one.point for one in those)
+            points = [one.point for one in those]
+            yield from _beside(space, before, points[0], 1.0 - BESIDE_FOUND, depth)
+            yield from points
+            yield from _beside(space, points[-1], after, BESIDE_FOUND, depth)
             return
     middle = space.point_solver.along(before, after, 0.5) if depth < DEEPEST else None
     if middle is not None:
@@ -75,6 +81,19 @@ def _search(space: EquilibriumSpace, before: Point, after: Point, depth: int) ->
         yield from _search(space, middle, after, depth + 1)
         return
     yield from _unresolved(space, stretch, expected + [HOPF] * len(pairs))
+
+
+def _beside(space: EquilibriumSpace, first: Point, last: Point, fraction: float, depth: int) -> Iterator[Point]:
+    """Special points between an end of a stretch and one that was found on it, but for what is next to that."""
+    if depth >= SUSPECTED:
+        return
+    try:
+        beside = space.point_solver.along(first, last, fraction)
+    except ArithmeticError:  # the point that was found lies at the end
+        return
+    if beside is not None:
+        ends = (first, beside) if last.special else (beside, last)
+        yield from _search(space, *ends, depth + 1)
 
 
 def _differ(found: list[Found]) -> bool:
@@ -93,7 +112,7 @@ def _returns(space: EquilibriumSpace, stretch: Stretch, order: Array) -> bool:
     """Whether a cubic through both ends brings an eigenvalue to the axis and back, or the parameter to turn twice."""
     length, first, last = stretch.length, stretch.first, stretch.last
     u = [stretch.curve.t0[-1], 2.0 * stretch.curve.quadratic[-1], 3.0 * stretch.curve.cubic[-1]]
-    if not stretch.turns and _changes(u, length):
+    if not stretch.turns and _nearly_vanishes(u, length):
         return True
     if not space.statics.oscillates:
         return False
@@ -103,16 +122,24 @@ def _returns(space: EquilibriumSpace, stretch: Stretch, order: Array) -> bool:
         chord = (b[place] - a[place]) / length
         quadratic = (3.0 * chord - 2.0 * da[place] - db[place]) / length
         cubic = (da[place] + db[place] - 2.0 * chord) / length**2
-        if _changes([a[place], da[place], quadratic, cubic], length):
+        if _nearly_vanishes([a[place], da[place], quadratic, cubic], length):
             return True
     return False
 
 
-def _changes(ascending: list[float], length: float) -> bool:
-    """Whether a polynomial with these coefficients vanishes between 0 and a length."""
-    roots = np.polynomial.polynomial.polyroots(ascending)
-    real = roots.real[np.abs(roots.imag) <= 1e-12 * np.abs(roots)]
-    return bool(np.any((real > 1e-9 * length) & (real < (1.0 - 1e-9) * length)))
+def _nearly_vanishes(ascending: list[float], length: float) -> bool:
+    """Whether a polynomial of one sign at 0 and at a length turns back at zero in between, or just before it.
+
+    The margin is a share of what the polynomial changes by, so that it shrinks with the square of the stretch.
+    """
+    polynomial = np.polynomial.Polynomial(ascending)
+    turns = polynomial.deriv().roots()
+    inside = turns.real[(np.abs(turns.imag) <= 1e-9 * length) & (turns.real > 0.0) & (turns.real < length)]
+    if not inside.size:
+        return False
+    values = np.append(polynomial(inside), [polynomial(0.0), polynomial(length)])
+    sign = float(np.sign(values[-1]))
+    return bool(np.min(sign * values) < MARGIN * float(np.ptp(values)))
 
 
 # Locating -------------------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.result import Floquet
 
 ITERATIONS = 60
+LONGEST = 1.0 / 30.0  # of the way of the parameter: a step, so that eigenvalues do not come and go within it
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 BESIDE = 0.1  # of a step from a special point: where the search for other ones starts
 
@@ -95,7 +96,8 @@ class EquilibriumSpace:
     @cached_property
     def point_solver(self) -> PointSolver:
         """What makes equilibria at the tolerance."""
-        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
+        settings = self.settings or ContinuationSettings(1.0, self.tolerance)
+        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST))
 
     def refined(self, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
