@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ class Progress:
 
         console = Console(stderr=True)
         shown = console.is_terminal and not quiet
+        self._quiet = quiet
         self._status: Status | None = console.status("building", spinner="line") if shown else None
 
     def __enter__(self) -> Progress:
@@ -37,6 +39,11 @@ class Progress:
         """Show that a solution has been reached, which is that many of its branch."""
         if self._status is not None:
             self._status.update(f"{_place(solution)}, {points} points, step {solution.point.step:.2g}")
+
+    def tell(self, words: str) -> None:
+        """Leave a line on standard error, unless quiet."""
+        if not self._quiet:
+            print(f"casadi-skin: {words}", file=sys.stderr)
 
     def say(self, words: str) -> None:
         """Show what is being done now."""

@@ -78,9 +78,15 @@ def _families(run: Run) -> Table:
         cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
             sought = str(len(branch.changes)) if branch.with_events else "not sought"
-            cells += [f"{branch.max_abs_multiplier.max():.8g}", sought]
+            cells += [f"{_largest_multiplier(branch):.8g}", sought]
         table.add_row(*cells, f"{seconds:.2f}")
     return table
+
+
+def _largest_multiplier(branch: Branch) -> float:
+    """Largest |multiplier| of the orbits, and in the tongues between them where these were sought."""
+    tongues = () if branch.stability_diagram is None else branch.stability_diagram.tongues
+    return max([float(branch.max_abs_multiplier.max()), *(tongue.max_abs_multiplier for tongue in tongues)])
 
 
 def _print_thresholds(branches: list[Branch]) -> None:

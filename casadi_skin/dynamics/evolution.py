@@ -14,6 +14,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
 
 FEWEST = 40  # output times that a cycle is looked for in
+AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
 CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
 
 
@@ -95,6 +96,10 @@ class Evolution:
             raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
         half = states[t.size // 2 :]
         spread = np.ptp(half, axis=0)
+        if np.all(
+            spread <= np.maximum(AT_REST * np.ptp(states, axis=0), NOISE * self.tolerance * np.max(np.abs(states)))
+        ):
+            raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
         component = int(np.argmax(np.std(half, axis=0)))
         level = float(np.mean(half[:, component]))
         below = states[:, component] < level

@@ -132,9 +132,9 @@ class EquilibriumSpace:
             raise EquilibriumError(f"the start of the branch: {why}")
         return replace(self.refined(correction), step=step)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """Pseudo-arclength continuation from the last points of it."""
-        return ArclengthContinuation(self.point_solver, history)
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from the last points of it, and those reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
 
     def following(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings

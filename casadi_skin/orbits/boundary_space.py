@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -50,7 +50,7 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
         ("walker", ("arclength",), "arclength"),
     ):
         options = {name: first, **options}
-        if options[name] not in accepted:
+        if not isinstance(options[name], str) or options[name] not in accepted:
             raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
     method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
     method.check_degree(1)
@@ -165,9 +165,9 @@ class BoundarySpace:
             raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
         return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """Pseudo-arclength continuation from the last points of it."""
-        return ArclengthContinuation(self.point_solver, history)
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from its last points, and from points reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
@@ -317,9 +317,8 @@ class BoundarySpace:
 
         Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
         """
-        name = by or str(self.method.flow)
-        if name not in methods.FULL_PERIOD_FLOWS:
-            raise ValueError(f"by: given {name!r}; accepted: {', '.join(methods.FULL_PERIOD_FLOWS)}")
+        name = str(self.method.flow) if by is None else by
+        check_name("by", name, methods.FULL_PERIOD_FLOWS)
         try:
             return [self._floquet(point, name) for point in points]
         except IntegrationError as error:

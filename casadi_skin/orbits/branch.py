@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin import methods
+from casadi_skin.arguments import number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import SLOW, Family
@@ -21,6 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     import xarray
 
 NEAR_LIMIT = 1e-6  # relative
+CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
+UNBOUNDED = "grows without bound"
 STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
@@ -241,16 +245,24 @@ class Branch:
         if not self.solutions or not isinstance(self.space, Family):
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
         last = self.orbits[-1]
-        words = f"{self._end_words()} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        softened = self._softened(self.space, self.space.request.amplitude_max)
+        if self.end is End.FLOW and UNBOUNDED in softened:
+            return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
+        words = f"{self._end_words()} {where}"
         if self.end is End.POINTS:
             words += f": {self._wandering(self.space)}"
         elif self.detail:
             words += f": {self.detail}"
-        return words + self._softened(self.space, self.space.request.amplitude_max)
+        return words + softened
 
     def _end_words(self) -> str:
         if self.end is End.RETURNED and not isinstance(self.space, Family):
             return "the branch came back to the value of the parameter that it started from"
+        if self.end is End.RETURNED and isinstance(self.space, Family):
+            gap = _closest(self.space)
+            if gap < CLOSE:
+                return f"the family was lost among linear modes: frequencies as near as {gap:.1e} of this one's"
         return str(self.end.value) if self.end is not None else ""
 
     def _softened(self, family: Family, S: float) -> str:
@@ -263,8 +275,8 @@ class Branch:
         if last.point.parameter_rate > STILL:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
-            return f"{words} and grows without bound: S = {S:.15g} is too near its limit to tell orbits apart"
-        return f"{words} and grows without bound: a softening orbit of this family does not exist at S = {S:.15g}"
+            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit to tell orbits apart"
+        return f"{words} and {UNBOUNDED}: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:
         """The requested values without a solution, in words."""
@@ -320,12 +332,11 @@ class Branch:
             The orbit or solution there.
 
         Raises:
-            ValueError: not one value is given, or the branch does not pass it that often.
+            ValueError, TypeError: not one number is given, or the branch does not pass it that often.
             ArithmeticError: no solution is found there.
         """
         name, value = self._asked_at(value, named)
-        if isinstance(which, bool) or not isinstance(which, int | np.integer) or which < 0:
-            raise ValueError(f"which: given {which!r}; accepted: a whole number from 0 on")
+        whole("which", which, 0)
         passage = 0
         for solution, point in self._passages(name, value):
             if passage < which:
@@ -348,8 +359,8 @@ class Branch:
         if len(given) != 1 or (value is not None and named):
             accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
-        ((name, number),) = given.items()
-        return name, number
+        ((name, found),) = given.items()
+        return name, number(f"at, {name}", found)
 
     def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
         """Where the branch passes a value: a solution of it, or a point corrected there, None where none is found."""
@@ -372,6 +383,17 @@ class Branch:
         """
         dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
         return dataset
+
+
+def _closest(family: Family) -> float:
+    """Relative distance of a family's linear frequency from the nearest other one; infinite where none is known."""
+    mode, request = family.coordinates.mode_number - 1, family.request
+    try:
+        frequencies = linear_frequencies(request.model, request.parameters)
+    except ValueError:
+        return np.inf
+    others = np.delete(frequencies, mode)
+    return float(np.min(np.abs(others / frequencies[mode] - 1.0), initial=np.inf))
 
 
 def _listed(values: Sequence[float]) -> str:

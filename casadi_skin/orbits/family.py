@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
+from casadi_skin.arguments import check_name
+from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -155,18 +157,18 @@ class Family:
         """The linear mode at S = 0 with the tangent of the family."""
         return self.point_solver.start(self.coordinates.mode, self.coordinates.start_unknown)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """The continuation from the last points of it, the start among them."""
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
         kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
         if self.request.method.walker != "series":
-            found: Continuation = kind(self.point_solver, history)
+            found: Continuation = kind(self.point_solver, history, reported)
             return found
 
         def precision(problem: Problem) -> float:
             allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
-        series: Continuation = kind(self.point_solver, history, self._recursion, precision)
+        series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
         return series
 
     def _recursion(self, problem: Problem) -> TaylorRecursion:
@@ -265,9 +267,9 @@ class Family:
     def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
         """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
         z, smallest = with_small_components(self.point_solver, point)
-        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
         coordinates = self.coordinates
-        return coordinates.log_displacements(point, coordinates.log_solved(point, z, smallest), numbers)
+        solved = coordinates.log_solved(point, z, smallest)
+        return coordinates.log_displacements(point, solved, site_numbers(sites))
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -297,11 +299,14 @@ class Family:
 
         Raises:
             FlowError: the flow map cannot reach the tolerance for one of them.
+            ValueError: there is no such flow map.
         """
         whole = self.whole
         if whole is not self:
             return whole.floquets([self.on_all_positions(point) for point in points], by)
         states = [orbit_state(point) for point in points]
+        if by is not None:
+            check_name("by", by, methods.FLOWS)
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
         with one_thread():
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)

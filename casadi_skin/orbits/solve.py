@@ -90,7 +90,10 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
             correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
             resolved = converged_mesh(point_solver.levels, problem, correction.z)
             return refined(point_solver, *(resolved or (problem, correction)))
-        words = f"{correction.status.value}; {problem.worst(correction.z)}", rank_deficiency(problem, correction.z)
+        words = (
+            f"{correction.status.value}; {problem.worst(correction.z)}",
+            rank_deficiency(problem, correction.z, everywhere=True),
+        )
         failures.append("; there ".join(filter(None, words)))
     raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 

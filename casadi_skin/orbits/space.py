@@ -66,8 +66,8 @@ class SolutionSpace(Protocol):
     @property
     def S_rate(self) -> float: ...
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """The continuation from the last points of it, the start among them."""
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
         ...
 
     def target(self, name: str, value: float) -> Target:

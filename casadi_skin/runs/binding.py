@@ -15,7 +15,7 @@ from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import read_model
+from casadi_skin.models.saved import loads
 from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
@@ -64,7 +64,7 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
     try:
         source = read_source(path)
         names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
-        found = read_model(path) if table.name is None else named(path, names, table.name, KINDS)
+        found = loads(source, str(path)) if table.name is None else named(path, names, table.name, KINDS)
     except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
         raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
