@@ -6,7 +6,6 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.solution import Solution
 
@@ -58,6 +57,6 @@ def _place(solution: Solution) -> str:
     if isinstance(space, Family):
         S, end = space.value("S", solution.point), space.request.amplitude_max
         return f"j = {space.coordinates.mode_number}: S = {S:.6g} of {end:g}"
-    if isinstance(space, BoundarySpace) and space.parameter:
+    if space.parameter:
         return f"{space.parameter} = {solution.parameters[space.parameter]:.6g} on the way to {space.to:g}"
     return "solved"

@@ -66,8 +66,9 @@ class ArclengthContinuation:
                 return
             self.history = (*self.history, following)[-HISTORY:]
             yield following.snapped(self.settings.at)
-            if sign * following.parameter <= 0:
-                self.end = End.RETURNED
+            lowest = self.settings.parameter_min
+            if sign * following.parameter <= lowest * abs(self.settings.parameter_max):
+                self.end = End.RETURNED if lowest == 0.0 else End.AWAY
                 return
         self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
 

@@ -225,16 +225,39 @@ class PointSolver:
 
     def along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """A corrected point at a fraction of the way between two points of the branch, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        try:
+            point = None if correction is None else self.refined(following.problem, correction, row)
+        except SingularError as error:
+            self.failure = str(error)
+            return None
+        return None if point is None else replace(point, walked=False)
+
+    def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
+        """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
+        return self.corrected_along(current, following, fraction)[1]
+
+    def corrected_along(
+        self, current: Point, following: Point, fraction: float
+    ) -> tuple[Correction | None, Array | None]:
+        """The correction and the tangent at a fraction of the way, on the level of the second point alone, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        if correction is None:
+            return None, None
+        try:
+            problem = following.problem
+            return correction, self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+        except SingularError as error:
+            self.failure = str(error)
+            return correction, None
+
+    def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
+        """The correction at a fraction of the way between two points on the level of the second, and its row."""
         problem = following.problem
         curve, length = self.curve(current, following)
         guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
         row = self.metric(problem, guess) * slope
-        correction = self.correct(problem, guess, row, float(row @ guess), length)
-        try:
-            point = None if correction is None else self.refined(problem, correction, row)
-        except SingularError:
-            return None
-        return None if point is None else replace(point, walked=False)
+        return self.correct(problem, guess, row, float(row @ guess), length), row
 
     def _exactly(
         self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float

@@ -21,7 +21,7 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
 from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
@@ -41,7 +41,8 @@ class Branch:
 
     Attributes:
         space: what the solutions belong to.
-        solutions: orbits, or solutions of a boundary-value problem; folds that were located on the way among them.
+        solutions: orbits, equilibria or solutions of a boundary-value problem; special points located on the way among
+            them.
         located: changes of stability between neighbouring solutions of a branch that is no family.
         with_stability: whether stability was computed with the solutions.
         end: why the branch ended; None where it was interrupted.
@@ -68,8 +69,10 @@ class Branch:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
         sought = self.with_events and self.with_stability
-        changes = f", {len(self.changes)} changes of stability" if sought else ""
-        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}; {self.reason}>"
+        changes = f", {len(self.changes)} changes of stability" if sought and not self.space.knows_stability else ""
+        kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
+        special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {self.reason}>"
 
     @property
     def parameter(self) -> str:
@@ -103,6 +106,12 @@ class Branch:
         return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)
 
     @property
+    def parameters(self) -> Mapping[str, Array]:
+        """Values of all parameters along the branch by name, each of shape (solutions,)."""
+        names = self.solutions[0].parameters if self.solutions else ()
+        return {name: self[name] for name in names}
+
+    @property
     def S(self) -> Array:
         """Total amplitudes, shape (orbits,)."""
         return np.array([orbit.S for orbit in self.orbits])
@@ -124,8 +133,8 @@ class Branch:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each orbit is stable, shape (orbits,); computed now where it was not before."""
-        return np.array([orbit.floquet().stable for orbit in self.orbits], dtype=bool)
+        """Whether each solution is stable, shape (solutions,); computed now where it was not before."""
+        return np.array([solution.stable for solution in self.solutions], dtype=bool)
 
     @property
     def max_abs_multiplier(self) -> Array:
@@ -185,22 +194,18 @@ class Branch:
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Points that stand out, in order along the branch; those of a family are located when first asked for."""
         if self.space.locates_folds:
-            triples = zip(self.solutions, self.solutions[1:], self.solutions[2:], strict=False)
-            return tuple(self._fold(here) for before, here, after in triples if _is_fold(before, here, after))
+            return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
         found = []
         for before, after in itertools.pairwise(self.solutions):
-            if turns_between(before.point, after.point):
-                with suppress(NotLocatedError):  # what is seen at its ends alone has no place
-                    fold = fold_between(self.space.point_solver, before.point, after.point)
-                    found.append(self._fold(solution_at(self.space, fold)))
+            with suppress(NotLocatedError):  # what is seen at its ends alone has no place
+                for point in self.space.special_between(before.point, after.point):
+                    found.append(self._special(solution_at(self.space, point)))
         return tuple(found)
 
-    def _fold(self, solution: Solution) -> SpecialPoint:
-        value = self._value(self.parameter, solution)
-        relative = solution.point.error.parameter or solution.point.error.relative(solution.point.Omega)
-        if isinstance(self.space, Family):
-            relative *= self.space.coordinates.S_rate
-        return SpecialPoint(FOLD, {**solution.parameters, self.parameter: value}, relative * abs(value), solution)
+    def _special(self, solution: Solution) -> SpecialPoint:
+        values = {**solution.parameters, self.parameter: self._value(self.parameter, solution)}
+        error = self.space.parameter_error(solution.point)
+        return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
 
     @property
     def folds(self) -> tuple[Solution, ...]:
@@ -378,11 +383,6 @@ class Branch:
         """
         dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
         return dataset
-
-
-def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:
-    """Whether a solution was located between two at which the quantity followed goes either way."""
-    return not (here.point.walked or here.point.requested) and turns_between(before.point, after.point)
 
 
 def _closest(family: Family) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.small_components import with_small_components
+from casadi_skin.orbits.special_points import fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels, Refinement
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
@@ -61,6 +62,8 @@ class Family:
 
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
+    free: Sequence[str] = ()
+    knows_stability = False
     locates_folds = False  # while the family is followed; `Branch.special_points` does when asked
 
     def __init__(self, request: FamilyRequest) -> None:
@@ -193,6 +196,11 @@ class Family:
             raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
         return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
+    @property
+    def to(self) -> float:
+        """S at which the family ends."""
+        return self.request.amplitude_max
+
     def asked(self) -> dict[str, Sequence[float]]:
         """Values at which orbits are wanted, by name."""
         targets = self.request.targets
@@ -203,6 +211,16 @@ class Family:
         if name == "S":
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """The fold on the stretch between two points, where S turns back."""
+        if turns_between(before, after):
+            yield fold_between(self.point_solver, before, after)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of S at a special point."""
+        relative = point.error.parameter or point.error.relative(point.Omega)
+        return relative * self.coordinates.S_rate * self.value("S", point)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """LIMIT where all that is left to ask for is an S that the family does not come to."""

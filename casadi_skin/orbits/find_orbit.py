@@ -91,6 +91,18 @@ def find_orbit(
     return orbit
 
 
+def closed_statement(model: OdeModel, guess: Guess, period: float, parameters: Mapping[str, float]) -> Statement:
+    """The closed orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
+    asked = _Asked(model, period, 1, dict(parameters), None, None, (), {}, None, None)
+    return _closed_problem(asked, guess, SymmetryClass.FULL)
+
+
+def forced_statement(model: OdeModel, cycles: int, parameters: Mapping[str, float]) -> Statement:
+    """The orbit of a forced model of first order that closes after a number of periods of the forcing."""
+    asked = _Asked(model, 0.0, cycles, dict(parameters), None, None, (), {}, None, None)
+    return _forced_problem(asked, np.zeros(model.full_size), SymmetryClass.FULL)
+
+
 def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     """A scalar expression of what a script gave for it, a function f(t, x, p) too; names and None as they are."""
     if given is None or isinstance(given, str):

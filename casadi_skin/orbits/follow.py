@@ -15,7 +15,8 @@ from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.bifurcations import bifurcations_between
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
@@ -23,8 +24,8 @@ from casadi_skin.orbits.method import MAX_POINTS
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyModel, FamilyRequest, family_request
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import NotLocatedError, fold_between, turns_between
+from casadi_skin.orbits.space import Follows, SolutionSpace
+from casadi_skin.orbits.special_points import FOLD, NotLocatedError
 from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
@@ -51,6 +52,7 @@ class Following:
         missed: Sequence[Target] = (),
         keep: Callable[[Point, Sequence[Target]], None] | None = None,
     ) -> None:
+        stability = stability and not space.knows_stability
         self.space, self.stability, self.events, self.until = space, stability, events and stability, until
         self.solutions, self.changes = list(solutions), list(changes)
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
@@ -62,6 +64,15 @@ class Following:
         self._end: End | None = None
         self._detail = ""
         self._stopped = False
+        self.solutions = list(self._with_bifurcations(self.solutions))
+
+    def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
+        """Solutions computed earlier, with the orbits between them at which multipliers cross, sought again."""
+        self.solutions = []
+        for solution in solutions:
+            for special in (*self._bifurcations_before(solution), solution):
+                self.solutions.append(special)
+                yield special
 
     def _continued(self) -> Continuation:
         """The continuation from the points that are known."""
@@ -101,9 +112,13 @@ class Following:
             if words:
                 self._end, self._detail = end, words
                 return
-            if self.space.locates_folds and last is not None and turns_between(last, point):
+            if self.space.locates_folds and last is not None:
                 try:
-                    yield from itertools.islice(self._round_fold(last, point), reported, None)
+                    for special in itertools.islice(self._special_between(last, point), reported, None):
+                        yield special
+                        self._end, _ = self.space.stop(special)
+                        if self._end is not None:
+                            return
                 except NotLocatedError as error:
                     self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
                     return
@@ -113,10 +128,17 @@ class Following:
                 self._end = end
                 return
 
-    def _round_fold(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold between two points, and the points asked for so near to it that the continuation passes them by."""
+    def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Special points between two points; round a fold that is alone the points asked for beside it."""
+        found = list(self.space.special_between(before, after))
+        if len(found) == 1 and found[0].special == FOLD:
+            yield from self._round_fold(before, after, found[0])
+            return
+        yield from (replace(special, located=True) for special in found)
+
+    def _round_fold(self, before: Point, after: Point, fold: Point) -> Iterator[Point]:
+        """A fold between two points, and the points asked for so near to it that the continuation passes them by."""
         solver = self.space.point_solver
-        fold = fold_between(solver, before, after)
         for one, other in ((before, fold), (fold, after)):
             low, high = sorted((one.parameter, other.parameter))
             wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
@@ -155,6 +177,9 @@ class Following:
         """The solutions of the points that wait, with their stability and its changes, in order."""
         try:
             for solution in self._with_stability():
+                for special in self._bifurcations_before(solution):
+                    self.solutions.append(special)
+                    yield special
                 change = self._change_before(solution)
                 if change is not None:
                     self.changes.append(change)
@@ -180,6 +205,15 @@ class Following:
         if before.floquet().stable == solution.floquet().stable:
             return None
         return locate_change(self.space, before, solution)
+
+    def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
+        """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
+        if not (self.events and self.solutions):
+            return
+        before = self.solutions[-1]
+        leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
+        if isinstance(before, Orbit) and isinstance(solution, Orbit) and not leaving:
+            yield from bifurcations_between(before, solution)
 
     def _with_stability(self) -> Iterator[Solution]:
         """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
@@ -222,10 +256,8 @@ class Following:
         """All values asked for by name, the ends among them where the continuation missed them."""
         asked, settings = dict(self.space.asked()), self.space.point_solver.settings
         missed = [] if self._continuation is None else self._continuation.missed
-        if any(t in missed for t in settings.ends) and isinstance(self.space, BoundarySpace):
+        if Target(Scalar.PARAMETER, settings.parameter_max) in missed:
             asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
-        if isinstance(self.space, Family) and Target(Scalar.PARAMETER, settings.parameter_max) in missed:
-            asked["S"] = (*asked["S"], self.space.request.amplitude_max)
         return asked
 
     def _value(self, name: str, solution: Solution) -> float:
@@ -236,7 +268,8 @@ class Following:
     ) -> Branch:
         """The branch of what has been computed, with a known end."""
         return Branch(
-            self.space, tuple(self.solutions), tuple(self.changes), self.stability, end, detail, misses,
+            self.space, tuple(self.solutions), tuple(self.changes),
+            self.stability or self.space.knows_stability, end, detail, misses,
             stopped or self._stopped, self.events,
         )  # fmt: skip
 
@@ -336,15 +369,15 @@ def follow(
     """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
 
     Arguments:
-        solution: an orbit or a solution of a boundary-value problem without objective; an orbit of a family is first
-            solved again as a boundary-value problem at its S.
+        solution: an equilibrium, an orbit or a solution of a boundary-value problem without objective; an orbit of a
+            family is first solved again as a boundary-value problem at its S.
         parameter: name of the parameter to follow; the others keep their values.
         to: where the branch ends; it goes round folds on its way.
         at: values at which solutions are wanted exactly, as often as the branch passes them.
         max_points: number of points after which the branch ends.
         max_step: longest step, 1 being a change of the states by their own size.
         until: ends the branch at the first solution for which it is true.
-        stability: whether multipliers are computed for each orbit.
+        stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
         progress: called with each solution.
 
@@ -353,29 +386,34 @@ def follow(
 
     Raises:
         ValueError: an argument is out of range.
-        BoundaryError: not even the start can be solved.
+        BoundaryError, EquilibriumError: not even the start can be solved.
     """
     _check_choices(stability, events, until, progress)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    if stability and space.periodic is None:
+    if stability and isinstance(space, BoundarySpace) and space.periodic is None:
         raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
     return run_following(Following(space, stability, events, until=until), progress)
 
 
 def following_space(
     solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
-) -> BoundarySpace:
+) -> SolutionSpace:
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if isinstance(solution, Orbit) and isinstance(solution.space, Family):
         from casadi_skin.orbits.restating import restated
 
         solution = restated(solution, parameter)
+    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     space = solution.space
-    assert isinstance(space, BoundarySpace)
-    statement = replace(space.statement, parameters={**space.statement.parameters, **solution.parameters})
-    if statement.optimises:
-        raise ValueError("follow: given a solution with an objective; accepted: one without")
-    check_name("parameter", parameter, [n for n in statement.model.parameter_names if n not in statement.free])
+    assert isinstance(space, Follows)
+    return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+
+
+def following_settings(
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+) -> ContinuationSettings:
+    """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
+    check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
     start, end = solution.parameters[parameter], number("to", to)
     if end == start:
         raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
@@ -386,12 +424,7 @@ def following_space(
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
-    settings = ContinuationSettings(
-        1.0, space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
+    return ContinuationSettings(
+        1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2,
-    )  # fmt: skip
-    sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
-    return BoundarySpace(
-        statement, space.tolerance, space.method, sizes, space.periodic, parameter, end,
-        tuple(float(np.float64(v)) for v in at), solution.point, settings,
     )  # fmt: skip

@@ -247,6 +247,11 @@ class Orbit(Solution):
         return found
 
     @property
+    def stable(self) -> bool:
+        """Whether no multiplier lies outside the unit circle, within estimated errors."""
+        return self.floquet().stable
+
+    @property
     def multiplier_error(self) -> float:
         """Estimated absolute error of mu and, for an unstable orbit, of the largest modulus of a multiplier."""
         return self.floquet().error

@@ -142,6 +142,11 @@ class Solution:
         """Largest residual of the equations relative to their largest term."""
         return self.point.problem.relative_residual(self.point.z)
 
+    @property
+    def stable(self) -> bool:
+        """Whether it is stable; raises ValueError for a solution that does not move in time."""
+        raise ValueError("stable: a solution of a boundary-value problem that is no orbit has no stability")
+
     # Optima -----------------------------------------------------------------------------------------------------------
 
     @property

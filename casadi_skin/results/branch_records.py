@@ -65,6 +65,7 @@ class PointRecord(msgspec.Struct, frozen=True, tag="point"):
     requested: bool
     walked: bool
     located: bool
+    special: str
     at_round_off: bool
     better: RefinementRecord | None
     missed: tuple[Target, ...]  # by the continuation so far
@@ -136,6 +137,7 @@ def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_
         requested=point.requested,
         walked=point.walked,
         located=point.located,
+        special=point.special,
         at_round_off=point.at_round_off,
         better=None
         if better is None
@@ -190,7 +192,7 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
     for record in _holding(records, branch):
         if isinstance(record, PointRecord):
             point = _point(record, space)
-            known.fault = "a point of another discretisation" if point is None else space.point_solver.fault(point)
+            known.fault = "a point of another discretisation" if point is None else _fault(space, point, known)
             if point is None or known.fault:
                 return known
             known.missed = record.missed
@@ -205,6 +207,17 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
             known.end = record
         known.kept += 1
     return known
+
+
+def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
+    """Why a point is none of the branch; of a special point, where the equations may be singular, by its residual."""
+    leaves = bool(getattr(space, "leaves", False)) and not (known.solutions or known.waiting)
+    if not (point.special or leaves):
+        return space.point_solver.fault(point)
+    if not (np.all(np.isfinite(point.z)) and np.all(np.isfinite(point.tangent))):
+        return "a value that is not finite"
+    off = point.problem.relative_residual(point.z)
+    return "" if off <= max(space.tolerance, point.error.profile) else f"a residual of {off:.1e}"
 
 
 def _holding(records: Sequence[BranchRecord], branch: str) -> list[PointRecord | StabilityRecord | EndRecord]:
@@ -241,6 +254,7 @@ def _point(record: PointRecord, space: SolutionSpace) -> Point | None:
         requested=record.requested,
         walked=record.walked,
         located=record.located,
+        special=record.special,
         better=None if record.better is None else _refinement(record.better, space),
         at_round_off=record.at_round_off,
     )

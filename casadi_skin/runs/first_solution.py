@@ -12,6 +12,7 @@ import numpy as np
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.simulation import simulate
+from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
@@ -20,23 +21,33 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
-from casadi_skin.scene.model_tables import SELECTED
+from casadi_skin.scene.model_tables import SELECTED, EquilibriumTable
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
 
 
 def first_solution(request: Request, simulated: Cycle | None = None) -> Solution:
-    """The orbit or the solution that a scene asks for, at its parameters; an orbit from its simulated cycle.
+    """The equilibrium, the orbit or the solution that a scene asks for; an orbit from its simulated cycle.
 
-    Raises BoundaryError where none is found, IntegrationError and ValueError where `cycle` does, ValueError where the
-    guess is none.
+    Raises EquilibriumError and BoundaryError where none is found, IntegrationError and ValueError where `cycle` does,
+    ValueError where the guess is none.
     """
+    if request.scene.equilibrium is not None:
+        return _equilibrium(request, request.scene.equilibrium)
     if request.problem is not None:
         if request.guess is None:
             raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
         return request.problem.solve(request.guess, **request.options)
     return _orbit(request, simulated or cycle(request), request.options)
+
+
+def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
+    model = request.equations
+    start = state_of(table.start, model.state_names)
+    return find_equilibrium(
+        model, start, parameters=request.parameters, transient=table.transient, tolerance=request.tolerance
+    )
 
 
 def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:

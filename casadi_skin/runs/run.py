@@ -33,10 +33,11 @@ from casadi_skin.results.branch_records import (
 )
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.journal import Journal
-from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
+from casadi_skin.results.quantities import csv_row, quantities_of
+from casadi_skin.results.quantity import Place
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.writing import write_branches, write_spectrum
+from casadi_skin.runs.writing import origin, write_branches, write_spectrum
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
@@ -71,8 +72,14 @@ class Run:
     evolution: Evolution | None = None
     search: SearchResult | None = None
     exported: tuple[Path, ...] = ()
-    _rows: list[dict[str, Cell]] = field(default_factory=list)
+    _tables: dict[str, list[dict[str, Cell]]] = field(default_factory=dict)
+    _table: str = "branch.csv"
     _written: float = 0.0
+
+    @property
+    def _rows(self) -> list[dict[str, Cell]]:
+        """Rows of the table of the branch that is followed."""
+        return self._tables.setdefault(self._table, [])
 
     @property
     def _with_stability(self) -> bool:
@@ -98,7 +105,7 @@ class Run:
         self._evolve()
         self._search()
         self._export()
-        complete = all(branch.complete for branch in self.branches) and not self.failures
+        complete = all(self._ended_well(branch) for branch in self.branches) and not self.failures
         if complete:
             (self.directory / JOURNAL).unlink(missing_ok=True)
         return complete
@@ -107,7 +114,7 @@ class Run:
         """Why the run is not what was asked for, in a line each."""
         reasons = []
         for branch in self.branches:
-            if branch.complete:
+            if self._ended_well(branch):
                 continue
             if isinstance(branch.space, Family):
                 reasons.append(f"mode {branch.space.coordinates.mode_number}: {branch.reason}")
@@ -115,6 +122,14 @@ class Run:
                 table = "continuation" if branch.parameter else "stability"
                 reasons.append(f"[{table}]: {branch.reason}")
         return [*reasons, *self.failures]
+
+    def _ended_well(self, branch: Branch) -> bool:
+        """Whether a branch reached what was asked, or the natural end of what leaves another one."""
+        if self.request.scene.equilibrium is None:
+            return branch.complete
+        from casadi_skin.runs.diagram import ended_well
+
+        return ended_well(branch)
 
     # Branches -------------------------------------------------------------------------------------------------------
 
@@ -157,7 +172,7 @@ class Run:
             self.progress.say(f"j = {family.mode}: building")
             yield str(family.mode), Family(family)
         scene, table = self.request.scene, self.request.scene.continuation
-        if scene.orbit is None and scene.solution is None:
+        if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
             return
         from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
 
@@ -177,6 +192,10 @@ class Run:
                     first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
                 ),
             )
+            if scene.equilibrium is not None:
+                from casadi_skin.runs.diagram import further_spaces
+
+                yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
             return
         branch = self._alone(first)
         self._keep(branch.solutions, branch.space)
@@ -186,7 +205,7 @@ class Run:
     def _alone(self, solution: Solution) -> Branch:
         """A single orbit or solution as a branch of one point."""
         end, words = End.REACHED, ""
-        if self._with_stability:
+        if self._with_stability and not solution.space.knows_stability:
             try:
                 found = solution.space.floquets([solution.point])[0]
                 solution = solution_at(solution.space, solution.point, found, solution.exact)
@@ -199,8 +218,9 @@ class Run:
 
         An interruption may come before a result is handed over: its row is added then.
         """
+        self._table = "family.csv" if isinstance(space, Family) else f"{name}.csv"
         with interrupts_deferred():
-            known = known_of(journal.records, name, space, self._with_stability)
+            known = known_of(journal.records, name, space, self._with_stability and not space.knows_stability)
         if known.fault:
             words = f"{known.fault} in record {known.kept + 1} of {name}; what follows it is dropped and computed again"
             self.progress.tell(f"{journal.path}: {words}")
@@ -214,7 +234,7 @@ class Run:
             waiting=known.waiting, missed=known.missed, keep=keep,
         )  # fmt: skip
         if known.end is not None:
-            self._keep(known.solutions, space)
+            self._keep(following.solutions, space)
             self.branches.append(following.finished(known.end.end, known.end.detail, known.end.misses))
             return
         before, changes = len(self._rows), list[StabilityChange]()
@@ -224,7 +244,8 @@ class Run:
                 if isinstance(result, StabilityChange):
                     changes.append(result)
                     continue
-                if isinstance(result, Orbit) and self._with_stability:
+                sought_again = result.point.special and not result.point.located  # by the multipliers of its neighbours
+                if isinstance(result, Orbit) and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result, changes))
                     changes.clear()
                 self._keep([result], space)
@@ -295,12 +316,14 @@ class Run:
         for solution in solutions:
             quantities = quantities_of(Branch(space, (solution,), with_stability=self._with_stability))
             index = sum(row.get("mode", 0) == mode for row in self._rows)
-            self._rows.append(csv_row(quantities, Place(solution, index, mode, solution.point.requested)))
+            place = Place(solution, index, mode, solution.point.requested, solution.point.special)
+            self._rows.append(csv_row(quantities, place))
         if self._rows and time.monotonic() - self._written > TABLE_PERIOD:
-            self._write_table("family.csv" if isinstance(space, Family) else "branch.csv")
+            self._write_table(self._table)
 
     def _write_table(self, name: str) -> None:
-        write_csv(self.directory / name, list(self._rows[0]), self._rows)
+        rows = self._tables[name]
+        write_csv(self.directory / name, list(rows[0]), rows)
         self._written = time.monotonic()
 
     def _write_results(self) -> None:
@@ -321,12 +344,14 @@ class Run:
 
     def _write_branches(self, branches: Sequence[Branch]) -> None:
         """The table of points, and what is made of whole branches."""
-        if isinstance(branches[0].space, Family):
-            self._write_table("family.csv")
-        else:
-            for row, place in zip(self._rows, places_of(branches[0]), strict=True):
-                row["fold"] = int(bool(place.special))
-            self._write_table("branch.csv")
+        for name in [name for name, rows in self._tables.items() if rows]:
+            self._write_table(name)
+        if self.request.scene.equilibrium is not None:
+            from casadi_skin.runs.diagram import write_diagram
+
+            names = [name.removesuffix(".csv") for name, rows in self._tables.items() if rows]
+            write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
+            return
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
 
     def _tell_drift(self, branches: Sequence[Branch]) -> None:

@@ -286,7 +286,7 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
         assert main([command, str(scene)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["check", str(write_scene(tmp_path, "van_der_pol", ""))]) == 0
-    assert "no [family], [orbit] or [solution]" in capsys.readouterr().out
+    assert "no [family], [equilibrium], [orbit] or [solution]" in capsys.readouterr().out
     assert main(["run", str(scene)]) == 2
     assert "asks for nothing to compute" in capsys.readouterr().err
 
