@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, number, short_repr
+from casadi_skin.arguments import by_name, check_name, number, short_repr, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import sizes_of
@@ -20,6 +20,7 @@ from casadi_skin.solvers.corrector import Correction
 from casadi_skin.threads import one_thread
 
 TOLERANCES = (1e-13, 1e-2)
+MOST_STARTS = 1_000_000
 SETTLED = 0.05  # of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at
 SAME = 1e-6  # of the sizes: distance of two equilibria that are the same
 ACCEPTED = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
@@ -62,10 +63,8 @@ def find_equilibrium(
         EquilibriumError: no equilibrium is found, it is not alone, or the simulation does not settle.
         IntegrationError: the simulation fails.
     """
-    model = model.tunable_model() if isinstance(model, Tunable) else model
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
-    statics = Statics(model, dict(parameters or {}))
+    statics = _statics(model, parameters)
+    model = statics.model
     _check(tolerance, corrector)
     start = positions_of(model, guess)
     with one_thread():
@@ -102,14 +101,14 @@ def find_equilibria(
     """
     from scipy.stats.qmc import Sobol
 
-    model = model.tunable_model() if isinstance(model, Tunable) else model
-    statics = Statics(model, dict(parameters or {}))
+    statics = _statics(model, parameters)
+    model = statics.model
     _check(tolerance, corrector)
     low, high = positions_of(model, lower, "lower"), positions_of(model, upper, "upper")
     if not np.all(low <= high):
         raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
-    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
-        raise ValueError(f"starts: given {short_repr(starts)}; accepted: a whole number >= 1")
+    whole("starts", starts, 1, MOST_STARTS)
+    whole("seed", seed, 0)
     space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([low, high]))
     places = Sobol(statics.size, seed=seed).random(1 << max(0, (starts - 1).bit_length()))[:starts]
     found: list[Equilibrium] = []
@@ -125,12 +124,19 @@ def find_equilibria(
     return tuple(sorted(found, key=lambda equilibrium: tuple(equilibrium.positions)))
 
 
+def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
+    """The equations at rest of a model that was given; raises ValueError and TypeError for what is none."""
+    model = model.tunable_model() if isinstance(model, Tunable) and not isinstance(model, type) else model
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
+    return Statics(model, dict(by_name("parameters", parameters)))
+
+
 def _check(tolerance: float, corrector: str) -> None:
     low, high = TOLERANCES
     if not low <= number("tolerance", tolerance) <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    if corrector not in methods.CORRECTORS:
-        raise ValueError(f"corrector: given {short_repr(corrector)}; accepted: {', '.join(methods.CORRECTORS)}")
+    check_name("corrector", corrector, methods.CORRECTORS)
 
 
 def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:

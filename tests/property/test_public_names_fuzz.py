@@ -25,6 +25,8 @@ from casadi_skin import (
     SymmetryClass,
     export_c,
     export_fmu,
+    find_equilibria,
+    find_equilibrium,
     find_orbit,
     follow_family,
     import_fmu,
@@ -96,6 +98,16 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
          "intervals": 4},
     ),
     "BoundaryValueProblem.with_parameters": (lambda: BoundaryValueProblem(**PROBLEM).with_parameters, {"mu": 1.0}),
+    "find_equilibrium": (
+        lambda: find_equilibrium,
+        {"model": VAN_DER_POL, "guess": [0.1, 0.0], "parameters": {"mu": 0.1}, "transient": None, "tolerance": 1e-8,
+         "corrector": "newton"},
+    ),
+    "find_equilibria": (
+        lambda: find_equilibria,
+        {"model": VAN_DER_POL, "lower": [-1.0, -1.0], "upper": [1.0, 1.0], "starts": 2, "seed": 0,
+         "parameters": {"mu": 0.1}, "tolerance": 1e-8, "corrector": "newton"},
+    ),
     "find_orbit": (
         lambda: find_orbit,
         {

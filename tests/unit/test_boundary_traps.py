@@ -69,7 +69,7 @@ def test_stability_does_not_depend_on_units(x: float, y: float, by: str) -> None
 
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
 def test_an_orbit_against_time_is_none(corrector: str) -> None:
-    with pytest.raises(BoundaryError, match=r"the interval found, 0 to -6\.66329, does not end after its start"):
+    with pytest.raises(BoundaryError, match=r"the interval found, 0 to -\d.*, does not end after its start"):
         find_orbit(van_der_pol(), turning(2.0, 2.0), 6.6, parameters={"mu": 1.0}, corrector=corrector)
 
 
