@@ -27,7 +27,7 @@ from casadi_skin.solvers.newton import NewtonCorrector
 
 OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker")
 TRIES = 6  # resolutions on which a first solution is sought
-JUMPS = (90, 200)  # the same where the guess has jumps, on a mesh that follows its length
+JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
 STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
 TOLERANCES = (1e-13, 1e-1)
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
@@ -84,6 +84,8 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
     for problem in _first_problems(point_solver.levels, resolutions, guess):
         z = packed(problem, guess)
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
+        if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
+            correction = _corrected(NewtonCorrector(problem), z, problem)
         backwards = problem.backwards(correction.z) if correction.converged else ""
         if backwards:
             failures.append(backwards)
@@ -91,7 +93,13 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
         if correction.converged:
             correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
             resolved = converged_mesh(point_solver.levels, problem, correction.z)
-            return refined(point_solver, *(resolved or (problem, correction)))
+            try:
+                return refined(point_solver, *(resolved or (problem, correction)))
+            except BoundaryError as error:
+                if problem.resolution not in JUMPS:
+                    raise
+                failures.append(str(error))
+                continue
         words = (
             f"{correction.status.value}; {problem.worst(correction.z)}",
             rank_deficiency(problem, correction.z, everywhere=True),

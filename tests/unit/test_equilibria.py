@@ -77,18 +77,19 @@ def test_a_bad_guess_is_not_called_a_singular_problem() -> None:
 
 
 @pytest.mark.slow
-def test_a_relaxation_oscillation_is_found_from_its_simulation() -> None:
-    """Van der Pol, mu = 100: jumps of 1e-4 of the period between output times; the period by LSODA's own events."""
+@pytest.mark.parametrize("value", [100.0, 1000.0])
+def test_a_relaxation_oscillation_is_found_from_its_simulation(value: float) -> None:
+    """Van der Pol: jumps of 1e-4 or 1e-6 of the period between output times; the period by LSODA's own events."""
     x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
     model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
-    cycle = simulate(model, [2.0, 0.0], np.linspace(0.0, 567.0, 2001), parameters={"mu": 100.0}).last_cycle()
-    orbit = find_orbit(model, cycle, parameters={"mu": 100.0}, tolerance=1e-8)
+    cycle = simulate(model, [2.0, 0.0], np.linspace(0.0, 5.67 * value, 2001), parameters={"mu": value}).last_cycle()
+    orbit = find_orbit(model, cycle, parameters={"mu": value}, tolerance=1e-8)
 
     def upwards(t: float, s: np.ndarray) -> float:
         return float(s[0])
 
     upwards.direction = 1.0  # type: ignore[attr-defined]
-    field = lambda t, s: [s[1], 100.0 * (1.0 - s[0] ** 2) * s[1] - s[0]]  # noqa: E731
-    found = solve_ivp(field, (0.0, 567.0), [2.0, 0.0], "LSODA", rtol=1e-11, atol=1e-11, events=upwards)
+    field = lambda t, s: [s[1], value * (1.0 - s[0] ** 2) * s[1] - s[0]]  # noqa: E731
+    found = solve_ivp(field, (0.0, 5.67 * value), [2.0, 0.0], "LSODA", rtol=1e-11, atol=1e-11, events=upwards)
     assert orbit.period == pytest.approx(float(np.diff(found.t_events[0])[-1]), rel=1e-7)
     assert np.max(np.abs(orbit.evaluate(np.linspace(0.0, orbit.period, 4001))[:, 0])) == pytest.approx(2.0, abs=0.01)
