@@ -244,10 +244,8 @@ class BoundarySpace:
     def following(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> BoundarySpace:
-        """The space of the branch through one of these solutions in a parameter; raises ValueError for an optimum."""
+        """The space of the branch through one of these solutions in a parameter."""
         statement = replace(self.statement, parameters={**self.statement.parameters, **solution.parameters})
-        if statement.optimises:
-            raise ValueError("follow: given a solution with an objective; accepted: one without")
         sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
         return BoundarySpace(
             statement, self.tolerance, self.method, sizes, self.periodic, parameter, to, at, solution.point, settings

@@ -403,8 +403,10 @@ def following_space(
         from casadi_skin.orbits.restating import restated
 
         solution = restated(solution, parameter)
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     space = solution.space
+    if isinstance(space, BoundarySpace) and space.statement.optimises:
+        raise ValueError("follow: given a solution with an objective; accepted: one without")
+    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
     assert isinstance(space, Follows)
     return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
 

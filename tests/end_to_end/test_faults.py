@@ -134,7 +134,7 @@ def limited(size: int) -> Callable[[], None]:
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
-@pytest.mark.parametrize("size", [512, 9_000, 25_000])
+@pytest.mark.parametrize("size", [9_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (512, 25_000))])
 def test_a_limit_on_the_size_of_files_keeps_what_was_computed(size: int, scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("run", scene, "--out", out, "--quiet", preexec_fn=limited(size))

@@ -108,6 +108,7 @@ def check_special_points(out: Path, within: float) -> None:
     assert all(0.0 <= float(row["error"]) < within for row in points)
 
 
+@pytest.mark.slow
 def test_special_points_of_the_resonance_of_duffing(tmp_path: Path, pictures: None) -> None:
     text = (EXAMPLES / "duffing_resonance.toml").read_text(encoding="utf-8")
     for old, new in (
@@ -237,7 +238,7 @@ def test_methods_agree(tmp_path: Path) -> None:
     ("rest", "reason"),
     [
         ("[orbit]\nstart = [0, 0]\nperiod = 6\n", "guess: given a state that does not move"),
-        ("[orbit]\nstart = [0, 0]\ntransient = 6\n", "does not come back to itself"),
+        ("[orbit]\nstart = [0, 0]\ntransient = 6\n", "this is an equilibrium"),
         (ORBIT + "[continuation]\nparameter = 'mu'\nto = 2\nmax_points = 3\n", "limit on the number of points"),
     ],
 )
@@ -291,6 +292,7 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
     assert "asks for nothing to compute" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 60\nmax_step = 0.02\n"

@@ -143,7 +143,7 @@ def the_same(out: Path, whole: Path, beside: Set[str] = frozenset()) -> None:
 # What is lost -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("part", [0.0, 0.2, 0.45, 0.7, 0.95])
+@pytest.mark.parametrize("part", [0.0, 0.45, *(pytest.param(n, marks=pytest.mark.slow) for n in (0.2, 0.7, 0.95))])
 def test_a_killed_run_loses_nothing(
     part: float, scene: Path, records: list[Any], resume: Resume, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,7 +159,7 @@ def test_a_killed_run_loses_nothing(
         assert left <= solved <= left + 1  # one needs a finer level
 
 
-@pytest.mark.parametrize("count", [1, 9, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5, 14, 20))])
+@pytest.mark.parametrize("count", [9, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 5, 14, 20))])
 def test_a_run_that_is_killed_ends_as_if_it_had_not_been(
     count: int, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -142,7 +142,9 @@ def van_der_pol() -> Orbit:
     return find_orbit(model, guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
 
 
-@pytest.mark.parametrize("beside", [1e-3, 1e-6, 1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize(
+    "beside", [1e-3, 1e-12, *(pytest.param(n, marks=pytest.mark.slow) for n in (1e-6, 1e-8, 1e-10))]
+)
 def test_values_next_to_a_fold_are_found_on_both_sides_of_it(beside: float, cubic: Solution) -> None:
     """Against the roots of x^3 - 3 x = a, which lie at a distance of sqrt(beside/3) from the fold at x = -1."""
     branch = cubic.follow("a", 4.0, at=[2.0 - beside])
@@ -159,7 +161,7 @@ def test_values_next_to_a_fold_are_found_on_both_sides_of_it(beside: float, cubi
     assert sum(s.point.requested for s in beyond.solutions) == 1
 
 
-@pytest.mark.parametrize("count", range(1, 6))
+@pytest.mark.parametrize("count", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 4, 5))])
 def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Solution) -> None:
     def space() -> BoundarySpace:
         return following_space(cubic, "a", 4.0, at=[2.0 - 1e-9], max_points=500, max_step=0.2)
@@ -172,7 +174,7 @@ def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Soluti
     np.testing.assert_array_equal(again.branch().values, whole.branch().values)
 
 
-@pytest.mark.parametrize("kind", ["solutions", "orbits"])
+@pytest.mark.parametrize("kind", [pytest.param("solutions", marks=pytest.mark.slow), "orbits"])
 def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
     """Folds, values asked for and multipliers among it."""
     first, name, to, at = (cubic, "a", 4.0, [0.0]) if kind == "solutions" else (van_der_pol(), "mu", 1.6, [1.3])

@@ -151,6 +151,7 @@ def test_the_hopf_curve_of_lorenz_in_closed_form() -> None:
     assert curve.at(s=15.0)["r"] == pytest.approx(15.0 * (18.0 + b) / (14.0 - b), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_hopf_curve_of_a_large_model_is_that_in_closed_form() -> None:
     """128 components, 387 unknowns: B = 1 + A^2 + (d1 + d2) mu_1 for the uniform state of the Brusselator."""
     problem = Brusselator(64)

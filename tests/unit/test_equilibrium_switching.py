@@ -100,6 +100,7 @@ def test_the_other_branch_of_a_transcritical_point_goes_both_ways() -> None:
         assert bool(other.solutions[-1].stable) == (to > 0.0)
 
 
+@pytest.mark.slow
 def test_a_branch_point_of_a_large_model_is_left_along_its_null_vector() -> None:
     """Chafee and Infante: u'' + p (u - u^3) = 0 on (0, pi) on 150 points leaves zero at 4 sin^2(k h/2)/h^2."""
     n = 150

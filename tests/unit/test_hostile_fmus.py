@@ -211,7 +211,7 @@ def spoilt(good: Path, folder: Path, harm: str) -> Path:
         ("raise(SIGSEGV);", r"ends the process that calls it \(SIGSEGV\)"),
         ("_exit(0);", r"ends the process that calls it \(exit status 0\)"),
         ("for (;;) pause();", r"does not answer within 2 s; accepted: one that does, or a longer time_limit"),
-        ("for (;;) {}", r"does not answer within 2 s"),
+        pytest.param("for (;;) {}", r"does not answer within 2 s", marks=pytest.mark.slow),
     ],
 )
 def test_a_binary_that_never_comes_back_is_refused(

@@ -62,6 +62,7 @@ def _cycle(model: OdeModel, r: float) -> object:
     return simulate(model, [10.0, 10.0, r], times, parameters={"r": r}).last_cycle()
 
 
+@pytest.mark.slow
 def test_lorenz_doubles_its_period_twice_where_auto_does() -> None:
     """AUTO-07p's demo `lor`: 229.407 with T = 0.480867, and on the branch that leaves 218.210 with T = 0.987949."""
     model = lorenz()

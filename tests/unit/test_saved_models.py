@@ -187,6 +187,7 @@ def test_another_checksum_is_refused() -> None:
         loads(with_data().replace('"line"', '"pine"'))
 
 
+@pytest.mark.slow
 def test_a_graph_of_many_operations_ends_soon_and_one_of_more_is_refused() -> None:
     begun = time.perf_counter()
     many = 250_000
