@@ -68,6 +68,7 @@ def test_the_example_of_an_infinite_chain(
         np.testing.assert_allclose(np.linalg.norm(profile, axis=1) ** 2, file.variables["S"].data, rtol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
     scene = written(tmp_path / "million.toml", sites=1_000_000)

@@ -594,6 +594,7 @@ def test_building_needs_a_compiler_and_an_export(tmp_path: Path) -> None:
         build_c(tmp_path / "c")
 
 
+@pytest.mark.slow
 def test_the_part_of_ipopt_compiles_with_its_headers(tmp_path: Path) -> None:
     """CasADi's wheels bring headers and library of Ipopt with them."""
     folder = Path(ca.__file__).parent

@@ -120,6 +120,7 @@ def test_physical_coordinates_agree_where_they_work() -> None:
     assert return_error(orbit) < 1e-10
 
 
+@pytest.mark.slow
 def test_physical_coordinates_go_wrong_where_the_gauge_does_not() -> None:
     far = compare(40, 0.7)
     assert far is not None

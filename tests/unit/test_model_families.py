@@ -627,7 +627,7 @@ def test_a_fold_is_where_the_family_leaves_at_right_angles() -> None:
 @pytest.mark.parametrize(
     ("model", "mode", "name", "to"),
     [
-        (Chain(3, 1.0, 0.1, -1.0), 1, "gamma", 0.4),
+        slow(Chain(3, 1.0, 0.1, -1.0), 1, "gamma", 0.4),
         slow(Chain(3, 1.0, 0.3, 1.0), 3, "g", 0.4),
         (fput(3), 2, "bond", 0.4),
         slow(pendulums(2), 2, "bond", 0.7),
@@ -654,6 +654,7 @@ def test_an_orbit_is_followed_in_a_parameter_of_its_model(
     assert apart(last.floquet().others, there.floquet().others) < 1e-6
 
 
+@pytest.mark.slow
 def test_an_orbit_is_followed_in_its_amplitude_as_its_family_goes() -> None:
     for model, name in ((springs(), "S"), (springs(lambda q, S: q[0] ** 2 - S), "amplitude")):
         values = {"k": 1.0}

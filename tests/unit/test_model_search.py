@@ -99,6 +99,7 @@ def test_a_condition_holds_at_phase_zero(held: Any) -> None:
     assert best.curvature == np.inf  # one condition and one free number: nothing is left to optimise
 
 
+@pytest.mark.slow
 def test_a_condition_that_cannot_hold_is_off_by_the_least_at_the_nearest_orbit() -> None:
     result = search(running="square", maximise=True, constraints=[("q", 0.3, 0.3)], starts=1)
     assert result.status is SearchStatus.INFEASIBLE
@@ -141,6 +142,7 @@ def test_deflation_uses_repeated_starts_once_more(largest: SearchResult) -> None
     assert result.best.objective == pytest.approx(largest.best.objective, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_pareto_front_of_any_model() -> None:
     """Frequency against response: below resonance the least response asks for the longest period."""
     front = pareto_front(
