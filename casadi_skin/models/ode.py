@@ -5,7 +5,7 @@ from __future__ import annotations
 import copyreg
 import sys
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -182,6 +182,11 @@ class OdeModel:
         Raises ValueError naming the first declaration that does not hold.
         """
         check_symmetries(self, trials, seed)
+
+    def with_nominal(self, nominal: tuple[float, ...]) -> OdeModel:
+        """The equations and declarations with other usual values of the parameters, not checked again."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
+        return OdeModel(**own | {"nominal": nominal, "checked": False})
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
@@ -93,7 +93,7 @@ class ModelFamily:
 
     def at(self, values: Mapping[str, Any]) -> OdeModel:
         nominal = tuple(float(values.get(name, value)) for name, value in self.values.items())
-        return replace(self.model, nominal=nominal, checked=False)
+        return self.model.with_nominal(nominal)
 
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         return np.full(self.size, math.sqrt(S))
