@@ -77,13 +77,18 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
     """
 
     def add(a: _Parts, b: _Parts, factor: float) -> _Parts:
-        return {d: a.get(d, ca.SX(0)) + factor * b.get(d, ca.SX(0)) for d in {**a, **b}}
+        total = dict(a)
+        for d, part in b.items():
+            scaled = part if factor == 1.0 else factor * part
+            total[d] = total[d] + scaled if d in total else scaled
+        return total
 
     def multiply(a: _Parts, b: _Parts) -> _Parts:
         total: _Parts = {}
         for i, left in a.items():
             for j, right in b.items():
-                total[i + j] = total.get(i + j, ca.SX(0)) + left * right
+                product = left * right
+                total[i + j] = total[i + j] + product if i + j in total else product
         return total
 
     def constant(a: _Parts) -> float | None:

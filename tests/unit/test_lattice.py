@@ -238,3 +238,8 @@ def test_refusals_are_one_line_with_the_place(given: dict[str, Any], message: st
 def test_an_unstable_linear_lattice_is_refused_by_its_families() -> None:
     with pytest.raises(ValueError, match=r"mode 1 of lattice does not oscillate: omega\^2 = -"):
         follow_family(chain(4, -3.0, 0.2, 1.0), mode=1, amplitude_max=1.0)
+
+
+def test_modes_that_share_their_frequency_are_refused() -> None:
+    with pytest.raises(ValueError, match="modes 2, 3 of lattice have the same frequency"):
+        follow_family(fput(8, "periodic"), mode=2, amplitude_max=0.1)
