@@ -26,6 +26,7 @@ class Certificate:
         Omega, period, energy: enclosures; the energy is None where the model conserves none that is known.
         profile: enclosures of the displacements at t = 0, shape (2, positions): lower and upper ends.
         Omega_digits: decimals of Omega that are proved, more than a double has.
+        Omega_error: proved bound of the error of the computed orbit's Omega.
         radius: bound of the distance of the true orbit from the computed one, in the norm.
         uniqueness: radius about the computed orbit within which there is no other orbit of this S and symmetry.
         size: the norm of the computed orbit, which `radius` compares with.
@@ -45,6 +46,7 @@ class Certificate:
     energy: Interval | None
     profile: Array
     Omega_digits: str
+    Omega_error: float
     radius: float
     uniqueness: float
     size: float
@@ -67,7 +69,7 @@ class Certificate:
             [
                 f"proved: one orbit with S = {self.S!r} within {self.radius:.2g} of the computed one (of norm "
                 f"{self.size:.3g}), and no other within {self.uniqueness:.2g}",
-                f"Omega = {self.Omega_digits}",
+                f"Omega = {self.Omega_digits}; the computed one is off by {self.Omega_error:.2g} at most",
                 f"Y = {c.Y:.3g}, Z = {c.Z:.3g}, W = {c.W:.3g}; {self.harmonics} odd harmonics, nu = {self.weight!r}",
             ]
         )

@@ -30,6 +30,7 @@ TRIALS = 8
 FINE = 1e-17  # radius relative to the norm that is below what doubles tell apart
 STEPS = 12  # of the iteration that refines the coefficients
 NOTHING = (float("nan"), float("nan"))
+ACCEPTED = "an orbit of a family whose model is of second order, odd and reversible, as sums of odd cosines"
 
 
 def certify(orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT) -> Certificate:
@@ -53,7 +54,9 @@ def certify(orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT) 
         raise ValueError(f"weight: given {weight!r}; accepted: a finite number > 1")
     if harmonics is not None and (isinstance(harmonics, bool) or not isinstance(harmonics, int) or harmonics < 1):
         raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number >= 1")
-    family = _family(orbit)
+    if not isinstance(orbit.space, Family):
+        raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
+    family = provable(orbit.space)
     with flint.ctx.workprec(balls.PRECISION), one_thread():
         system = system_of(family.coordinates, orbit.S)
         if harmonics is not None:
@@ -72,18 +75,22 @@ def certify(orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT) 
         return _certificate(orbit, family, best)
 
 
-def _family(orbit: Orbit) -> Family:
-    """The family with every position an unknown; raises ValueError for an orbit that the theorem is not about."""
-    accepted = "an orbit of a family whose model is of second order, odd and reversible, as sums of odd cosines"
-    if not isinstance(orbit.space, Family) or orbit.symmetry is not SymmetryClass.QUARTER:
-        raise ValueError(f"certify: given an orbit of {orbit.model!r:.60}; accepted: {accepted}")
-    coordinates = orbit.space.coordinates
+def provable(family: Family) -> Family:
+    """The family with every position an unknown.
+
+    Raises ValueError, in one line, for a family that the theorem is not about, ImportError without python-flint.
+    """
+    flint, coordinates = balls.flint(), family.coordinates
+    if family.symmetry is not SymmetryClass.QUARTER:
+        raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED}")
     if not coordinates.is_whole:
         coordinates.check_whole("a certificate")
-    family = orbit.space.whole
-    if family.coordinates.mode.size != family.coordinates.model.size:
+    whole = family.whole
+    if whole.coordinates.mode.size != whole.coordinates.model.size:
         raise ValueError("certify: given |gamma| = 1, where positions at rest have no scale; accepted: |gamma| < 1")
-    return family
+    with flint.ctx.workprec(balls.PRECISION):
+        system_of(whole.coordinates, family.request.amplitude_max)
+    return whole
 
 
 # One number of harmonics ----------------------------------------------------------------------------------------------
@@ -99,6 +106,7 @@ class Attempt:
     radius: float  # about the refined coefficients; nan without a proof
     distance: float
     size: float
+    fault: str = ""  # why there are no bounds
 
     @property
     def proved(self) -> bool:
@@ -120,7 +128,12 @@ def _attempt(orbit: Orbit, system: OddSystem, harmonics: int, weight: float) -> 
     columns = orbit.coefficients(harmonics, sites).T.tolist()
     coefficients = [[(arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
     start = OddSeries(system, square, coefficients)
-    inverse = FiniteInverse(start, nu)
+    try:
+        _check_size(system, harmonics)
+        inverse = FiniteInverse(start, nu)
+    except ValueError as error:  # too many unknowns, or a singular matrix
+        nan = float("nan")
+        return Attempt(start, weight, Constants(nan, nan, nan, nan), nan, nan, nan, str(error))
     series = _refined(inverse)
     bounds = FiniteInverse(series, nu, inverse.matrix)
     constants = bounds.constants()
@@ -128,6 +141,14 @@ def _attempt(orbit: Orbit, system: OddSystem, harmonics: int, weight: float) -> 
     distance = _distance(start, series, nu)
     size = balls.above(_norm(series.square, series.coefficients, nu))
     return Attempt(series, weight, constants, float("nan") if radius is None else radius, distance, size)
+
+
+def _check_size(system: OddSystem, harmonics: int) -> None:
+    """Raises ValueError where the finite part has too many unknowns."""
+    unknowns = 1 + system.positions * harmonics
+    if unknowns > LARGEST:
+        words = f"{unknowns} unknowns of {system.positions} positions and {harmonics} odd harmonics"
+        raise ValueError(f"{words}, accepted: up to {LARGEST}")
 
 
 def _refined(inverse: FiniteInverse) -> OddSeries:
@@ -176,11 +197,12 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt) -> Certificate:
     Omega: Interval = NOTHING
     period: Interval = NOTHING
     energy: Interval | None = NOTHING
-    profile, digits, least = np.full((2, positions), np.nan), "", False
+    profile, digits, error, least = np.full((2, positions), np.nan), "", float("nan"), False
     if proved:
         nu = arb(attempt.weight)
         frequency = square.sqrt()
         Omega, period, digits = _ends(frequency), _ends(2 * arb.pi() / frequency), str(frequency)
+        error = balls.size(arb(orbit.Omega) - frequency)
         slack = arb(0, balls.above(arb(r) / nu))
         y = [d * (q + slack) for d, q in zip(series.system.scale, series.start, strict=True)]
         profile = np.array([_ends(value) for value in y]).T
@@ -194,6 +216,7 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt) -> Certificate:
         energy=energy,
         profile=profile,
         Omega_digits=digits,
+        Omega_error=error,
         radius=float(np.nextafter(r + attempt.distance, np.inf)),
         uniqueness=uniqueness_radius(constants, r) - attempt.distance if proved else float("nan"),
         size=attempt.size,
@@ -215,6 +238,8 @@ def _ends(ball: arb) -> Interval:
 def _reason(attempt: Attempt) -> str:
     """Which constant is too large, and what would help."""
     c, H = attempt.constants, attempt.series.harmonics
+    if attempt.fault:
+        return f"{attempt.fault}; {NO_ABSENCE}"
     if not c.Z < 1.0:
         words = f"Z = {c.Z:.3g} with {H} odd harmonics, accepted: below 1"
         help_ = "more harmonics, another weight, or an orbit farther from a fold or a branch point"

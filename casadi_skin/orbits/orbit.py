@@ -220,6 +220,11 @@ class Orbit(Solution):
         certificate: Certificate = methods.TASKS["certify"].load()(self, **options)
         return certificate
 
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The proof that `certify` makes without options, kept."""
+        return self.certify()
+
     # Stability ------------------------------------------------------------------------------------------------------
 
     def floquet(self, by: str | None = None) -> Floquet:

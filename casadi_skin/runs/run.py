@@ -28,10 +28,10 @@ from casadi_skin.results.journal import (
     solution_record,
     trim_journal,
 )
-from casadi_skin.results.quantities import Place, csv_row, places_of, quantities_of
+from casadi_skin.results.quantities import Place, certified, csv_row, places_of, quantities_of
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.writing import write_branches, write_spectrum
+from casadi_skin.runs.writing import mode_of, write_branches, write_spectrum
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
@@ -274,6 +274,7 @@ class Run:
         except ArithmeticError as error:  # a value that is not finite
             self.failures.append(str(error))
         self._tell_drift(branches)
+        self._tell_unproved(branches)
 
     def _write_branches(self, branches: Sequence[Branch]) -> None:
         """The table of points, and what is made of whole branches."""
@@ -284,6 +285,16 @@ class Run:
                 row["fold"] = int(bool(place.special))
             self._write_table("branch.csv")
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
+
+    def _tell_unproved(self, branches: Sequence[Branch]) -> None:
+        """Say which orbits no proof was found for."""
+        for branch in branches:
+            proofs = certified(branch)
+            missing = [orbit for orbit in proofs if not orbit.certificate.proved]
+            if missing:
+                count = f"mode {mode_of(branch)}: {len(missing)} of {len(proofs)} orbits are not proved"
+                first = f"the first at S = {missing[0].S:.6g}: {missing[0].certificate.reason}"
+                self.failures.append(f"[accuracy] certify: {count}, {first}")
 
     def _tell_drift(self, branches: Sequence[Branch]) -> None:
         """Say where trivial multipliers are farther from their value than errors allow."""
