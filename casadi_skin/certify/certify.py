@@ -218,7 +218,7 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt) -> Certificate:
         Omega_digits=digits,
         Omega_error=error,
         radius=float(np.nextafter(r + attempt.distance, np.inf)),
-        uniqueness=uniqueness_radius(constants, r) - attempt.distance if proved else float("nan"),
+        uniqueness=max(0.0, uniqueness_radius(constants, r) - attempt.distance) if proved else float("nan"),
         size=attempt.size,
         least_period=least,
         S=orbit.S,

@@ -177,7 +177,7 @@ class _Ring(Generic[_Element]):
 
     add: Callable[[_Element, _Element, Any], _Element]
     multiply: Callable[[_Element, _Element], _Element]
-    of_constant: Callable[[float], _Element]
+    of_constant: Callable[[Any], _Element]
     constant: Callable[[_Element], Any]
     add_in_place: Callable[[_Element, _Element, Any], None] | None = None
 
@@ -226,10 +226,13 @@ def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> 
     value = ring.constant(b)
     if operation == ca.OP_DIV and value:
         return ring.add(zero, a, 1 / value)
+    if operation == ca.OP_INV and value:
+        return ring.of_constant(1 / value)
     if operation in (ca.OP_POW, ca.OP_CONSTPOW) and value is not None and value == int(value) and 0 <= value <= 16:
         power = ring.of_constant(1.0)
         for _ in range(int(value)):
             power = ring.multiply(power, a)
         return power
-    names = {ca.OP_DIV: "a division by a variable", ca.OP_POW: "a power", ca.OP_CONSTPOW: "a power"}
+    division = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable")
+    names = {**division, **dict.fromkeys((ca.OP_POW, ca.OP_CONSTPOW), "a power")}
     raise NotPolynomialError(f"{names.get(operation, f'operation {operation} of CasADi')} is in the expression")
