@@ -269,6 +269,23 @@ def test_w_is_its_formula():
     assert by_hand * (1.0 - 1e-9) <= W <= 1.02 * by_hand
 
 
+def test_rounding_of_matrix_products_is_enclosed():
+    """Each column of I - A_f J in balls, where it is nothing but rounding, against its bound by doubles."""
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit_of(Chain(6, 1.0, 0.25, -1.0), 2.0), 12)
+        H, size = 12, bounds.inner
+        for n in range(6):
+            rows, block = bounds._column(n, H)
+            identity = np.zeros((size, H))
+            identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
+            found = bounds._image(rows, block, identity)
+            exact = flint.arb_mat(bounds.matrix[:, rows].tolist()) * flint.arb_mat(block.middle.tolist())
+            for j in range(H):
+                column = [abs(flint.arb(identity[i, j]) - exact[i, j]) for i in range(size)]
+                norm_ = sum(w * v for w, v in zip(bounds.rows_above.tolist(), column, strict=True))
+                assert norm_ < found[j] < 1e-8
+
+
 def test_conditions_of_the_theorem():
     assert holds(Constants(1e-10, 0.1, 10.0, 1e-3), 1.2e-10)
     assert not holds(Constants(1e-10, 0.1, 10.0, 1e-3), 1.1e-10)  # maps beyond the ball
