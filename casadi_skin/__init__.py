@@ -10,6 +10,7 @@ from casadi_skin._version import __version__
 if TYPE_CHECKING:
     from casadi_skin.bvp.symmetry import SymmetryClass
     from casadi_skin.dynamics.simulation import simulate
+    from casadi_skin.equilibria.find import find_equilibria, find_equilibrium
     from casadi_skin.export.c_code import export_c
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
@@ -34,6 +35,8 @@ __all__ = [
     "__version__",
     "export_c",
     "export_fmu",
+    "find_equilibria",
+    "find_equilibrium",
     "find_orbit",
     "follow_family",
     "import_fmu",
@@ -56,6 +59,8 @@ def __getattr__(name: str) -> Any:
         "SymmetryClass": "bvp.symmetry",
         "export_c": "export.c_code",
         "export_fmu": "export.fmu.archive",
+        "find_equilibria": "equilibria.find",
+        "find_equilibrium": "equilibria.find",
         "find_orbit": "orbits.find_orbit",
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+import reprlib
+import sys
+from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, cast
 
 LONGEST = 60  # characters of a given value or name that a message shows
+MANY_NODES = 1000  # of an expression that no message shows
 
 
 def cut(text: str, longest: int = LONGEST) -> str:
@@ -18,8 +22,27 @@ def cut(text: str, longest: int = LONGEST) -> str:
 
 def short_repr(value: object) -> str:
     """A value in one line, cut where it is long."""
-    huge = isinstance(value, int) and value.bit_length() > 2000  # Python may refuse to write its decimals
-    return cut(" ".join((hex(value) if huge and isinstance(value, int) else repr(value)).split()))
+    return cut(" ".join(_Short().repr(value).split()))
+
+
+class _Short(reprlib.Repr):
+    """Text of what a message shows the beginning of, whatever it is: huge, endless, or with a fault in its own text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("maxlist", "maxtuple", "maxdict", "maxset", "maxfrozenset", "maxdeque", "maxarray"):
+            setattr(self, name, LONGEST)
+        self.maxstring = self.maxother = 4 * LONGEST
+
+    def repr_int(self, value: int, level: int) -> str:
+        return hex(value) if value.bit_length() > 2000 else repr(value)  # Python may refuse to write its decimals
+
+    def repr_SX(self, value: Any, level: int) -> str:
+        """CasADi writes expressions by recursion: deep ones would end the process."""
+        deep = sys.modules["casadi"].n_nodes(value) > MANY_NODES
+        return f"{type(value).__name__} of shape {value.shape}" if deep else str(self.repr_instance(value, level))
+
+    repr_MX = repr_SX
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
@@ -31,14 +54,14 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 def accepted_names(name: object, known: Iterable[str]) -> str:
     """What a message on an unknown name ends with: the nearest known name, if one is near, and all that are known."""
     names = list(known)
-    near = nearest(str(name), names)
+    near = nearest(name if isinstance(name, str) else short_repr(name), names)
     return f"{f'did you mean {near}? ' if near else ''}accepted: {', '.join(names) or 'none'}"
 
 
 def check_name(label: str, name: object, known: Iterable[str]) -> None:
     """Raises ValueError, with the nearest known name, for an unknown one."""
     names = list(known)
-    if name not in names:
+    if not isinstance(name, str) or name not in names:
         raise ValueError(f"{label}: given {short_repr(name)}; {accepted_names(name, names)}")
 
 
@@ -74,3 +97,34 @@ def numbers(name: str, values: object) -> tuple[float, ...]:
     except TypeError:
         raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}") from None
     return tuple(number(name, value, accepted) for value in given)
+
+
+def truth(name: str, value: object) -> bool:
+    """The value; raises TypeError where it is neither True nor False."""
+    if not isinstance(value, bool) and type(value).__name__ not in ("bool_", "bool"):  # numpy's
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: True or False")
+    return bool(value)
+
+
+def function_of(name: str, value: object, argument: str) -> None:
+    """Raises TypeError where the value is neither None nor can be called."""
+    if value is not None and not callable(value):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: a function of {argument}")
+
+
+def by_name(name: str, value: object, what: str = "numbers") -> Mapping[str, Any]:
+    """The value, nothing for None; raises TypeError where it is no mapping from names."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: {what} by name")
+    return value
+
+
+def file_path(name: str, value: object) -> Path:
+    """The value as a path; raises TypeError and ValueError where no file can be called so."""
+    if not isinstance(value, str | Path):
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: a path")
+    if not str(value).isprintable() or not str(value):
+        raise ValueError(f"{name}: given {short_repr(str(value))}; accepted: a path in one line")
+    return Path(value)

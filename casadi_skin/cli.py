@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
 from casadi_skin.commands import scene_commands, study_commands
-from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, WRONG_INPUT, InputError
+from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
+from casadi_skin.commands.streams import OutputError, guarded_streams
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.scene import SceneError
 
@@ -81,6 +82,16 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
+    try:
+        with guarded_streams():
+            return _status(arguments)
+    except OutputError as error:
+        _complain(f"standard output: {error}")
+        return FAILED
+
+
+def _status(arguments: Sequence[str] | None) -> int:
+    """Exit status of a command that has said why it is what it is."""
     parsed = _parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     try:
@@ -91,13 +102,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("casadi-skin: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output has gone, as in `casadi-skin spectrum SCENE.toml | head`; nothing more can be said.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
     except OSError as error:
         print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         return FAILED
+
+
+def _complain(words: str) -> None:
+    """A line on standard error, if it can be written."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(f"casadi-skin: {words}\n")
 
 
 if __name__ == "__main__":

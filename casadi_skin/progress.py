@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.solution import Solution
 
@@ -21,6 +21,7 @@ class Progress:
 
         console = Console(stderr=True)
         shown = console.is_terminal and not quiet
+        self._quiet = quiet
         self._status: Status | None = console.status("building", spinner="line") if shown else None
 
     def __enter__(self) -> Progress:
@@ -39,6 +40,11 @@ class Progress:
         if self._status is not None:
             self._status.update(f"{_place(solution)}, {points} points, step {solution.point.step:.2g}")
 
+    def tell(self, words: str) -> None:
+        """Leave a line on standard error, unless quiet."""
+        if not self._quiet:
+            print(f"casadi-skin: {words}", file=sys.stderr)
+
     def say(self, words: str) -> None:
         """Show what is being done now."""
         if self._status is not None:
@@ -51,6 +57,6 @@ def _place(solution: Solution) -> str:
     if isinstance(space, Family):
         S, end = space.value("S", solution.point), space.request.amplitude_max
         return f"j = {space.coordinates.mode_number}: S = {S:.6g} of {end:g}"
-    if isinstance(space, BoundarySpace) and space.parameter:
+    if space.parameter:
         return f"{space.parameter} = {solution.parameters[space.parameter]:.6g} on the way to {space.to:g}"
     return "solved"

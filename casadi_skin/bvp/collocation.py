@@ -109,7 +109,7 @@ class CollocationEquations(Problem):
         r, c = (np.array(t, dtype=np.int64) for t in pattern)
         entries = ca.reshape(dF_dx.nz[:], r.size, K * d)
         interval, j = np.arange(K * d) // d, np.arange(K * d) % d
-        lengths = self.constants_symbol[interval.tolist()].T
+        lengths = ca.vec(self.constants_symbol[interval.tolist()]).T  # of one interval CasADi makes a row
         total = ca.MX(self.equations, self.size)
         for i, row_weights in enumerate(extended):
             scaled = -entries * ca.repmat(lengths * ca.DM(row_weights[j]).T, r.size, 1)

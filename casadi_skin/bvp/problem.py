@@ -123,6 +123,10 @@ class Problem(ABC):
         """Place of the free parameter among the unknowns."""
         return self.index_of(Scalar.PARAMETER)
 
+    def parameter_size(self, z: Array) -> float:
+        """What a small change of the free parameter is measured by."""
+        return abs(float(z[self.parameter_index]))
+
     @cached_property
     def symbols(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """z, R(z) and dR/dz as CasADi expressions."""

@@ -55,6 +55,10 @@ class BoundaryProblem(CollocationEquations):
         """The unknown period at an Omega; u itself."""
         return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
 
+    def parameter_size(self, z: Array) -> float:
+        """1, which is what u goes through along a branch."""
+        return max(1.0, abs(float(z[-1])))
+
     # Values ---------------------------------------------------------------------------------------------------------
 
     def parameters(self, z: Array) -> Array:

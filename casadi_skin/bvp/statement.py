@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from numbers import Real
 from typing import Any
@@ -11,9 +11,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import check_name, number, short_repr
+from casadi_skin.arguments import by_name, check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.expressions import Expression, is_comparison
+from casadi_skin.models.expressions import Expression, expression_of, is_comparison
 from casadi_skin.models.ode import OdeModel
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -23,14 +23,14 @@ Bounds = Mapping[str, tuple[float, float]]
 class Statement:
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
 
-    `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters; `integrals` are expressions in
-    t, x and the parameters whose integrals over the `interval` vanish; its ends are numbers or expressions in the
-    parameters. `parameters` are values by name, those of the free ones guesses; where one is left out it is the
-    model's nominal value. Without an objective there are as many conditions and integrals as states and free
-    parameters. `objective`, in ends and parameters, plus the integral of `running` is minimised subject to all these;
-    `bounds` hold states (everywhere) and free parameters by name.
+    `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters, or a function f(start, end, p)
+    that returns them; `integrals` are expressions in t, x and the parameters, or f(t, x, p), whose integrals over the
+    `interval` vanish; its ends are numbers or expressions in the parameters. `parameters` are values by name, those of
+    the free ones guesses; where one is left out it is the model's nominal value. Without an objective there are as many
+    conditions and integrals as states and free parameters. `objective`, in ends and parameters, plus the integral of
+    `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name.
 
-    Raises ValueError, naming what was given and what is accepted, where these do not fit.
+    Raises ValueError and TypeError, naming what was given and what is accepted, where these do not fit.
     """
 
     model: OdeModel
@@ -39,12 +39,14 @@ class Statement:
     interval: tuple[Expression | float, Expression | float] = (0.0, 1.0)
     parameters: Mapping[str, float] = field(default_factory=dict)
     free: Sequence[str] = ()
+    _: KW_ONLY
     bounds: Bounds = field(default_factory=dict)
     objective: Expression | None = None
     running: Expression | None = None
 
     def __post_init__(self) -> None:
         self._check_kinds()
+        self._take_expressions()
         _check_names("free", self.free, self.model.parameter_names)
         if len(set(self.free)) < len(self.free):
             raise ValueError(f"free: given {short_repr(list(self.free))}; accepted: each parameter once")
@@ -58,13 +60,11 @@ class Statement:
     def _check_kinds(self) -> None:
         if not isinstance(self.model, OdeModel):
             raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
-        for label, given in (("conditions", self.conditions), ("integrals", self.integrals), ("free", self.free)):
-            if not isinstance(given, Sequence) or isinstance(given, str | bytes):
-                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list")
-        for label, mapping in (("parameters", self.parameters), ("bounds", self.bounds)):
-            if not isinstance(mapping, Mapping):
-                raise TypeError(f"{label}: given {short_repr(mapping)}; accepted: a mapping from names")
-        if not isinstance(self.interval, Sequence) or len(self.interval) != 2:
+        if not isinstance(self.free, list | tuple):
+            raise TypeError(f"free: given {short_repr(self.free)}; accepted: a list of names of parameters")
+        object.__setattr__(self, "parameters", by_name("parameters", self.parameters))
+        object.__setattr__(self, "bounds", by_name("bounds", self.bounds, "(lower, upper)"))
+        if not isinstance(self.interval, list | tuple) or len(self.interval) != 2:
             raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:
             if isinstance(end, ca.SX | ca.MX):
@@ -73,6 +73,21 @@ class Statement:
                     raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
             elif isinstance(end, bool) or not isinstance(end, Real):
                 raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
+
+    def _take_expressions(self) -> None:
+        """Functions, lists and numbers become the expressions that they stand for."""
+        ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        taken: dict[str, Any] = {
+            "conditions": _listed("conditions", self.conditions, ends, "f(start, end, p)"),
+            "integrals": _listed("integrals", self.integrals, along, "f(t, x, p)"),
+        }
+        if self.objective is not None:
+            taken["objective"] = expression_of("objective", self.objective, ends, "f(start, end, p)", constants=False)
+        if self.running is not None:
+            taken["running"] = expression_of("running", self.running, along, constants=False)
+        for label, value in taken.items():
+            object.__setattr__(self, label, value)
 
     def _check_values(self) -> None:
         start, end = self.span(np.array(list(self.values.values())))
@@ -108,7 +123,7 @@ class Statement:
     def _check_bounds(self) -> None:
         _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
         for name, bound in self.bounds.items():
-            pair = isinstance(bound, Sequence) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
+            pair = isinstance(bound, list | tuple) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
             if not pair or not bound[0] < bound[1]:
                 raise ValueError(
                     f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
@@ -185,11 +200,12 @@ class Statement:
     # What can be asked of it ----------------------------------------------------------------------------------------
 
 
-def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:
     """Value of each parameter of a model by name, in its order: given, or nominal.
 
-    Raises ValueError for unknown names and where a parameter has no value.
+    Raises ValueError for unknown names and where a parameter has no value, TypeError for what is no mapping.
     """
+    given = by_name("parameters", given)
     _check_names("parameters", given, model.parameter_names)
     nominal = dict(zip(model.parameter_names, model.nominal or (), strict=False))
     values = nominal | {name: number(f"parameters, {name}", value) for name, value in given.items()}
@@ -197,6 +213,17 @@ def named_values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float
         if name not in values:
             raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
     return {name: values[name] for name in model.parameter_names}
+
+
+def _listed(label: str, given: Any, symbols: Sequence[Expression], form: str) -> tuple[Expression, ...]:
+    """Expressions of a list, or of a function of the symbols, or one that stands alone."""
+    if isinstance(given, ca.SX | ca.MX) or callable(given):
+        return (expression_of(label, given, symbols, form, constants=False),)
+    if not isinstance(given, list | tuple) and not (isinstance(given, np.ndarray) and given.ndim):
+        accepted = f"a list of expressions, or a function {form} that returns them"
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: {accepted}")
+    numbered = ((f"{label}, number {k}", entry) for k, entry in enumerate(given, start=1))
+    return tuple(expression_of(place, entry, symbols, form, constants=False) for place, entry in numbered)
 
 
 def _count(expressions: Iterable[Expression]) -> int:

@@ -7,6 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.arguments import short_repr
 from casadi_skin.models.ode import OdeModel
 
 Array = NDArray[np.float64]
@@ -18,6 +19,11 @@ class SymmetryClass(Enum):
     QUARTER = 0.25
     HALF = 0.5
     FULL = 1.0
+
+    @classmethod
+    def _missing_(cls, value: object) -> SymmetryClass:
+        """Raises ValueError in one line."""
+        raise ValueError(f"symmetry class: given {short_repr(value)}; accepted: 0.25, 0.5, 1.0")
 
     @property
     def reason(self) -> str:

@@ -8,26 +8,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.directory import JOURNAL, Existing, check_same_source, prepare
+from casadi_skin.runs.directory import Existing, check_same_source, prepare
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
 
 if TYPE_CHECKING:
     from casadi_skin.runs.request import Request
 
-ASKED = ("family", "orbit", "solution", "search", "export", "spectrum")
+ASKED = ("family", "equilibrium", "orbit", "solution", "search", "export", "spectrum")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute what a scene asks for; nothing is written where the scene or its model is wrong."""
     scene, text = read_scene(arguments.scene)
     if all(getattr(scene, name) is None for name in ASKED):
-        accepted = "a table [family], [orbit], [solution], [search], [export] or [spectrum]"
+        accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    name_program(scene, arguments.scene, arguments.quiet)
     request = bound(scene, arguments.scene)
-    if existing is Existing.RESUME:
-        _check_resumable(directory, request)
+    if existing is Existing.RESUME and request.path is not None:
+        check_same_source(directory, request.path, request.source)
     if not prepare(directory, scene, text, existing):
         if not arguments.quiet:
             print(f"{directory} holds the complete run already")
@@ -55,23 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
     return status
 
 
-def _check_resumable(directory: Path, request: Request) -> None:
-    """Raises DirectoryError and InputError where a run in the directory is none that this request can go on with."""
-    if request.path is not None:
-        check_same_source(directory, request.path, request.source)
-    journal = directory / JOURNAL
-    if request.scene.search is None and journal.exists():
-        from casadi_skin.results.journal import read_journal
-
-        try:
-            read_journal(journal)
-        except ValueError as error:
-            raise InputError(str(error)) from error
-
-
 def check(arguments: argparse.Namespace) -> int:
     """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
     scene, _ = read_scene(arguments.scene)
+    name_program(scene, arguments.scene)
     request = bound(scene, arguments.scene)
     from casadi_skin.runs.plan import plan_lines
 
@@ -112,6 +100,13 @@ def read_scene(path: Path) -> tuple[Scene, str]:
     """The scene in a file and its text."""
     text = read_text(path)
     return parse_scene(text, str(path)), text
+
+
+def name_program(scene: Scene, path: Path, quiet: bool = False) -> None:
+    """Print which Python file a scene is about to run, if any: a program may do anything, a saved model nothing."""
+    if scene.model is not None and scene.model.file.endswith(".py") and not quiet:
+        name = str(path.parent / scene.model.file)
+        print(f"{'program':<14}{name if name.isprintable() else repr(name)} is run as Python", flush=True)
 
 
 def bound(scene: Scene, path: Path) -> Request:

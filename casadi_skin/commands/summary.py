@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.special_points import HOPF
 from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.runs.writing import mode_of
 
@@ -36,6 +39,8 @@ def print_summary(run: Run) -> None:
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
+    elif isinstance(branches[0].solutions[0] if branches else None, Equilibrium):
+        Console().print(_diagram(run, branches))
     elif branches:
         Console().print(_points(run, branches[0]))
         if branches[0].with_events and len(branches[0]) > 1:
@@ -74,9 +79,15 @@ def _families(run: Run) -> Table:
         cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
             sought = str(len(branch.changes)) if branch.with_events else "not sought"
-            cells += [f"{branch.max_abs_multiplier.max():.8g}", sought]
+            cells += [f"{_largest_multiplier(branch):.8g}", sought]
         table.add_row(*cells, f"{seconds:.2f}")
     return table
+
+
+def _largest_multiplier(branch: Branch) -> float:
+    """Largest |multiplier| of the orbits, and in the tongues between them where these were sought."""
+    tongues = () if branch.stability_diagram is None else branch.stability_diagram.tongues
+    return max([float(branch.max_abs_multiplier.max()), *(tongue.max_abs_multiplier for tongue in tongues)])
 
 
 def _print_thresholds(branches: list[Branch]) -> None:
@@ -84,6 +95,34 @@ def _print_thresholds(branches: list[Branch]) -> None:
         if branch.threshold is not None:
             words = f"end breather of the infinite chain born at S_c = {branch.threshold:.10g}"
             print(f"mode {mode_of(branch)}: {words}")
+
+
+def _diagram(run: Run, branches: list[Branch]) -> Table:
+    """A row for the first and the last point of each branch, and for special points."""
+    name = branches[0].parameter
+    second = run.request.scene.continuation.curve if run.request.scene.continuation is not None else None
+    columns = ["", *([name] if name else []), *([second.parameter] if second else []), "its error", ""]
+    table = _table(run.request.scene.title or run.request.ode.name, ["branch", *columns])
+    for number, branch in enumerate(branches):
+        rows: list[tuple[str, Mapping[str, float], str, str]] = []
+        first, last = branch.solutions[0], branch.solutions[-1]
+        rows.append(("start", first.parameters, "", _stability(branch, 0)))
+        for point in branch.special_points:
+            words = point.criticality if point.kind == HOPF else ""
+            rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
+        if len(branch) > 1:
+            rows.append(("end", last.parameters, "", _stability(branch, -1)))
+        what = "cycles" if isinstance(first, Orbit) else "curve" if branch.space.free else "equilibria"
+        for kind, values, error, words in rows:
+            shown = [f"{values[key]:.10g}" for key in (name, *([second.parameter] if second else [])) if key]
+            table.add_row(f"{number + 1}: {what}", kind, *shown, error, words)
+    return table
+
+
+def _stability(branch: Branch, place: int) -> str:
+    if not branch.with_stability:
+        return ""
+    return "stable" if branch.solutions[place].stable else "unstable"
 
 
 def _print_stability(branches: list[Branch]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
 
@@ -42,9 +42,9 @@ class _Departure:
 class ArclengthContinuation:
     """A walk by predictor and corrector for any problem (see `Continuation`); `rejected` counts steps refused."""
 
-    def __init__(self, point_solver: PointSolver, history: tuple[Point, ...]) -> None:
+    def __init__(self, point_solver: PointSolver, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> None:
         self.point_solver, self.settings = point_solver, point_solver.settings
-        self.history = history[-HISTORY:]
+        self.history, self._reported = history[-HISTORY:], reported
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
@@ -52,6 +52,10 @@ class ArclengthContinuation:
 
     def __iter__(self) -> Iterator[Point]:
         sign = float(np.sign(self.settings.parameter_max))
+        known = known_end(self.settings, (*self.history, *self._reported))
+        if known is not None:
+            self.end = known
+            return
         for _ in range(self.settings.max_points):
             current = self.history[-1]
             following = self._advance(current)
@@ -62,8 +66,9 @@ class ArclengthContinuation:
                 return
             self.history = (*self.history, following)[-HISTORY:]
             yield following.snapped(self.settings.at)
-            if sign * following.parameter <= 0:
-                self.end = End.RETURNED
+            lowest = self.settings.parameter_min
+            if sign * following.parameter <= lowest * abs(self.settings.parameter_max):
+                self.end = End.RETURNED if lowest == 0.0 else End.AWAY
                 return
         self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
 
@@ -141,7 +146,8 @@ class ArclengthContinuation:
         if current.parameter == 0.0 and self.settings.tiny_first:
             wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
         inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
-        for target, point in self.point_solver.between(current, following, inside):
+        passed, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        for target, point in self.point_solver.between(current, following, inside, passed):
             if point is None:
                 self.missed.append(target)
                 self.detail = self.point_solver.failure

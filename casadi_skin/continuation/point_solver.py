@@ -23,6 +23,7 @@ COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less 
 START_ERROR = 1e-4  # of the linear mode where a walk starts
 PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
 MEANINGFUL = 1e-3
+TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
@@ -66,6 +67,31 @@ class PointSolver:
                 break
         tangent = self.tangent(problem, z, solve)
         return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
+
+    def fault(self, point: Point) -> str:
+        """Why a point from elsewhere is none of the branch, in words; empty where it is.
+
+        The residual and the tangent are computed anew: a Newton step may move the point by its own error, or by the
+        tolerance, and no more.
+        """
+        problem, z, error = point.problem, point.z, point.error
+        sizes = (point.step, point.along, error.Omega, error.profile, error.parameter)
+        if not all(np.all(np.isfinite(values)) for values in (z, point.tangent, problem.constants, sizes)):
+            return "a value that is not finite"
+        if not (problem.frequency(z) > 0 and point.step > 0):
+            return "a frequency or a step that is not positive"
+        row = self.metric(problem, z) * point.tangent
+        try:
+            with np.errstate(all="ignore"):
+                solve = self.factor(problem, z, row)
+                left_over, tangent = solve(np.append(problem.evaluate(z)[0], 0.0)), self.tangent(problem, z, solve)
+                moved = step_error(problem, z, left_over).relative(problem.frequency(z))
+        except (SingularError, RuntimeError):
+            return "a point at which the equations are singular"
+        if not moved <= 2.0 * max(self.settings.tolerance, error.relative(problem.frequency(z))):
+            return f"a point that does not solve the equations (a Newton step moves it by {moved:.1e})"
+        turned = float(np.sqrt(np.sum(self.metric(problem, z) * (tangent - point.tangent) ** 2)))
+        return "" if turned <= TURNED else f"a tangent that is none (off by {turned:.1e})"
 
     # Correcting -----------------------------------------------------------------------------------------------------
 
@@ -171,9 +197,9 @@ class PointSolver:
     # At a value of the parameter or of Omega, between two points -----------------------------------------------------
 
     def between(
-        self, current: Point, following: Point, targets: tuple[Target, ...]
+        self, current: Point, following: Point, targets: tuple[Target, ...], passed: float = 0.0
     ) -> Iterator[tuple[Target, Point | None]]:
-        """Points at any of `targets` between two points of the branch, in arclength order.
+        """Points at any of `targets` between two points of the branch, in arclength order, beyond the place `passed`.
 
         Yields (target, point), and (target, None) where the corrector does not find the point that the branch passes.
         """
@@ -181,7 +207,9 @@ class PointSolver:
         problem = following.problem
         places = [(sigma, target) for target in targets for sigma in curve.crossings(*target.unknown(problem), length)]
         for sigma, target in sorted(places, key=lambda place: place[0]):
-            yield target, self._exactly(problem, curve, sigma, target, length)
+            if sigma > passed:
+                point = self._exactly(problem, curve, sigma, target, length)
+                yield target, None if point is None else replace(point, along=sigma)
 
     def beside(self, point: Point, target: Target) -> Point | None:
         """The point at a target that `point` meets but for round-off; None where none is found."""
@@ -197,16 +225,39 @@ class PointSolver:
 
     def along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """A corrected point at a fraction of the way between two points of the branch, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        try:
+            point = None if correction is None else self.refined(following.problem, correction, row)
+        except SingularError as error:
+            self.failure = str(error)
+            return None
+        return None if point is None else replace(point, walked=False)
+
+    def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
+        """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
+        return self.corrected_along(current, following, fraction)[1]
+
+    def corrected_along(
+        self, current: Point, following: Point, fraction: float
+    ) -> tuple[Correction | None, Array | None]:
+        """The correction and the tangent at a fraction of the way, on the level of the second point alone, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        if correction is None:
+            return None, None
+        try:
+            problem = following.problem
+            return correction, self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+        except SingularError as error:
+            self.failure = str(error)
+            return correction, None
+
+    def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
+        """The correction at a fraction of the way between two points on the level of the second, and its row."""
         problem = following.problem
         curve, length = self.curve(current, following)
         guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
         row = self.metric(problem, guess) * slope
-        correction = self.correct(problem, guess, row, float(row @ guess), length)
-        try:
-            point = None if correction is None else self.refined(problem, correction, row)
-        except SingularError:
-            return None
-        return None if point is None else replace(point, walked=False)
+        return self.correct(problem, guess, row, float(row @ guess), length), row
 
     def _exactly(
         self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
@@ -53,6 +53,7 @@ class ContinuationSettings:
     max_parameter_step: float = 1.0 / 30.0  # of parameter_max: points to draw, and to see stability change between
     min_step: float = 1e-7
     max_points: int = 20_000
+    parameter_min: float = 0.0  # of parameter_max: the walk ends where it comes back to this
     tiny_first: bool = True  # a point next to the start is among the first ones, where that has no amplitude
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
@@ -77,6 +78,9 @@ class End(Enum):
     NO_STEP = "no step, however short, stays on the family"
     RESOLUTION = "the orbit needs a finer discretisation than the finest there is"
     RETURNED = "the family came back to zero amplitude"
+    AWAY = "the branch went as far to the other side as the value asked for is to this side"
+    HOPF = "the cycle shrinks to an equilibrium at a Hopf point"
+    TAKENS = "the Hopf points end at a Bogdanov-Takens point, with frequency zero"
     POINTS = "the limit on the number of points was reached"
     LIMIT = "S no longer changes in double precision while the period grows"
     FLOW = "the flow map of the variational system cannot reach the tolerance"
@@ -94,8 +98,11 @@ class Point:
     iterations: int
     requested: bool = False
     walked: bool = True  # a point of the walk itself; others lie between two of these
+    along: float = 0.0  # how far it lies after the point walked before it, where the continuation went on past it
+    located: bool = False  # a special point between two of the continuation
     better: Refinement | None = None  # the point one Newton step nearer to the next finer level
     at_round_off: bool = False  # the tolerance is below what round-off leaves of the point
+    special: str = ""  # of what kind a special point that was located is
 
     @property
     def parameter(self) -> float:
@@ -126,11 +133,21 @@ class Point:
         return replace(self, z=z, requested=True)
 
 
+def known_end(settings: ContinuationSettings, points: Sequence[Point]) -> End | None:
+    """The end that a walk has come to with the last of its points; None where it goes on."""
+    last = points[-1]
+    if any(float(last.z[i]) == value for i, value in (end.unknown(last.problem) for end in settings.ends)):
+        return End.REACHED
+    returned = len(points) > 1 and np.sign(settings.parameter_max) * last.parameter <= 0
+    return End.RETURNED if returned else None
+
+
 class Continuation(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
     `end` tells why it stopped, `detail` where; `missed` lists targets passed at which no point was found. `history`
-    holds the last few points walked: a walk made from them goes on exactly as the one that was broken off.
+    holds the last few points walked: a walk made from them, and from the points `reported` after the last of them, goes
+    on exactly as the one that was broken off.
     """
 
     history: tuple[Point, ...]

@@ -15,7 +15,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem, Scalar
 from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.solvers.bordered import SingularError, Solve
 
@@ -55,9 +55,10 @@ class SeriesContinuation:
         history: tuple[Point, ...],
         recursion: Callable[[Problem], Recursion],
         precision: Callable[[Problem], float],
+        reported: tuple[Point, ...] = (),
     ) -> None:
         self.point_solver, self.settings = point_solver, point_solver.settings
-        self.history = history[-2:]
+        self.history, self._reported = history[-2:], reported
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
@@ -66,6 +67,10 @@ class SeriesContinuation:
 
     def __iter__(self) -> Iterator[Point]:
         sign, count = float(np.sign(self.settings.parameter_max)), 0
+        known = known_end(self.settings, (*self.history, *self._reported))
+        if known is not None:
+            self.end = known
+            return
         while count < self.settings.max_points:
             base = self.history[-1]
             found = self._departure(base)
@@ -132,8 +137,9 @@ class SeriesContinuation:
 
     def _points(self, base: Point, stretch: Stretch) -> Iterator[Point]:
         """Points of a stretch in arclength order; the last one is the next base, unless the walk ends before."""
-        problem, last, ends = base.problem, 0.0, self.settings.ends
-        stops = self._stops(base, stretch)
+        problem, ends = base.problem, self.settings.ends
+        last, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
             point = self._point(problem, stretch, stop, reach)
@@ -145,7 +151,8 @@ class SeriesContinuation:
             else:
                 last = stop.tau
                 finished = stop.target not in ends and (stop is stops[-1] or point.problem is not problem)
-                yield replace(point, requested=stop.requested, walked=finished, step=base.step * stretch.length)
+                step = base.step * stretch.length
+                yield replace(point, requested=stop.requested, walked=finished, step=step, along=stop.tau)
                 if finished:
                     return
             if stop.target in ends:

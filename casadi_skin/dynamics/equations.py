@@ -57,7 +57,7 @@ class EquationsOfMotion:
 
     def __init__(self, model: OdeModel, parameters: Mapping[str, float] | None = None) -> None:
         self.model: Any = model
-        self.parameters: Mapping[str, float] = named_values(model, parameters or {})
+        self.parameters: Mapping[str, float] = named_values(model, parameters)
         gauge = self.gauge
         self.gauge_is_default = gauge is not None and 0.0 < -float(np.min(gauge.log_scale)) <= LONGEST_ENVELOPE
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,6 +15,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
 
 FEWEST = 40  # output times that a cycle is looked for in
+AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
+OWN_TOLERANCE, SMALL = 1e-11, 1e-6  # of the integrator's own steps; and of the largest component, of which it is one
 CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
 
 
@@ -89,12 +92,48 @@ class Evolution:
         return CubicHermiteSpline(self.t, self.states, np.array(rates).T)
 
     def last_cycle(self) -> Cycle:
-        """The last stretch of time over which the state comes back to itself; raises ValueError where it does not."""
+        """The last stretch of time over which the state comes back to itself.
+
+        Where the output times are too far apart to show it, as in the jumps of a relaxation oscillation, the motion is
+        followed on from the last of them for as long again, in steps of the integrator's own (Radau, order 5).
+
+        Raises:
+            ValueError: there is none.
+        """
+        found = self._cycle() or self._at_own_steps()._cycle()
+        if found is None:
+            raise ValueError(
+                f"last_cycle: from t = {self.t[0]:g} to {self.t[-1]:g} the state does not come back to itself"
+            )
+        return found
+
+    def _at_own_steps(self) -> Evolution:
+        """The motion from the last state on for as long again, at the steps of an integrator for stiff equations."""
+        from scipy.integrate import solve_ivp
+
+        model, values = self.equations.physical, self.equations.values
+        field, slope = (
+            model.vector_field,
+            model.function("slope", ca.densify(ca.jacobian(model.full_rhs, model.full_state))),
+        )
+        end = 2.0 * self.t[-1] - self.t[0]
+        scale = np.maximum(np.max(np.abs(self.states), axis=0), SMALL * np.max(np.abs(self.states)))
+        found = solve_ivp(
+            lambda time, x: np.array(field(time, x, values)).ravel(), (self.t[-1], end), self.states[-1], "Radau",
+            rtol=OWN_TOLERANCE, atol=OWN_TOLERANCE * scale, jac=lambda time, x: np.array(slope(time, x, values)),
+        )  # fmt: skip
+        return replace(self, t=found.t, states=found.y.T) if found.success else self
+
+    def _cycle(self) -> Cycle | None:
         t, states = self.t, self.states
         if t.size < FEWEST:
             raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
         half = states[t.size // 2 :]
         spread = np.ptp(half, axis=0)
+        if np.all(
+            spread <= np.maximum(AT_REST * np.ptp(states, axis=0), NOISE * self.tolerance * np.max(np.abs(states)))
+        ):
+            raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
         component = int(np.argmax(np.std(half, axis=0)))
         level = float(np.mean(half[:, component]))
         below = states[:, component] < level
@@ -104,7 +143,7 @@ class Evolution:
             gap = np.abs(self.evaluate(start) - self.evaluate(end))[0]
             if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
                 return Cycle(self, start, end - start)
-        raise ValueError(f"last_cycle: from t = {t[0]:g} to {t[-1]:g} the state does not come back to itself")
+        return None
 
     def _crossing(self, i: int, component: int, level: float) -> float:
         """The time between two output times at which a component has a value."""
@@ -162,6 +201,12 @@ class Cycle:
     evolution: Evolution
     start: float
     period: float
+
+    @property
+    def times(self) -> Array:
+        """Times at which the states are known, from 0 at the start of the cycle to the period."""
+        t = self.evolution.t - self.start
+        return np.concatenate([[0.0], t[(t > 0.0) & (t < self.period)], [self.period]])
 
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times from the start of the cycle on, shape (time, component)."""

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import number, numbers, short_repr
+from casadi_skin.arguments import by_name, number, short_repr
+from casadi_skin.arrays import real_array
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.integrators.cvodes import stiff_cvodes
@@ -35,14 +36,16 @@ def simulate(
         States at all times; its `last_cycle()` is a guess for `find_orbit`.
 
     Raises:
-        ValueError: an argument does not fit the model.
+        ValueError, TypeError: an argument does not fit the model.
         IntegrationError: CVODES fails.
     """
-    equations = EquationsOfMotion(model.first_order(), parameters)
-    x = np.array(numbers("start", np.ravel(start)))
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    equations = EquationsOfMotion(model.first_order(), by_name("parameters", parameters))
+    x = real_array("start", start).ravel()
     if x.size != equations.size:
         raise ValueError(f"start: given {x.size} states; accepted: {equations.size}, {', '.join(equations.names)}")
-    times = np.array(numbers("t", np.ravel(t)))
+    times = real_array("t", t).ravel()
     if times.size < 2 or np.any(np.diff(times) <= 0):
         raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:

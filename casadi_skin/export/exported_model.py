@@ -139,7 +139,7 @@ def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[
     """
     if what is None:
         return [name for name in PARTS if name not in OPTIONAL and exported.refusal(name) is None]
-    if isinstance(what, str | bytes) or not isinstance(what, Collection):
+    if not isinstance(what, list | tuple | set | frozenset):
         raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(PARTS)}")
     if not what:
         raise ValueError(f"what: given an empty list; accepted: some of {', '.join(PARTS)}")

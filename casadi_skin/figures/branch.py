@@ -44,7 +44,8 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
     space = branch.space
     if not isinstance(space, BoundarySpace) or not space.parameter or not branch.solutions:
         given = "a family" if isinstance(space, Family) else "one without a parameter or solutions"
-        raise ValueError(f"branch: given {given}; accepted: a branch of solutions in a parameter")
+        given = "one of equilibria, see bifurcation_figure" if space.knows_stability else given
+        raise ValueError(f"branch: given {given}; accepted: a branch of orbits or solutions in a parameter")
     state = plain(space.state_names[0])
     low, high = np.array([[side[0] for side in extremes(solution)] for solution in branch.solutions]).T
     panels: list[tuple[str, list[Array]]] = [(f"{state}: largest and smallest value", [high, low])]

@@ -60,11 +60,8 @@ def stability_pieces(branch: Branch, path: Array) -> list[tuple[bool | None, Arr
 
 def special_places(branch: Branch, path: Array) -> dict[int, str]:
     """Kinds of the special points that were located while the branch was followed, by their places in a path."""
-    if not branch.space.locates_folds:
-        return {}
-    kinds = {id(point.solution): point.kind for point in branch.special_points}
     lead = len(path) - len(branch)
-    return {lead + i: kinds[id(s)] for i, s in enumerate(branch.solutions) if id(s) in kinds}
+    return {lead + i: s.point.special for i, s in enumerate(branch.solutions) if s.point.special}
 
 
 def draw_lines(

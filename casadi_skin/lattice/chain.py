@@ -48,7 +48,8 @@ class Chain:
     g: float
 
     def __post_init__(self) -> None:
-        if self.sites != np.inf and (not _is_whole(self.sites) or self.sites < 1):
+        endless = isinstance(self.sites, float) and self.sites == np.inf
+        if not endless and (not _is_whole(self.sites) or self.sites < 1):
             raise ValueError(f"sites: given {short_repr(self.sites)}; accepted: a whole number >= 1, or inf")
         for name in ("alpha", "gamma", "g"):
             number(name, getattr(self, name))
@@ -68,13 +69,13 @@ class Chain:
         Raises ValueError for a mode that is not there.
         """
         if self.infinite:
-            if mode not in (FIRST, LAST, 1, -1):
-                raise ValueError(f"mode: given {mode!r}; accepted in an infinite chain: {FIRST}, {LAST}")
+            if not isinstance(mode, str | int) or mode not in (FIRST, LAST, 1, -1):
+                raise ValueError(f"mode: given {short_repr(mode)}; accepted in an infinite chain: {FIRST}, {LAST}")
             return 1 if mode in (FIRST, 1) else -1
         if isinstance(mode, str) and mode in (FIRST, LAST):
             return 1 if mode == FIRST else self.sites
         if not _is_whole(mode) or not 1 <= int(mode) <= self.sites:
-            raise ValueError(f"mode: given {mode!r}; accepted: 1..{self.sites}, {FIRST}, {LAST}")
+            raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{self.sites}, {FIRST}, {LAST}")
         return int(mode)
 
     # The gauge ------------------------------------------------------------------------------------------------------
@@ -218,7 +219,7 @@ class Chain:
         symplectic (the appendix calls W itself symplectic).
         """
         if coordinates not in ("physical", "gauge"):
-            raise ValueError(f"coordinates: given {coordinates!r}; accepted: physical, gauge")
+            raise ValueError(f"coordinates: given {short_repr(coordinates)}; accepted: physical, gauge")
         model = self.physical_model() if coordinates == "physical" else self.gauge_model()
         matrix = ca.jacobian(model.full_rhs, model.full_state)
         return ca.Function("variational", [model.state, model.parameters], [matrix], ["y", "p"], ["Z"])

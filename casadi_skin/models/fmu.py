@@ -6,8 +6,7 @@ expressions: everything that needs no more than their values and first derivativ
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,18 +15,20 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import nearest, number, short_repr
-from casadi_skin.models.fmu_archive import unpack
+from casadi_skin.arguments import file_path, nearest, number, short_repr
+from casadi_skin.models.fmu_archive import Unpacked, unpack
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives, Pattern, Value
 from casadi_skin.models.fmu_function import FmuFunction
 from casadi_skin.models.fmu_instance import FmuInstance
+from casadi_skin.models.fmu_trial import check_answer
 from casadi_skin.models.ode import OdeModel
 
 _REAL = ("Real", "Float64")
+TIME_LIMIT = 60.0  # seconds
 _TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class FmuModel(OdeModel):
     """A model whose equations are in an FMU's binary; functions made of it live as long as it does.
 
@@ -75,49 +76,74 @@ class FmuModel(OdeModel):
 
 def import_fmu(
     path: str | Path,
+    *,
     states: Sequence[str] | None = None,
     parameters: Sequence[str] = (),
-    *,
     forcing_period: float | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> FmuModel:
     """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
 
     Jacobians are the FMU's where it offers them and they agree with differences, else by differences, whose estimated
-    error is the model's `noise`.
+    error is the model's `noise`. The binary runs with all that you may do. It is loaded and called in a process of its
+    own first, once for each file, so that one that ends its process or never answers is refused; what it does later, at
+    other states, happens in this process.
 
     Arguments:
         path: The FMU.
         states: All of its continuous states by name, in the wanted order; by default in its own.
         parameters: Its real parameters and inputs that become parameters of the model; the others keep their values.
         forcing_period: The period of a model that depends on time.
+        time_limit: Seconds in which the binary must answer in the process of its own.
 
     Returns:
         The model, of first order.
 
     Raises:
-        ValueError: A name is unknown; the FMU is damaged, hostile, of another platform, or without Model Exchange; or
-            fmpy (the extra "fmu") is not installed. In one line.
+        ValueError: A name is unknown; the FMU is damaged, hostile, too large, of another platform, or without Model
+            Exchange; its binary does not come back; or fmpy (the extra "fmu") is not installed. In one line.
+        TypeError: An argument is of another kind.
     """
     if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
         raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
+    if number("time_limit", time_limit) <= 0:
+        raise ValueError(f"time_limit: given {time_limit!r}; accepted: seconds > 0")
     for label, names in (("states", states), ("parameters", parameters)):
-        if isinstance(names, str) or not all(isinstance(name, str) for name in names or ()):
+        given = () if names is None and label == "states" else names
+        if not isinstance(given, list | tuple) or not all(isinstance(name, str) for name in given):
             raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
-    unpacked = unpack(path)
+    unpacked = unpack(file_path("path", path))
     try:
-        chosen = [_parameter(name, unpacked.description) for name in parameters]
-        if len(set(parameters)) < len(chosen):
-            raise ValueError(f"parameters: given {', '.join(parameters)}; accepted: each one once")
-        _check_description(path, unpacked.description, states)
-        instance = FmuInstance(unpacked, chosen)
+        _chosen(unpacked, states, parameters)  # names first: they run nothing
+        asked = {"states": states, "parameters": tuple(parameters), "forcing_period": forcing_period}
+        check_answer(unpacked, asked, time_limit)
+        return made(unpacked, states, parameters, forcing_period)
     except BaseException:
-        shutil.rmtree(unpacked.folder, ignore_errors=True)
+        unpacked.remove()
         raise
+
+
+def made(
+    unpacked: Unpacked, states: Sequence[str] | None, parameters: Sequence[str], forcing_period: float | None
+) -> FmuModel:
+    """The model in an FMU that is unpacked; raises ValueError as `import_fmu`."""
+    instance = FmuInstance(unpacked, _chosen(unpacked, states, parameters))
     try:
         return _model(instance, states, forcing_period)
     except BaseException:
         instance.close()
         raise
+
+
+def _chosen(unpacked: Unpacked, states: Sequence[str] | None, parameters: Sequence[str]) -> list[Any]:
+    """fmpy's variables of the parameters; raises ValueError for these and for states that there are not."""
+    variables = unpacked.description.modelVariables
+    known = {v.name: v for v in variables if v.causality in ("parameter", "input") and v.type in _REAL}
+    chosen = [_parameter(name, known) for name in parameters]
+    if len(set(parameters)) < len(chosen):
+        raise ValueError(f"parameters: given {', '.join(parameters)}; accepted: each one once")
+    _check_description(unpacked.path, unpacked.description, states)
+    return chosen
 
 
 def _model(instance: FmuInstance, states: Sequence[str] | None, forcing_period: float | None) -> FmuModel:
@@ -231,16 +257,13 @@ def _check_numbers(path: str | Path, variable: Any) -> None:
             raise ValueError(f"{path}: {given}; accepted: a number") from None
 
 
-def _parameter(name: str, description: Any) -> Any:
+def _parameter(name: str, known: Mapping[str, Any]) -> Any:
     """fmpy's variable of a parameter or an input; raises ValueError for another one, with the nearest name."""
-    usable = {
-        v.name: v for v in description.modelVariables if v.causality in ("parameter", "input") and v.type in _REAL
-    }
-    if name not in usable:
-        raise ValueError(f"parameters: given {name!r}; accepted: {_nearest(name, list(usable))}")
-    if getattr(usable[name], "dimensions", None):
+    if name not in known:
+        raise ValueError(f"parameters: given {name!r}; accepted: {_nearest(name, list(known))}")
+    if getattr(known[name], "dimensions", None):
         raise ValueError(f"parameters: {name!r} is an array; accepted: scalars")
-    return usable[name]
+    return known[name]
 
 
 def _nearest(name: str, names: list[str]) -> str:

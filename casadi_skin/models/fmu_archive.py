@@ -1,29 +1,27 @@
-"""Somebody's FMU as a file: checked before anything of it is written, and unpacked as far as it is needed.
-
-Nothing in an archive is trusted: names that leave the folder, links, sizes and entities of XML are refused.
-"""
+"""Somebody's FMU as a file: its description is checked, and what is needed of it is unpacked."""
 
 from __future__ import annotations
 
 import platform
-import shutil
-import stat
 import sys
-import zipfile
-import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from tempfile import mkdtemp
 from typing import Any
 from xml.parsers.expat import ParserCreate
 
+from casadi_skin.files import TemporaryFolder
+from casadi_skin.models.unzip import Archive
+
 FMPY_MISSING = "fmpy is not installed; accepted: pip install 'casadi-skin[fmu]'"
-LARGEST = 1 << 30  # bytes of all files together, unpacked
-LARGEST_DESCRIPTION = 1 << 27
-CHUNK = 256  # bytes
-MOST_FILES = 20_000
+DESCRIPTION = "modelDescription.xml"
+LARGEST_DESCRIPTION = 1 << 26  # bytes
+MOST_ELEMENTS = 1_000_000  # of XML in a description
+MOST_VARIABLES = 100_000
+MOST_STATES = 2_000
+DEEPEST = 100  # elements of XML within each other
+CHUNK = 1 << 16  # bytes
 _ENDINGS = {"linux": "so", "darwin": "dylib"}
-_DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 
 
 def system_name() -> str:
@@ -50,12 +48,16 @@ def library_ending() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """An FMU's folder, the library in it for this platform, and what fmpy read in its modelDescription.xml."""
+    """An FMU's folder, the library in it for this platform, and what fmpy read in its modelDescription.xml.
+
+    `remove` removes the folder.
+    """
 
     path: Path
     folder: Path
     library: Path
     description: Any
+    remove: Callable[[], object]
 
 
 def unpack(path: str | Path) -> Unpacked:
@@ -65,77 +67,37 @@ def unpack(path: str | Path) -> Unpacked:
     this platform, and where fmpy is missing; nothing is left behind then.
     """
     path = Path(path)
+    archive = Archive(path)
     try:
-        archive = zipfile.ZipFile(path)
-    except _DAMAGED as error:
-        raise ValueError(f"{path}: cannot be read as an FMU: {error}") from error
-    folder = Path(mkdtemp(prefix="casadi_skin_fmu_"))
-    try:
-        with archive:
-            members = _checked_members(path, archive)
-            _write(path, archive, [m for m in members if m.filename == "modelDescription.xml"], folder)
-            description = _description(path, folder)
-            wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
-            library = _library(path, description, members, folder)
-            _write(path, archive, [m for m in members if m.filename.startswith(wanted)], folder)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return Unpacked(path, folder, library, description)
-
-
-def _checked_members(path: Path, archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
-    """All files of the archive; raises ValueError naming the first that must not be unpacked."""
-    members = archive.infolist()
-    if len(members) > MOST_FILES:
-        raise ValueError(f"{path}: {len(members)} files inside; accepted: up to {MOST_FILES}")
-    size = sum(member.file_size for member in members)
-    if size > LARGEST:
-        raise ValueError(f"{path}: {size} bytes when unpacked; accepted: up to {LARGEST}")
-    for member in members:
-        name = member.orig_filename
-        parts = PurePosixPath(name).parts
-        if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name or "\0" in name:
-            raise ValueError(f"{path}: refused: the file {name!r} would leave the folder it is unpacked in")
-        if stat.S_ISLNK(member.external_attr >> 16):
-            raise ValueError(f"{path}: refused: {name!r} is a link")
-        if member.flag_bits & 1:
-            raise ValueError(f"{path}: refused: {name!r} is encrypted")
-    names = [member.filename for member in members]
-    if len(set(names)) < len(names):
-        raise ValueError(f"{path}: refused: a file is in it twice")
-    if "modelDescription.xml" not in names:
-        raise ValueError(f"{path}: no modelDescription.xml inside; accepted: an FMU")
-    return [member for member in members if not member.is_dir()]
-
-
-def _write(path: Path, archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path) -> None:
-    for member in members:
-        target = folder / member.filename
+        if DESCRIPTION not in archive.names:
+            raise ValueError(f"{path}: no {DESCRIPTION} inside; accepted: an FMU")
+        temporary = TemporaryFolder("casadi_skin_fmu_")
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as source, target.open("wb") as copy:
-                shutil.copyfileobj(source, copy)  # zipfile reads no more than the size that was checked
-        except _DAMAGED as error:
-            raise ValueError(f"{path}: damaged: {member.filename!r}: {error}") from error
+            archive.write(temporary.path, lambda name: name == DESCRIPTION)
+            description = read_description(path, temporary.path)
+            wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
+            library = _library(path, description, archive.names, temporary.path)
+            archive.write(temporary.path, lambda name: name.startswith(wanted))
+        except BaseException:
+            temporary.remove()
+            raise
+    finally:
+        archive.close()
+    return Unpacked(path, temporary.path, library, description, temporary.remove)
 
 
-def _description(path: Path, folder: Path) -> Any:
+def read_description(path: Path, folder: Path) -> Any:
     """What fmpy reads in modelDescription.xml of an FMU of FMI 2.0 or 3.0 with Model Exchange."""
     try:
         from fmpy import read_model_description
     except ImportError as error:
         raise ValueError(FMPY_MISSING) from error
-    text = (folder / "modelDescription.xml").read_bytes()
-    if len(text) > LARGEST_DESCRIPTION:
-        raise ValueError(f"{path}: refused: modelDescription.xml is too long")
     try:
-        if _declares_entities(text):
-            raise ValueError("refused, it declares entities")
+        _check_xml((folder / DESCRIPTION).read_bytes())
         description = read_model_description(folder, validate=False)
     except Exception as error:  # fmpy raises whatever its parser meets
         reason = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: modelDescription.xml cannot be read: {reason or type(error).__name__}") from error
+        raise ValueError(f"{path}: {DESCRIPTION} cannot be read: {reason or type(error).__name__}") from error
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")
     if description.modelExchange is None:
@@ -143,25 +105,52 @@ def _description(path: Path, folder: Path) -> Any:
     return description
 
 
-def _declares_entities(text: bytes) -> bool:
-    """Whether XML, in any encoding, has a document type; read no further than to its first element."""
-    found: list[bool] = []
-    parser = ParserCreate()
-    parser.StartDoctypeDeclHandler = lambda *declaration: found.append(True)
-    parser.StartElementHandler = lambda *element: found.append(False)
+class _Counter:
+    """Elements of a description as a parser meets them, in any encoding; raises ValueError at the first too many."""
+
+    def __init__(self) -> None:
+        self.elements = self.variables = self.states = 0
+        self.open: list[str] = []
+
+    def doctype(self, *declaration: object) -> None:
+        raise ValueError("refused, it declares entities")
+
+    def start(self, name: str, attributes: object) -> None:
+        self.elements += 1
+        self.variables += self.open[1:] == ["ModelVariables"]
+        self.states += self.open[1:] == ["ModelStructure", "Derivatives"] or name == "ContinuousStateDerivative"
+        self.open.append(name)
+        for count, most, what in (
+            (self.elements, MOST_ELEMENTS, "elements"),
+            (self.variables, MOST_VARIABLES, "variables"),
+            (self.states, MOST_STATES, "states"),
+            (len(self.open), DEEPEST, "elements within each other"),
+        ):
+            if count > most:
+                raise ValueError(f"refused, more than {most} {what}")
+
+    def end(self, name: str) -> None:
+        self.open.pop()
+
+
+def _check_xml(text: bytes) -> None:
+    """Raises ValueError for XML that is too much for those who read all of it at once."""
+    if len(text) > LARGEST_DESCRIPTION:
+        raise ValueError(f"refused, {len(text)} bytes; accepted: up to {LARGEST_DESCRIPTION}")
+    parser, counter = ParserCreate(), _Counter()
+    parser.StartDoctypeDeclHandler = counter.doctype
+    parser.StartElementHandler = counter.start
+    parser.EndElementHandler = counter.end
     for start in range(0, len(text), CHUNK):
         parser.Parse(text[start : start + CHUNK])
-        if found:
-            return found[0]
-    return False
 
 
-def _library(path: Path, description: Any, members: list[zipfile.ZipInfo], folder: Path) -> Path:
+def _library(path: Path, description: Any, names: tuple[str, ...], folder: Path) -> Path:
     """Where the library for this platform will be."""
     here = platform_folder(description.fmiVersion)
     name = f"binaries/{here}/{description.modelExchange.modelIdentifier}.{library_ending()}"
-    if name not in {member.filename for member in members}:
-        there = {PurePosixPath(m.filename).parts[1] for m in members if m.filename.startswith("binaries/")}
+    if name not in names:
+        there = {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/")}
         found = f"binaries for {', '.join(sorted(there))}" if there else "sources alone"
         raise ValueError(f"{path}: no binary for {here}; it has {found}")
     return folder / name

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,10 +42,8 @@ class FmuInstance:
         self._fresh = True  # instantiated, and nothing else
         self._two = str(self.description.fmiVersion).startswith("2")
         self._n = len(self.description.derivatives)
-        remover = weakref.finalize(self, shutil.rmtree, unpacked.folder, True)
         self._fmu = self._loaded(unpacked)
-        remover.detach()
-        self._finalizer = weakref.finalize(self, _close, self._fmu, unpacked.folder)
+        self._finalizer = weakref.finalize(self, _close, self._fmu, unpacked.remove)
         self._x, self._result = _Numbers(self._n), _Numbers(self._n)
         self._placed: tuple[float, bytes] | None = None  # time and state that it has
         self._requests: dict[tuple[tuple[int, ...], tuple[int, ...]], _Request] = {}
@@ -312,10 +309,10 @@ def _callbacks(keep: Any) -> Any:
     return callbacks
 
 
-def _close(fmu: Any, folder: Path) -> None:
+def _close(fmu: Any, remove: Callable[[], object]) -> None:
     from fmpy import freeLibrary
 
     free = getattr(fmu, "fmi2FreeInstance", None) or fmu.fmi3FreeInstance
     free(fmu.component)
     freeLibrary(fmu.dll._handle)
-    shutil.rmtree(folder, ignore_errors=True)
+    remove()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ from typing import Any
 
 from casadi_skin.arguments import accepted_names, cut
 
+LARGEST = 1 << 25  # bytes of a file
 LONGEST_MESSAGE = 200  # characters of an exception that a message shows
 MODULE = "casadi_skin_user_model"
 
@@ -22,9 +24,17 @@ class ModelFileError(ValueError):
 
 
 def read_source(path: Path) -> str:
-    """The text of a file; raises ModelFileError where there is none."""
+    """The text of a file; raises ModelFileError where there is none, or more than a model has."""
     try:
-        return path.read_text(encoding="utf-8")
+        if path.exists() and not path.is_file():  # a pipe or a device may never end
+            raise ModelFileError(f"{path}: no file; accepted: a text file in UTF-8")
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise ModelFileError(f"{path}: longer than {LARGEST} bytes; accepted: a text file up to that")
+        return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8").read()
+    except ModelFileError:
+        raise
     except UnicodeDecodeError as error:
         raise ModelFileError(f"{path}: not UTF-8 at byte {error.start}; accepted: a text file in UTF-8") from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have

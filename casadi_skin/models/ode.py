@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copyreg
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.models.declarations import check_declarations, declarations
 from casadi_skin.models.expressions import Expression, names_of
 
 Array = NDArray[np.float64]
@@ -21,7 +22,7 @@ EPSILON = sys.float_info.epsilon
 ROUND_OFF = 1e-12  # of the size of the right-hand side
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OdeModel:
     """An ODE in CasADi symbols, of first order x' = f(t, x, p) or second order q'' = f(t, q, p).
 
@@ -37,7 +38,9 @@ class OdeModel:
 
     MX expressions are accepted in models of first order whose state and parameters are one symbol each.
 
-    Raises ValueError when the shapes, the symbols or the declarations do not fit.
+    Symbols may be given as a list of scalars, expressions as lists, numbers or functions f(t, x, p) of the symbols.
+
+    Raises ValueError when the shapes, the symbols or the declarations do not fit, TypeError for other kinds of objects.
     """
 
     name: str
@@ -46,6 +49,7 @@ class OdeModel:
     parameters: Expression = field(default_factory=lambda: ca.SX(0, 1))
     order: int = 1
     velocity: ca.SX | None = None
+    _: KW_ONLY
     reversal: Signs | None = None
     half_period: Signs | None = None
     normalisation: Expression | None = None
@@ -60,11 +64,16 @@ class OdeModel:
     checked: bool = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.state, ca.MX) and self.parameters.numel() == 0:
-            object.__setattr__(self, "parameters", ca.MX.sym("p", 0))
+        for label, value in declarations(self).items():
+            object.__setattr__(self, label, value)
         check_declarations(self)
         if self.checked:
             self.check_symmetries()
+
+    def __repr__(self) -> str:
+        """Without the expressions: CasADi writes them by recursion, and deep ones end the process."""
+        parameters = ", ".join(self.parameter_names) or "none"
+        return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
 
     @property
     def size(self) -> int:
@@ -177,88 +186,6 @@ class OdeModel:
     def __reduce__(self) -> str | tuple[Any, ...]:
         """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""
         return copyreg.dispatch_table[OdeModel](self)
-
-
-# Shapes and symbols ---------------------------------------------------------------------------------------------------
-
-
-def check_declarations(model: OdeModel) -> None:
-    """Raises ValueError, naming the model, where shapes, names or symbols do not fit each other."""
-    for fault in _faults(model):
-        raise ValueError(f"{model.name}: {fault}")
-
-
-def _faults(model: OdeModel) -> Iterator[str]:
-    if model.order not in (1, 2):
-        yield f"order {model.order}; accepted: 1 or 2"
-    if model.rhs.shape != model.state.shape:
-        yield f"right-hand side of shape {model.rhs.shape}, state {model.state.shape}"
-    if (model.velocity is None) != (model.order == 1):
-        yield "a velocity symbol belongs to a model of second order, and only there"
-    if model.velocity is not None and model.velocity.shape != model.state.shape:
-        yield f"velocity of shape {model.velocity.shape}, state {model.state.shape}"
-    if model.order == 2 and isinstance(model.state, ca.MX):
-        yield "of second order in MX; accepted: SX, or a model of first order"
-    yield from _numbers(model)
-    symbols = [model.full_state, model.parameters, *([] if model.time is None else [model.time])]
-    if not all(_plain(symbol) for symbol in symbols):
-        yield "state, velocity, parameters or time with expressions among them; accepted: symbols"
-    yield from _names(model)
-    yield from _strangers(model, symbols)
-    if model.velocity is not None and ca.depends_on(model.rhs, model.velocity):
-        yield "a second-order right-hand side that depends on velocity; write first order"
-    if model.hamiltonian is not None and model.forced:
-        yield "a hamiltonian in a model that is forced; accepted: without time, where it is conserved"
-    if model.forced and model.forcing_period is None:
-        yield "time without forcing_period; accepted: the forcing's period, a number or an expression in parameters"
-    for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
-        if signs is not None and (len(signs) != model.full_size or set(signs) - {1, -1}):
-            yield f"{label} needs {model.full_size} signs, each +1 or -1"
-
-
-def _plain(symbol: Expression) -> bool:
-    """Whether this is a symbol, or in SX several; in MX several are an expression, which has no name."""
-    if isinstance(symbol, ca.MX):
-        return bool(symbol.is_symbolic()) or symbol.numel() == 0
-    return bool(symbol.is_valid_input())
-
-
-def _numbers(model: OdeModel) -> Iterator[str]:
-    """What has one entry a component."""
-    parameters = int(model.parameters.numel())
-    for label, given, count, entries in (
-        ("output_scale", model.output_scale, model.size, "factors"),
-        ("nominal", model.nominal, parameters, "values"),
-        ("state_labels", model.state_labels, model.full_size, "names"),
-        ("parameter_labels", model.parameter_labels, parameters, "names"),
-    ):
-        if given is not None and len(given) != count:
-            yield f"{label} needs {count} {entries}, given {len(given)}"
-    if any(output.numel() != 1 for output in model.outputs.values()):
-        yield "outputs with several components; accepted: one scalar expression a name"
-
-
-def _names(model: OdeModel) -> Iterator[str]:
-    names = [*model.state_names, *model.parameter_names, *model.outputs]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice and model.outputs:
-        yield f"{', '.join(twice)} named more than once among states, parameters and outputs"
-
-
-def _strangers(model: OdeModel, symbols: list[Expression]) -> Iterator[str]:
-    """Expressions that depend on what is not declared."""
-    named: dict[str, object] = {label: getattr(model, label) for label in ("rhs", "normalisation", "hamiltonian")}
-    named |= {f"output {name}": output for name, output in model.outputs.items()}
-    for label, expression in named.items():
-        if expression is None:
-            continue
-        unknown = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
-        if unknown:
-            yield f"{label} depends on {', '.join(unknown)}, which is not declared"
-    if isinstance(model.forcing_period, ca.SX | ca.MX):
-        period = ca.Function("T", [model.parameters], [model.forcing_period], {"allow_free": True})
-        if period.get_free():
-            yield f"forcing_period depends on {', '.join(period.get_free())}; accepted: parameters"
 
 
 # Symmetries -----------------------------------------------------------------------------------------------------------

@@ -1,27 +1,73 @@
-"""Models in files: CasADi's serialised functions with names and declarations around them, in JSON."""
+"""Models in files: names, declarations and a list of elementary operations, in JSON with a version and a checksum.
+
+A file is data: what is read is compared with the few things that it may hold, and no code of anybody's runs.
+"""
 
 from __future__ import annotations
 
 import copyreg
+import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import casadi as ca
+import msgspec
 
+from casadi_skin.arguments import cut, file_path, short_repr
 from casadi_skin.files import replacing
 from casadi_skin.models.expressions import Expression
+from casadi_skin.models.loading import read_source
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.operations import from_operations, to_operations
 
-Symbols = tuple[Expression, Expression, Expression | None, Expression]
-FORMAT = "casadi_skin model 1"
+FORMAT = "casadi_skin model 2"
+ACCEPTED = f"accepted: a file of format {FORMAT!r}, as save_model writes it"
 PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
 PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 OPTIONAL = ("normalisation", "hamiltonian")
+MOST_RESULTS = 10_000  # CasADi warns of more
+OUTPUT = "output "  # before the name of an output among the results
+
+Sign = Literal[1, -1]
+
+
+class SavedModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a file says of a model. Symbols are numbered in the order time, states, parameters."""
+
+    name: str
+    order: Literal[1, 2]
+    states: tuple[str, ...]
+    parameters: tuple[str, ...]
+    forced: bool
+    reversal: tuple[Sign, ...] | None
+    half_period: tuple[Sign, ...] | None
+    output_scale: tuple[float, ...] | None
+    nominal: tuple[float, ...] | None
+    operations: tuple[str, ...]
+    results: Annotated[dict[str, tuple[int | None, ...]], msgspec.Meta(max_length=MOST_RESULTS)]
+
+
+class SavedFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file: the checksum is that of the model."""
+
+    format: str
+    sha256: str
+    model: SavedModel
+
+
+class Header(msgspec.Struct, frozen=True):
+    """What tells files of any format."""
+
+    format: str
 
 
 def save_model(model: OdeModel, path: str | Path) -> Path:
     """Write a model to a file, from which `read_model` makes it again without the script that made it.
+
+    The file holds names, declarations and elementary operations, and so do the equations of a model in MX, which is
+    read as one in SX.
 
     Arguments:
         model: A model in CasADi expressions.
@@ -31,31 +77,37 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
         The path.
 
     Raises:
-        ValueError: The model's equations are those of a program, as of an FMU, and no expressions.
+        ValueError: The model's equations are not made of elementary operations alone, but of a program as in an FMU, of
+            tables, or of solutions of other equations.
+        TypeError: An argument is of another kind.
         OSError: The file cannot be written.
     """
-    text = dumps(model)
-    with replacing(Path(path)) as temporary:
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    target, text = file_path("path", path), dumps(model)
+    with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return Path(path)
+    return target
 
 
 def dumps(model: OdeModel) -> str:
-    """A model as JSON text; raises ValueError where its equations are those of a program, as of an FMU."""
-    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
-    expressions |= {f"output {name}": output for name, output in model.outputs.items()}
-    if model.forcing_period is not None:
-        expressions["forcing_period"] = type(model.state)(model.forcing_period)
-    function = model.function("model", *expressions.values())
-    programs = programs_in(function)
-    if programs:  # CasADi writes their names alone
-        raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program, {', '.join(programs)}")
-    equations = function.serialize()
-    declared: dict[str, Any] = {key: getattr(model, key) for key in PLAIN}
-    kind = "MX" if isinstance(model.state, ca.MX) else "SX"
-    declared |= {"state_labels": model.state_names, "parameter_labels": model.parameter_names}
-    declared |= {"format": FORMAT, "kind": kind, "forced": model.forced, "results": list(expressions)}
-    return json.dumps(declared | {"equations": equations}, indent=1)
+    """A model as JSON text; raises ValueError as `save_model`."""
+    labels, function = _equations(model)
+    try:
+        operations, entries = to_operations(function)
+    except ValueError as error:
+        raise ValueError(f"{model.name}: cannot be saved: its equations {error}") from error
+    declared = {key: getattr(model, key) for key in PLAIN}
+    declared |= {"states": model.state_names, "parameters": model.parameter_names, "forced": model.forced}
+    declared |= {"operations": operations, "results": dict(zip(labels, entries, strict=True))}
+    plain = msgspec.to_builtins(msgspec.convert(declared, SavedModel))
+    return json.dumps({"format": FORMAT, "sha256": checksum(plain), "model": plain}, indent=0) + "\n"
+
+
+def checksum(model: dict[str, Any]) -> str:
+    """SHA-256 of a model's entry in a file, of its JSON text without spaces and with sorted keys."""
+    text = json.dumps(model, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def programs_in(function: ca.Function) -> list[str]:
@@ -74,63 +126,115 @@ def read_model(path: str | Path) -> OdeModel:
 
     Raises:
         ValueError: The file cannot be read, holds no such model, or is damaged; in one line.
+        TypeError: The path is none.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as a saved model: {error}") from error
-    return loads(text, str(path))
+    source = file_path("path", path)
+    return loads(read_source(source), str(source))
 
 
 def loads(text: str, path: str = "text") -> OdeModel:
     """The model in text made by `dumps`, which is from `path`; raises ValueError as `read_model`."""
-    refused = f"{path}: not a model saved by casadi_skin"
     try:
-        given = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path}: cannot be read as a saved model: {error}") from error
-    if not isinstance(given, dict) or given.get("format") != FORMAT:
-        raise ValueError(f"{refused}; accepted: a file with format {FORMAT!r}")
-    try:
-        function = ca.Function.deserialize(given["equations"])
-        symbols = _symbols(given)
-        if not isinstance(given["name"], str):
-            raise TypeError("a name that is no string")
-        results = dict(zip(given["results"], _results(function, symbols), strict=True))
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"{refused}: its equations are damaged") from error
-    time, state, velocity, parameters = symbols
-    keys = (*PLAIN, "state_labels", "parameter_labels")
-    plain: dict[str, Any] = {key: tuple(value) if isinstance(value := given.get(key), list) else value for key in keys}
-    outputs = {k.removeprefix("output "): v for k, v in results.items() if k.startswith("output ")}
-    rest = {k: v for k, v in results.items() if not k.startswith("output ")}
-    symbolic = {"state": state, "velocity": velocity, "parameters": parameters}
-    return OdeModel(**plain, **symbolic, **rest, outputs=outputs, time=time if given["forced"] else None)
+        return _model_of(_checked(text))
+    except (ValueError, TypeError, RecursionError) as error:  # msgspec's and json's errors are ValueErrors
+        reason = cut(" ".join(str(error).split()), 200)
+        reason = reason if "accepted: " in reason else f"{reason}; {ACCEPTED}"
+        raise ValueError(f"{path}: not a model saved by casadi_skin: {reason}") from error
 
 
-def _symbols(given: dict[str, Any]) -> Symbols:
-    """Time, state, velocity and parameters as fresh symbols with the names that the model had."""
-    names, parameter_names = given["state_labels"], given["parameter_labels"]
-    if given["kind"] == "MX":
-        x, p = ca.MX.sym("x", len(names)), ca.MX.sym("p", len(parameter_names))
-        return ca.MX.sym("t"), x, None, p
-    full = ca.vertcat(*map(ca.SX.sym, names))
-    parameters = ca.vertcat(*map(ca.SX.sym, parameter_names)) if parameter_names else ca.SX(0, 1)
-    if given["order"] == 1:
-        return ca.SX.sym("t"), full, None, parameters
-    n = len(names) // 2
-    return ca.SX.sym("t"), full[:n], full[n:], parameters
+def _checked(text: str) -> SavedModel:
+    """What a file says, where it is complete, says each thing once and has the checksum of what it says."""
+    found = msgspec.json.decode(text, type=Header).format
+    if found != FORMAT:
+        raise ValueError(f"format {short_repr(found)}; {ACCEPTED}")
+    saved = msgspec.json.decode(text, type=SavedFile)
+    known = checksum(json.loads(text, object_pairs_hook=_each_once)["model"])
+    if known != saved.sha256:
+        raise ValueError(f"damaged: its checksum is {cut(short_repr(saved.sha256), 12)}, not {known[:8]}...")
+    return saved.model
 
 
-def _results(function: ca.Function, symbols: Symbols) -> tuple[Expression, ...]:
-    time, state, velocity, parameters = symbols
-    full = state if velocity is None else ca.vertcat(state, velocity)
-    return tuple(function.call([time, full, parameters], True, False))
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key is in it twice")
+    return found
+
+
+def _model_of(saved: SavedModel) -> OdeModel:
+    time, states, parameters = ([ca.SX.sym(n) for n in names] for names in (("t",), saved.states, saved.parameters))
+    expressions = from_operations([*time, *states, *parameters], saved.operations, list(saved.results.values()))
+    declared = {key: getattr(saved, key) for key in PLAIN}
+    results = dict(zip(saved.results, expressions, strict=True))
+    return _made(declared, results, (time[0], _column(states), _column(parameters)), saved.forced)
+
+
+def _column(symbols: Sequence[ca.SX]) -> ca.SX:
+    return ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
+
+
+# Files and pickle -----------------------------------------------------------------------------------------------------
+
+
+def _equations(model: OdeModel) -> tuple[list[str], ca.Function]:
+    """A model's equations by name as one function (t, x, p); raises ValueError where they are those of a program."""
+    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
+    expressions |= {f"{OUTPUT}{name}": output for name, output in model.outputs.items()}
+    if model.forcing_period is not None:
+        expressions["forcing_period"] = type(model.state)(model.forcing_period)
+    function = model.function("model", *expressions.values())
+    programs = programs_in(function)
+    if programs:
+        raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program, {', '.join(programs)}")
+    return list(expressions), function
+
+
+def _made(
+    declared: dict[str, Any],
+    results: dict[str, Expression],
+    symbols: tuple[Expression, Expression, Expression],
+    forced: bool,
+) -> OdeModel:
+    """A model from its declarations, equations by name, and the symbols of time, full state and parameters."""
+    time, full, parameters = symbols
+    outputs = {k.removeprefix(OUTPUT): v for k, v in results.items() if k.startswith(OUTPUT)}
+    rest: dict[str, Any] = {k: v for k, v in results.items() if not k.startswith(OUTPUT)}
+    unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL})
+    if unknown or "rhs" not in rest:
+        raise ValueError(f"results: given {short_repr(unknown)}" if unknown else "results: no right-hand side")
+    state = full
+    if declared["order"] == 2:
+        half = full.numel() // 2
+        state, rest["velocity"] = full[:half], full[half:]
+    rest |= {"state": state, "parameters": parameters, "time": time if forced else None}
+    return OdeModel(**declared, **rest, outputs=outputs)
 
 
 def _reduced(model: OdeModel) -> tuple[Any, ...]:
-    """What pickle keeps of a model; raises ValueError where it cannot be saved."""
-    return loads, (dumps(model),)
+    """What pickle keeps of a model: CasADi's own function, of any kind but programs."""
+    labels, function = _equations(model)
+    declared = {key: getattr(model, key) for key in (*PLAIN, "state_labels", "parameter_labels")}
+    names = model.state_names, model.parameter_names
+    return _unpickled, (declared, labels, function, isinstance(model.state, ca.MX), names, model.forced)
+
+
+def _unpickled(
+    declared: dict[str, Any],
+    labels: list[str],
+    function: ca.Function,
+    matrix: bool,
+    names: tuple[Sequence[str], Sequence[str]],
+    forced: bool,
+) -> OdeModel:
+    states, parameters = names
+    symbols: tuple[Expression, Expression, Expression] = tuple(
+        _column([ca.SX.sym(name) for name in names]) for names in (("t",), states, parameters)
+    )
+    if matrix:
+        symbols = ca.MX.sym("t"), ca.MX.sym("x", len(states)), ca.MX.sym("p", len(parameters))
+        declared = declared | {"state_labels": states, "parameter_labels": parameters}
+    results = dict(zip(labels, function.call(list(symbols), True, False), strict=True))
+    return _made(declared, results, symbols, forced)
 
 
 copyreg.pickle(OdeModel, _reduced)

@@ -38,6 +38,10 @@ class FamilySearch(FamilyStatement):
         return f"on the family of mode {self.family.mode}"
 
     @property
+    def hint(self) -> str:
+        return ""
+
+    @property
     def columns(self) -> tuple[str, ...]:
         return ("S", "Omega", *self.family.columns)
 

@@ -10,7 +10,8 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import accepted_names, number, numbers, short_repr
+from casadi_skin.arguments import accepted_names, number, short_repr
+from casadi_skin.arrays import real_array
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.expressions import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
@@ -55,8 +56,8 @@ class FamilyStatement:
         tolerance: float = 1e-8,
     ) -> Self:
         """From the arguments of `search_orbit`; raises ValueError and TypeError for what cannot be meant."""
-        several = not (isinstance(S, int | float) or hasattr(S, "__float__"))
-        amplitudes = numbers("S", S) if several else (number("S", S, "a finite number > 0"),)
+        several = isinstance(S, list | tuple | np.ndarray)
+        amplitudes = tuple(real_array("S", S).ravel().tolist()) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:
             raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
         known = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}

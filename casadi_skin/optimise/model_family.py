@@ -36,7 +36,7 @@ class ModelFamily:
     values: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, model: OdeModel, mode: int | str | None, parameters: Mapping[str, float]) -> ModelFamily:
+    def of(cls, model: OdeModel, mode: int | str | None, parameters: Mapping[str, float] | None) -> ModelFamily:
         """By default of the first mode; raises ValueError for a model without such families, or a mode it has not."""
         even = model.reversal == (1,) * model.size + (-1,) * model.size
         if model.order != 2 or not even or model.half_period != (-1,) * model.full_size or model.forced:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import accepted_names, short_repr
+from casadi_skin.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement, check_expression, named_values
@@ -22,7 +22,7 @@ from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
-from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.find_orbit import find_orbit, guessed_period, scalar_of
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
@@ -32,6 +32,7 @@ SAMPLES = 401  # of the guess over a period
 PHASES = 200  # at which an optimum is compared with its plain orbit
 CONSERVED = "hamiltonian"
 SPECIAL = (PERIOD, "Omega")
+UNITS, UNEVEN = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
 OWN = "search "  # with which names of the caller's expressions begin
 
 Quantity = str | Expression
@@ -86,7 +87,7 @@ class OrbitSearch:
         if objective is None and running is None:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
         first = model.first_order()
-        values, names = named_values(first, parameters or {}), free_names(free, first.parameter_names)
+        values, names = named_values(first, parameters), free_names(free, first.parameter_names)
         quantities, outputs = _quantities(first), dict(first.outputs)
         stated = {"objective": objective, "running": running, "select": select, "section": section}
         named = {
@@ -102,18 +103,21 @@ class OrbitSearch:
         limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
         own = (*first.state_names, *(() if first.forced else (PERIOD,)))
         limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
-        length = period or getattr(guess, "period", None)
+        whole("cycles", cycles, 1)
+        truth("symmetric", symmetric)
         if first.forced:
             length = cycles * first.forcing_period_at(list(values.values()))
-        if not length or not length > 0:
-            raise ValueError(f"period: given {short_repr(period)}; accepted: a number > 0")
+        else:
+            length = guessed_period(guess, period)
         part = symmetry_class(first).value if symmetric else 1.0
-        t = np.linspace(0.0, part * float(length), SAMPLES)
+        t = np.linspace(0.0, part * length, SAMPLES)
         closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
+        states = sampled(closed, guess, t)
+        _check_units(first.state_names, states)
         return cls(
             model=replace(first, outputs=outputs, checked=False),
             t=t,
-            states=sampled(closed, guess, t),
+            states=states,
             parameters=values,
             free=names,
             limits=limits,
@@ -134,6 +138,11 @@ class OrbitSearch:
     @property
     def columns(self) -> tuple[str, ...]:
         return (PERIOD, *self.model.parameter_names)
+
+    @property
+    def hint(self) -> str:
+        ratio, words = _units(self.model.state_names, self.states)
+        return f"units are uneven, {words}: try others" if ratio > UNEVEN else ""
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
@@ -276,9 +285,8 @@ def _output(
             raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, known)}, or an expression")
         return given
     symbols = [model.full_state, model.parameters]
+    given = scalar_of(label, given, model)
     check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])
-    if given.numel() != 1:
-        raise ValueError(f"{label}: given shape {given.shape}; accepted: a scalar expression")
     outputs[OWN + label] = given
     return OWN + label
 
@@ -296,3 +304,21 @@ def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
     turned = 2.0 * math.pi / plain.period - 2.0 * math.pi / orbit.period
     difference = max(abs(orbit.period - plain.period) / plain.period, apart)
     return PlainCheck(True, turned, difference, plain.residual, plain.intervals)
+
+
+def _check_units(names: Sequence[str], states: Array) -> None:
+    """Raises ValueError where states that move have sizes that a nonlinear programme cannot hold together."""
+    ratio, words = _units(names, states)
+    if ratio > UNITS:
+        raise ValueError(f"guess: given {words}; accepted: units in which states differ by at most {UNITS:g}")
+
+
+def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
+    """How much larger the largest state is than the smallest one that moves, and which these are."""
+    sizes = np.max(np.abs(states), axis=0)
+    moving = np.flatnonzero(sizes)
+    if not moving.size:
+        return 1.0, ""
+    small, large = moving[np.argmin(sizes[moving])], moving[np.argmax(sizes[moving])]
+    words = f"{names[small]} up to {sizes[small]:.2g} and {names[large]} up to {sizes[large]:.2g}"
+    return float(sizes[large] / sizes[small]), words

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import queue
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.managers import SyncManager
 from types import FrameType
 from typing import Any
 
-from casadi_skin.arguments import short_repr, whole
+from casadi_skin.arguments import function_of, short_repr, whole
 from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.threads import one_thread
 
@@ -63,6 +65,7 @@ class Runner:
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
             raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
+        function_of("progress", report, "a SearchProgress")
         self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
@@ -101,7 +104,8 @@ class Runner:
         if self.executor is not None:
             yield from self._elsewhere(solve, jobs, self.executor, None)
         elif self.workers > 1 and len(jobs) > 1:
-            made = ProcessPoolExecutor(min(self.workers, len(jobs)), mp_context=get_context("spawn"))
+            count = min(self.workers, len(jobs))
+            made = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin_process)
             with _sharing() as shared, made:
                 yield from self._elsewhere(solve, jobs, made, shared)
         else:
@@ -169,6 +173,19 @@ class _Shared:
     stop: Any
 
 
+def _begin_process() -> None:
+    """What a process does first: it ends with the one that made it, also where that is killed."""
+    _ignore_interrupts()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _ignore_interrupts() -> None:
     """Leave Ctrl-C, which every process of a terminal receives, to the one that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -179,7 +196,7 @@ def _sharing() -> Iterator[_Shared]:
     """The shared queue and event of a block; raises RuntimeError where no process can be started."""
     manager = SyncManager(ctx=get_context("spawn"))
     try:
-        manager.start(_ignore_interrupts)
+        manager.start(_begin_process)
     except EOFError as error:
         raise RuntimeError(ENDED_EARLY) from error
     with manager:
@@ -199,7 +216,8 @@ def _work(solve: bytes, job: Any, starts: int, shared: _Shared | None) -> Any:
         return None
     where = partial(SearchProgress, job.number, starts, 0, name=job.name)
     monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
-    with one_thread():
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they would be printed by a process that nobody asked
         return unpickled(solve)(job, monitor)
 
 

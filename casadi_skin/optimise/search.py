@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from casadi_skin.optimise.optimality import FLAT
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.optimise.result import SearchResult, SearchStatus
@@ -155,6 +156,8 @@ class _Search:
         if optima:
             words = f"{len(optima[0].starts)} of {count} starts led to it"
             words += f"; {away} ran off without bound, so it is a local one" if away else ""
+            if optima[0].curvature < FLAT:
+                words += "; it is flat: neighbours along some direction of the free numbers do as well"
             if optima[0].active:
                 sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
                 return SearchStatus.ON_BOUND, f"{sits}; {words}"
@@ -167,11 +170,12 @@ class _Search:
         if near is not None and near.ending is Ending.INFEASIBLE:
             words = f"{near.worst} is off by {near.gap:.3g} at the nearest orbit found"
             return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
+        hint = f"; {self.problem.hint}" if self.problem.hint else ""
         if unconfirmed:
             words = f"{unconfirmed} found on the first {self.problem.resolution_name}, and not confirmed by more"
-            return SearchStatus.FAILED, words
+            return SearchStatus.FAILED, words + hint
         failed = self.outcomes[0].words if self.outcomes else "there was no start"
-        return SearchStatus.FAILED, f"no start converged; the first: {failed}"
+        return SearchStatus.FAILED, f"no start converged; the first: {failed}{hint}"
 
     def _runaway(self) -> str:
         """The free number that ran off the farthest."""

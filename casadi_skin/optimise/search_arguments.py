@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from casadi_skin.arguments import accepted_names, number, short_repr
 
@@ -30,9 +30,12 @@ class Condition:
 
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
     """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
-    names, accepted = (free,) if isinstance(free, str) else tuple(free), tuple(known)
+    accepted = tuple(known)
+    if not isinstance(free, str | list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of {', '.join(accepted)}")
+    names = (free,) if isinstance(free, str) else tuple(free)
     for name in names:
-        if name not in accepted:
+        if not isinstance(name, str) or name not in accepted:
             raise ValueError(f"free: given {short_repr(name)}; {accepted_names(name, accepted)}")
     if not names or len(set(names)) < len(names):
         given = short_repr(list(names)) if names else "none"
@@ -42,14 +45,11 @@ def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ..
 
 def pair(place: str, given: object) -> tuple[float, float]:
     """Two bounds; raises TypeError and ValueError for what is no pair of ascending numbers."""
-    try:
-        ends = tuple(cast(Iterable[object], given))
-    except TypeError:
-        ends = ()
-    if len(ends) != 2 or isinstance(given, str):
+    ends = tuple(given) if isinstance(given, list | tuple) else ()
+    if len(ends) != 2:
         raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR}")
     lower, upper = (
-        absent if value is None or value == absent else number(place, value, PAIR)
+        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR)
         for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
     )
     if lower > upper:
@@ -80,7 +80,7 @@ def checked_bounds(
     known = tuple(dict.fromkeys((*free, *held, *quantities)))
     for name, given in (bounds or {}).items():
         place = f"bounds[{name}]"
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             raise ValueError(f"bounds: given {short_repr(name)}; {accepted_names(name, known)}")
         lower, upper = pair(place, given)
         if name in free:
@@ -102,7 +102,7 @@ def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], wh
     A quantity is a name or of one of `kinds`, which are called `what` where an item is refused.
     """
     accepted = CONDITION.format(what)
-    if isinstance(constraints, str | Mapping) or not isinstance(constraints, Iterable):
+    if not isinstance(constraints, list | tuple):
         raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
     found = []
     for item, given in enumerate(constraints, start=1):

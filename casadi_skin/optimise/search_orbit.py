@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from casadi_skin.arguments import short_repr, whole
+from casadi_skin.arguments import short_repr, truth, whole
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
@@ -77,6 +77,8 @@ def search_orbit(
     Raises:
         ValueError, TypeError: arguments that cannot be meant, before anything is solved.
     """
+    truth("maximise", maximise)
+    truth("deflate", deflate)
     problem = stated_search(
         chain_or_model, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
@@ -93,5 +95,5 @@ def stated_search(chain_or_model: Chain | OdeModel, **stated: Any) -> SearchProb
     if isinstance(chain_or_model, Chain):
         return FamilySearch.of(ChainFamily.of(chain_or_model, mode), S=S, **stated)
     if isinstance(chain_or_model, OdeModel):
-        return FamilySearch.of(ModelFamily.of(chain_or_model, mode, parameters or {}), S=S, **stated)
+        return FamilySearch.of(ModelFamily.of(chain_or_model, mode, parameters), S=S, **stated)
     raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")

@@ -101,8 +101,14 @@ class Outcome:
 class SearchProblem(Protocol):
     """A search as its engine sees it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
 
-    `columns` are the quantities that tables show, `resolution_name` is what the resolution of an optimum counts, and
-    `wanted` tells where optima have to be, in words.
+    Attributes:
+        model: the chain or the model.
+        maximise: whether the objective is maximised.
+        free_names: names of the free numbers, one each.
+        columns: names of the quantities that tables show.
+        resolution_name: what the resolution of an optimum counts.
+        wanted: where optima have to be, in words, such as on which family.
+        hint: what may be the reason where nothing is found; empty where nothing is known.
     """
 
     @property
@@ -117,6 +123,8 @@ class SearchProblem(Protocol):
     def resolution_name(self) -> str: ...
     @property
     def wanted(self) -> str: ...
+    @property
+    def hint(self) -> str: ...
 
     def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
         """The starts of a seed; the first has the model's own parameters, or the free numbers `first`."""

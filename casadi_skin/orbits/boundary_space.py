@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -22,15 +22,20 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
+from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.solution import Solution
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
@@ -45,7 +50,7 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
         ("walker", ("arclength",), "arclength"),
     ):
         options = {name: first, **options}
-        if options[name] not in accepted:
+        if not isinstance(options[name], str) or options[name] not in accepted:
             raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
     method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
     method.check_degree(1)
@@ -90,6 +95,7 @@ class BoundarySpace:
         at: values of it at which solutions are wanted.
         first: the start of the branch.
         settings: of the continuation.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
     """
 
     statement: Statement
@@ -102,8 +108,10 @@ class BoundarySpace:
     at: tuple[float, ...] = ()
     first: Point | None = None
     settings: ContinuationSettings | None = None
+    leaves: bool = False
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
+    knows_stability: bool = field(default=False, init=False)
     S_rate: float = field(default=1.0, init=False)
 
     @property
@@ -146,6 +154,8 @@ class BoundarySpace:
         first = self.first
         assert first is not None
         assert isinstance(first.problem, BoundaryProblem)
+        if self.leaves:
+            return replace(first, step=self.point_solver.settings.first_step)
         problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         z = first.z.copy()
@@ -155,9 +165,42 @@ class BoundarySpace:
             raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
         return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """Pseudo-arclength continuation from the last points of it."""
-        return ArclengthContinuation(self.point_solver, history)
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from its last points, and from points reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
+
+        Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
+        """
+        crossed = None
+        if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
+            crossed = branch_point_between(self.point_solver, before, after)
+        if crossed is not None:
+            yield crossed
+            return
+        if not turns_between(before, after):
+            return
+        hopf: Point | None = None
+        if self.shrinks(before, after):
+            hopf = methods.TASKS["hopf_end"].load()(self, before, after)
+        yield hopf or fold_between(self.point_solver, before, after)
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return False
+        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
+        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of the parameter followed at a special point."""
+        if point.error.parameter:
+            size = point.problem.parameter_size(point.z)
+            return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
+        return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
 
     def target(self, name: str, value: float) -> Target:
         """Where the parameter followed, or an unknown period or frequency, has a value."""
@@ -186,10 +229,29 @@ class BoundarySpace:
         return period if name == PERIOD else TWO_PI / period
 
     def stop(self, point: Point) -> tuple[End | None, str]:
+        if point.special == HOPF:
+            return End.HOPF, ""
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)
         return (End.NO_STEP if words else None), words
+
+    @property
+    def free(self) -> Sequence[str]:
+        """Parameters that are found with the states."""
+        return self.statement.free
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> BoundarySpace:
+        """The space of the branch through one of these solutions in a parameter; raises ValueError for an optimum."""
+        statement = replace(self.statement, parameters={**self.statement.parameters, **solution.parameters})
+        if statement.optimises:
+            raise ValueError("follow: given a solution with an objective; accepted: one without")
+        sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
+        return BoundarySpace(
+            statement, self.tolerance, self.method, sizes, self.periodic, parameter, to, at, solution.point, settings
+        )
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -255,9 +317,8 @@ class BoundarySpace:
 
         Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
         """
-        name = by or str(self.method.flow)
-        if name not in methods.FULL_PERIOD_FLOWS:
-            raise ValueError(f"by: given {name!r}; accepted: {', '.join(methods.FULL_PERIOD_FLOWS)}")
+        name = str(self.method.flow) if by is None else by
+        check_name("by", name, methods.FULL_PERIOD_FLOWS)
         try:
             return [self._floquet(point, name) for point in points]
         except IntegrationError as error:

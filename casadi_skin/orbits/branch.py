@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin import methods
+from casadi_skin.arguments import number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import SLOW, Family
@@ -20,7 +21,8 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     import xarray
 
 NEAR_LIMIT = 1e-6  # relative
+CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
+UNBOUNDED = "grows without bound"
 STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
@@ -37,7 +41,8 @@ class Branch:
 
     Attributes:
         space: what the solutions belong to.
-        solutions: orbits, or solutions of a boundary-value problem; folds that were located on the way among them.
+        solutions: orbits, equilibria or solutions of a boundary-value problem; special points located on the way among
+            them.
         located: changes of stability between neighbouring solutions of a branch that is no family.
         with_stability: whether stability was computed with the solutions.
         end: why the branch ended; None where it was interrupted.
@@ -64,8 +69,10 @@ class Branch:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
         sought = self.with_events and self.with_stability
-        changes = f", {len(self.changes)} changes of stability" if sought else ""
-        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}; {self.reason}>"
+        changes = f", {len(self.changes)} changes of stability" if sought and not self.space.knows_stability else ""
+        kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
+        special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {self.reason}>"
 
     @property
     def parameter(self) -> str:
@@ -99,6 +106,12 @@ class Branch:
         return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)
 
     @property
+    def parameters(self) -> Mapping[str, Array]:
+        """Values of all parameters along the branch by name, each of shape (solutions,)."""
+        names = self.solutions[0].parameters if self.solutions else ()
+        return {name: self[name] for name in names}
+
+    @property
     def S(self) -> Array:
         """Total amplitudes, shape (orbits,)."""
         return np.array([orbit.S for orbit in self.orbits])
@@ -120,8 +133,8 @@ class Branch:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each orbit is stable, shape (orbits,); computed now where it was not before."""
-        return np.array([orbit.floquet().stable for orbit in self.orbits], dtype=bool)
+        """Whether each solution is stable, shape (solutions,); computed now where it was not before."""
+        return np.array([solution.stable for solution in self.solutions], dtype=bool)
 
     @property
     def max_abs_multiplier(self) -> Array:
@@ -181,22 +194,18 @@ class Branch:
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Points that stand out, in order along the branch; those of a family are located when first asked for."""
         if self.space.locates_folds:
-            triples = zip(self.solutions, self.solutions[1:], self.solutions[2:], strict=False)
-            return tuple(self._fold(here) for before, here, after in triples if _is_fold(before, here, after))
+            return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
         found = []
         for before, after in itertools.pairwise(self.solutions):
-            if turns_between(before.point, after.point):
-                with suppress(NotLocatedError):  # what is seen at its ends alone has no place
-                    fold = fold_between(self.space.point_solver, before.point, after.point)
-                    found.append(self._fold(solution_at(self.space, fold)))
+            with suppress(NotLocatedError):  # what is seen at its ends alone has no place
+                for point in self.space.special_between(before.point, after.point):
+                    found.append(self._special(solution_at(self.space, point)))
         return tuple(found)
 
-    def _fold(self, solution: Solution) -> SpecialPoint:
-        value = self._value(self.parameter, solution)
-        relative = solution.point.error.parameter or solution.point.error.relative(solution.point.Omega)
-        if isinstance(self.space, Family):
-            relative *= self.space.coordinates.S_rate
-        return SpecialPoint(FOLD, {**solution.parameters, self.parameter: value}, relative * abs(value), solution)
+    def _special(self, solution: Solution) -> SpecialPoint:
+        values = {**solution.parameters, self.parameter: self._value(self.parameter, solution)}
+        error = self.space.parameter_error(solution.point)
+        return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
 
     @property
     def folds(self) -> tuple[Solution, ...]:
@@ -236,16 +245,24 @@ class Branch:
         if not self.solutions or not isinstance(self.space, Family):
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
         last = self.orbits[-1]
-        words = f"{self._end_words()} (S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        softened = self._softened(self.space, self.space.request.amplitude_max)
+        if self.end is End.FLOW and UNBOUNDED in softened:
+            return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
+        words = f"{self._end_words()} {where}"
         if self.end is End.POINTS:
             words += f": {self._wandering(self.space)}"
         elif self.detail:
             words += f": {self.detail}"
-        return words + self._softened(self.space, self.space.request.amplitude_max)
+        return words + softened
 
     def _end_words(self) -> str:
         if self.end is End.RETURNED and not isinstance(self.space, Family):
             return "the branch came back to the value of the parameter that it started from"
+        if self.end is End.RETURNED and isinstance(self.space, Family):
+            gap = _closest(self.space)
+            if gap < CLOSE:
+                return f"the family was lost among linear modes: frequencies as near as {gap:.1e} of this one's"
         return str(self.end.value) if self.end is not None else ""
 
     def _softened(self, family: Family, S: float) -> str:
@@ -258,8 +275,8 @@ class Branch:
         if last.point.parameter_rate > STILL:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
-            return f"{words} and grows without bound: S = {S:.15g} is too near its limit to tell orbits apart"
-        return f"{words} and grows without bound: a softening orbit of this family does not exist at S = {S:.15g}"
+            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit to tell orbits apart"
+        return f"{words} and {UNBOUNDED}: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:
         """The requested values without a solution, in words."""
@@ -315,12 +332,11 @@ class Branch:
             The orbit or solution there.
 
         Raises:
-            ValueError: not one value is given, or the branch does not pass it that often.
+            ValueError, TypeError: not one number is given, or the branch does not pass it that often.
             ArithmeticError: no solution is found there.
         """
         name, value = self._asked_at(value, named)
-        if isinstance(which, bool) or not isinstance(which, int | np.integer) or which < 0:
-            raise ValueError(f"which: given {which!r}; accepted: a whole number from 0 on")
+        whole("which", which, 0)
         passage = 0
         for solution, point in self._passages(name, value):
             if passage < which:
@@ -343,8 +359,8 @@ class Branch:
         if len(given) != 1 or (value is not None and named):
             accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
-        ((name, number),) = given.items()
-        return name, number
+        ((name, found),) = given.items()
+        return name, number(f"at, {name}", found)
 
     def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
         """Where the branch passes a value: a solution of it, or a point corrected there, None where none is found."""
@@ -369,9 +385,15 @@ class Branch:
         return dataset
 
 
-def _is_fold(before: Solution, here: Solution, after: Solution) -> bool:
-    """Whether a solution was located between two at which the quantity followed goes either way."""
-    return not (here.point.walked or here.point.requested) and turns_between(before.point, after.point)
+def _closest(family: Family) -> float:
+    """Relative distance of a family's linear frequency from the nearest other one; infinite where none is known."""
+    mode, request = family.coordinates.mode_number - 1, family.request
+    try:
+        frequencies = linear_frequencies(request.model, request.parameters)
+    except ValueError:
+        return np.inf
+    others = np.delete(frequencies, mode)
+    return float(np.min(np.abs(others / frequencies[mode] - 1.0), initial=np.inf))
 
 
 def _listed(values: Sequence[float]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
+from casadi_skin.arguments import check_name
+from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -24,6 +26,7 @@ from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.small_components import with_small_components
+from casadi_skin.orbits.special_points import fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels, Refinement
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
@@ -59,6 +62,8 @@ class Family:
 
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
+    free: Sequence[str] = ()
+    knows_stability = False
     locates_folds = False  # while the family is followed; `Branch.special_points` does when asked
 
     def __init__(self, request: FamilyRequest) -> None:
@@ -152,18 +157,18 @@ class Family:
         """The linear mode at S = 0 with the tangent of the family."""
         return self.point_solver.start(self.coordinates.mode, self.coordinates.start_unknown)
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """The continuation from the last points of it, the start among them."""
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
         kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
         if self.request.method.walker != "series":
-            found: Continuation = kind(self.point_solver, history)
+            found: Continuation = kind(self.point_solver, history, reported)
             return found
 
         def precision(problem: Problem) -> float:
             allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
-        series: Continuation = kind(self.point_solver, history, self._recursion, precision)
+        series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
         return series
 
     def _recursion(self, problem: Problem) -> TaylorRecursion:
@@ -191,6 +196,11 @@ class Family:
             raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
         return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
+    @property
+    def to(self) -> float:
+        """S at which the family ends."""
+        return self.request.amplitude_max
+
     def asked(self) -> dict[str, Sequence[float]]:
         """Values at which orbits are wanted, by name."""
         targets = self.request.targets
@@ -201,6 +211,16 @@ class Family:
         if name == "S":
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """The fold on the stretch between two points, where S turns back."""
+        if turns_between(before, after):
+            yield fold_between(self.point_solver, before, after)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of S at a special point."""
+        relative = point.error.parameter or point.error.relative(point.Omega)
+        return relative * self.coordinates.S_rate * self.value("S", point)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """LIMIT where all that is left to ask for is an S that the family does not come to."""
@@ -247,9 +267,9 @@ class Family:
     def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
         """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
         z, smallest = with_small_components(self.point_solver, point)
-        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
         coordinates = self.coordinates
-        return coordinates.log_displacements(point, coordinates.log_solved(point, z, smallest), numbers)
+        solved = coordinates.log_solved(point, z, smallest)
+        return coordinates.log_displacements(point, solved, site_numbers(sites))
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -279,11 +299,14 @@ class Family:
 
         Raises:
             FlowError: the flow map cannot reach the tolerance for one of them.
+            ValueError: there is no such flow map.
         """
         whole = self.whole
         if whole is not self:
             return whole.floquets([self.on_all_positions(point) for point in points], by)
         states = [orbit_state(point) for point in points]
+        if by is not None:
+            check_name("by", by, methods.FLOWS)
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
         with one_thread():
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)

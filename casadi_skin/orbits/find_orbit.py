@@ -15,22 +15,26 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr, whole
+from casadi_skin.arguments import by_name, number, short_repr, truth, whole
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Bounds, Statement, check_expression
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.models.expressions import Expression
+from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
-from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.guesses import Guess, known_times, sampled
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.rank_deficiency import equilibrium_words
 from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import solve
 
 UNFOLDING = "unfolding"
 SAMPLES = 256  # of the guess over a period
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+LARGEST = 1e150  # state of a guess
 HARMONICS = 12  # of the reference of the phase
+SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that is none
 
 
 def find_orbit(
@@ -56,31 +60,73 @@ def find_orbit(
     after `cycles` periods of the forcing. `select`, an expression in states and parameters that vanishes at phase zero,
     picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
     only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
-    the integral phase condition.
+    the integral phase condition; without it phase zero is where the guess has it, so that a guess shifted in time makes
+    `select` pick another member of a family, unless what it holds is conserved.
 
     Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
     "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
-    "period". Options are those of `BoundaryValueProblem.solve`. Raises ValueError for arguments that do not fit the
-    model, BoundaryError where no orbit is found.
+    "period". Expressions may be given as functions f(t, x, p) of CasADi's symbols. Options are those of
+    `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
+    where no orbit is found.
     """
-    _check(model, period, select, section, symmetric, cycles, free)
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    _check(model, period, select, section, truth("symmetric", symmetric), cycles, free)
     first = model.first_order()
-    length = 0.0 if model.forced else _length(guess, period)
-    search = (tuple(free), dict(bounds or {}), objective, running)
-    asked = _Asked(first, length, cycles, dict(parameters or {}), select, section, *search)
+    stated = {"select": select, "section": section, "objective": objective, "running": running}
+    select, section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
+    length = 0.0 if model.forced else guessed_period(guess, period)
+    search = (tuple(free), by_name("bounds", bounds, "(lower, upper)"), objective, running)
+    asked = _Asked(first, length, cycles, by_name("parameters", parameters), select, section, *search)
     symmetry = symmetry_class(model) if symmetric else SymmetryClass.FULL
     state_problem = _forced_problem if model.forced else _symmetric_problem if symmetric else _closed_problem
     solution = solve(state_problem(asked, guess, symmetry), guess, **options)
     space = replace(cast(BoundarySpace, solution.space), periodic=Periodic(model, first, symmetry))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
+    if not model.forced:
+        _check_moves(orbit, solution, guess, length)
     if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         raise BoundaryError(f"{model.name}: {words}: the hamiltonian is not conserved, or the orbit is degenerate")
     return orbit
 
 
-def _length(guess: Guess, period: float | None) -> float:
-    """The guessed period."""
+def closed_statement(model: OdeModel, guess: Guess, period: float, parameters: Mapping[str, float]) -> Statement:
+    """The closed orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
+    asked = _Asked(model, period, 1, dict(parameters), None, None, (), {}, None, None)
+    return _closed_problem(asked, guess, SymmetryClass.FULL)
+
+
+def forced_statement(model: OdeModel, cycles: int, parameters: Mapping[str, float]) -> Statement:
+    """The orbit of a forced model of first order that closes after a number of periods of the forcing."""
+    asked = _Asked(model, 0.0, cycles, dict(parameters), None, None, (), {}, None, None)
+    return _forced_problem(asked, np.zeros(model.full_size), SymmetryClass.FULL)
+
+
+def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
+    """A scalar expression of what a script gave for it, a function f(t, x, p) too; names and None as they are."""
+    if given is None or isinstance(given, str):
+        return given
+    time = type(model.state).sym("t") if model.time is None else model.time
+    symbols = [time, model.full_state, model.parameters]
+    expression = expression_of(label, given, symbols, constants=False)
+    if expression.numel() != 1:
+        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+    return expression
+
+
+def _check_moves(orbit: Orbit, solution: Solution, guess: Guess, length: float) -> None:
+    """Raises BoundaryError for what does not move: an equilibrium solves the equations of an orbit of any period."""
+    statement, states = solution.statement, solution.states
+    wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
+    moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
+    if np.any(moved > np.maximum(SHRUNK * wanted, STILL * size)):
+        return
+    raise BoundaryError(f"{orbit.model.name}: {equilibrium_words(solution.problem, solution.point.z)}")
+
+
+def guessed_period(guess: Guess, period: float | None) -> float:
+    """The period that is given, or that the guess has; raises ValueError and TypeError where neither is."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
     if found <= 0:
         raise ValueError(f"period: given {period!r}; accepted: a number > 0")
@@ -97,6 +143,8 @@ def _check(
     free: Sequence[str],
 ) -> None:
     whole("cycles", cycles, 1)
+    if not isinstance(free, list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of names of parameters")
     if model.forced:
         given = [n for n, v in (("period", period), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
@@ -120,7 +168,7 @@ def _check(
             raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class _Extended(OdeModel):
     """A model with more parameters; its values are as good as those of the one that it is made of."""
 
@@ -248,11 +296,18 @@ def _phase(model: OdeModel, turn: Expression, asked: _Asked, guess: Guess) -> Ex
     statement = Statement(
         model, [model.start(model.state)], interval=(0.0, asked.length), parameters=asked.parameters(model)
     )
-    values = sampled(statement, guess, asked.length * np.arange(SAMPLES) / SAMPLES)
-    c = np.fft.rfft(values, axis=0)[1 : HARMONICS + 1] * (2.0 / SAMPLES)
-    order = np.arange(1, len(c) + 1)
+    times = known_times(statement, guess, SAMPLES + 1)
+    values = sampled(statement, guess, times)
+    largest = float(np.max(np.abs(values)))
+    if largest > LARGEST:
+        raise ValueError(
+            f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
+        )
+    order = np.arange(1, HARMONICS + 1)
+    waves = np.exp(-2j * np.pi * np.outer(order, times / asked.length))
+    c = 2.0 / asked.length * np.trapezoid(waves[:, :, None] * values, times, axis=1)
     size = float(np.sum(order[:, None] ** 2 * np.abs(c) ** 2)) / 2.0
-    if not size > 1e-24 * float(np.max(np.abs(values))) ** 2:
+    if not size > 1e-24 * largest**2:
         raise ValueError("guess: given a state that does not move; accepted: one period of an orbit")
     angle = 2.0 * np.pi * turn * ca.DM(order)
     slope = -ca.sin(angle).T @ ca.DM(order[:, None] * c.real) - ca.cos(angle).T @ ca.DM(order[:, None] * c.imag)

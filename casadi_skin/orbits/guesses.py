@@ -8,7 +8,8 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.arguments import check_name, cut, number, short_repr
+from casadi_skin.arrays import real_array
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import Statement
 
@@ -23,9 +24,10 @@ class Evaluated(Protocol):
 
 
 Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
+SAMPLES = 4001  # of a guess, to find its jumps
 ACCEPTED = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
-    "states); a simulation or a solution"
+    "states) or (states, times); a simulation or a solution"
 )
 
 
@@ -40,10 +42,33 @@ def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     return values
 
 
+def known_times(statement: Statement, guess: Guess, count: int) -> Array:
+    """Times over the interval at which a guess is best sampled: its own, as of a simulated cycle, or even ones."""
+    start, end = statement.span(np.array(list(statement.values.values())))
+    known = getattr(guess, "times", None)
+    return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
+
+
+def along_the_guess(statement: Statement, guess: Guess, intervals: int) -> Array:
+    """Lengths of intervals that hold equal parts of time and of the length of the guess, shape (intervals,).
+
+    The states are measured by their ranges. A guess that knows its own times, as a simulated cycle, is sampled there.
+    """
+    start, end = statement.span(np.array(list(statement.values.values())))
+    times = known_times(statement, guess, SAMPLES)
+    fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
+    values = sampled(statement, guess, fine)
+    ranges = np.ptp(values, axis=0)
+    steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
+    length = np.diff(fine) / (end - start) + np.sum(steps, axis=1) + 4.0 / (fine.size - 1)
+    total = np.concatenate([[0.0], np.cumsum(length)])
+    return np.diff(np.interp(np.linspace(0.0, total[-1], intervals + 1), total, (fine - start) / (end - start)))
+
+
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
     if isinstance(guess, Evaluated):
-        return np.asarray(guess.evaluate(t), dtype=float)
+        return _evaluated(guess, t)
     if isinstance(guess, Mapping):
         for name in guess:
             check_name("guess", name, names)
@@ -51,24 +76,32 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     if callable(guess):
         try:
             return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
-        except (TypeError, ValueError) as error:
+        except Exception as error:  # of the user's function
+            words = cut(" ".join(f"{type(error).__name__}: {error}".split()), 200)
             raise ValueError(
-                f"guess: the function fails: {error}; accepted: one that gives {len(names)} numbers"
+                f"guess: the function fails: {words}; accepted: one that gives {len(names)} numbers"
             ) from error
-    if isinstance(guess, tuple) and len(guess) == 2 and np.ndim(guess[1]) == 2:
-        return _interpolated(np.asarray(guess[0], dtype=float), np.asarray(guess[1], dtype=float), t)
+    if isinstance(guess, list | tuple) and len(guess) == 2 and isinstance(guess[0], list | tuple | range | np.ndarray):
+        times, values = (real_array("guess", part, ACCEPTED) for part in guess)
+        turned = values.shape == (len(names), times.size) != (times.size, len(names))  # as scipy has it
+        return _interpolated(times, values.T if turned else values, t)
+    return np.tile(real_array("guess", guess, ACCEPTED).ravel(), (t.size, 1))
+
+
+def _evaluated(guess: Evaluated, t: Array) -> Array:
     try:
-        constant = np.asarray(guess, dtype=float).ravel()
-    except (TypeError, ValueError):
-        raise ValueError(f"guess: given {short_repr(guess)}; accepted: {ACCEPTED}") from None
-    return np.tile(constant, (t.size, 1))
+        return np.asarray(guess.evaluate(t), dtype=float)
+    except (TypeError, AttributeError) as error:  # a class, or an object of somebody else's
+        raise TypeError(f"guess: given {short_repr(guess)}; accepted: {ACCEPTED}") from error
 
 
 def _column(name: str, given: Any, t: Array) -> Array:
     """Values of one state from a number or a function."""
     try:
-        return np.array([float(given(float(x))) for x in t]) if callable(given) else np.full(t.size, float(given))
-    except (TypeError, ValueError):
+        if not callable(given):
+            return np.full(t.size, number(name, given))
+        return np.array([float(given(float(x))) for x in t])
+    except Exception:  # of the user's function, and of what is no number
         raise ValueError(
             f"guess: given {short_repr(given)} for {name}; accepted: a number, or a function of t"
         ) from None

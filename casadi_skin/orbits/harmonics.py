@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
@@ -23,7 +24,7 @@ def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
     x is the displacement in the "gauge", where no site is favoured, or "physical". Raises ValueError for other words.
     """
     if coordinates not in ("gauge", "physical"):
-        raise ValueError(f"coordinates: given {coordinates!r}; accepted: gauge, physical")
+        raise ValueError(f"coordinates: given {short_repr(coordinates)}; accepted: gauge, physical")
     count = max(4, orbit.harmonics)
     if coordinates == "physical":
         c = orbit.coefficients(count)

@@ -55,7 +55,8 @@ class Method:
             ("tail", methods.TAILS),
         ):
             given = getattr(self, name)
-            if given not in accepted and not (given is None and name != "corrector"):
+            known = isinstance(given, str) and given in accepted
+            if not known and not (given is None and name != "corrector"):
                 raise ValueError(f"{name}: given {short_repr(given)}; accepted: {', '.join(accepted)}")
         if self.intervals is not None:
             whole("intervals", self.intervals, 1, MOST_INTERVALS)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
+from casadi_skin.arguments import whole
+from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
@@ -25,6 +27,8 @@ from casadi_skin.stability.result import Floquet
 if TYPE_CHECKING:
     from casadi_skin.certify.certificate import Certificate
 
+MOST_QUARTERS = 10_000  # periods are followed as products of matrices
+MOST_HARMONICS = 4096  # of coefficients
 TIE = 1e-10  # relative difference of displacements that count as equal
 
 
@@ -116,7 +120,7 @@ class Orbit(Solution):
         return self._at_phases(2.0 * np.pi / self.period * as_times(t), sites)
 
     def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
-        numbers = None if sites is None else np.atleast_1d(np.asarray(sites, dtype=np.int64))
+        numbers = site_numbers(sites)
         if isinstance(self.space, Family):
             return self._scale * self.space.positions(self.point, theta, numbers)
         return self._boundary_space().states_at(self.point, theta, numbers)
@@ -169,6 +173,7 @@ class Orbit(Solution):
         """
         if self.symmetry is not SymmetryClass.QUARTER:
             raise ValueError("coefficients: the orbit is no sum of odd cosines: its symmetries do not leave a quarter")
+        whole("harmonics", harmonics, 1, MOST_HARMONICS)
         to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
         return np.asarray(to_coefficients @ self._at_phases(quarter_phases(harmonics), sites))
 
@@ -257,6 +262,11 @@ class Orbit(Solution):
         return found
 
     @property
+    def stable(self) -> bool:
+        """Whether no multiplier lies outside the unit circle, within estimated errors."""
+        return self.floquet().stable
+
+    @property
     def multiplier_error(self) -> float:
         """Estimated absolute error of mu and, for an unstable orbit, of the largest modulus of a multiplier."""
         return self.floquet().error
@@ -283,6 +293,7 @@ class Orbit(Solution):
         splitting = family.request.method.flow == "splitting"
         if coordinates.without_vectors or not (splitting and coordinates.symplectic):
             raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
+        whole("quarters", quarters, 1, MOST_QUARTERS)
         return transient_growth(*family.transition(self.point), coordinates.log_scale, self.period, quarters)
 
     def _family(self) -> Family:

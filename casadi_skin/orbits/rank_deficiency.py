@@ -15,14 +15,28 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 SINGULAR = 1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
 PERTURBED = 1e-13
 ROUNDS = 4
+ADDED = ("period", "unfolding")  # parameters that are not the model's
+RESTING = 1e-2  # of the sizes that states are measured by at least, a thousandth of the guess
+BESIDE = 0.1  # of the sizes of unknowns: how far off z a point in general position is
 NAMED = 0.05  # of the largest weight of a condition
 
 
-def rank_deficiency(problem: BoundaryProblem, z: Array) -> str:
-    """Which conditions leave which variable undetermined, and where; empty where the equations at z are regular."""
+def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False) -> str:
+    """Which conditions leave which variable undetermined, and where; empty where the equations at z are regular.
+
+    An orbit that rests is told instead: any period closes it.
+    With `everywhere` also where they are singular at z alone: what has not been reached is then at fault, and not the
+    problem.
+    """
+    if "period" in problem.statement.free and _rests(problem, z):
+        return equilibrium_words(problem, z)
     found = _null_vectors(problem, z)
     if found is None:
         return ""
+    if everywhere:
+        noise = np.random.default_rng(1).normal(size=z.size - 1)
+        if _null_vectors(problem, np.append(z[:-1] + BESIDE * problem.sizes(z)[:-1] * noise, z[-1])) is None:
+            return ""
     left, right = found
     first = problem.states - problem.formulation.states  # of the equations that are conditions and integrals
     weights = np.abs(left[first:])
@@ -33,6 +47,22 @@ def rank_deficiency(problem: BoundaryProblem, z: Array) -> str:
     if len(rows) == 1:
         return f"{names} leaves {_variable(problem, z, right)} undetermined"
     return f"{names} repeat or contradict each other and leave {_variable(problem, z, right)} undetermined"
+
+
+def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
+    """That an orbit has come to rest, and where."""
+    model = problem.statement.model
+    start = z[: problem.formulation.states]
+    state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, start, strict=True))
+    values = zip(model.parameter_names, problem.parameters(z), strict=True)
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in values if name not in ADDED)
+    return f"this is an equilibrium: the orbit has shrunk to it ({state}{f', at {at}' if at else ''})"
+
+
+def _rests(problem: BoundaryProblem, z: Array) -> bool:
+    """Whether states move by less than a part of what the guess's own sizes tell apart."""
+    states = z[: problem.states].reshape(-1, problem.formulation.states)
+    return bool(np.all(np.ptp(states, axis=0) <= RESTING * problem.floors))
 
 
 def _null_vectors(problem: BoundaryProblem, z: Array) -> tuple[Array, Array] | None:

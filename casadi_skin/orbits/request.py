@@ -18,6 +18,8 @@ from casadi_skin.orbits.method import TOLERANCES, TWO_PI, Method, Targets
 from casadi_skin.orbits.model_coordinates import ModelCoordinates
 
 LOWEST_DEGREE = 2  # of polynomials on an interval
+WITHIN = 1e-150, 1e150  # sizes of the free parameter: their squares are doubles
+LARGEST = 1e300  # S of which a picture can be drawn
 QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 
 
@@ -72,6 +74,21 @@ class FamilyRequest:
         object.__setattr__(self, "mode", coordinates.mode_number)
         object.__setattr__(self, "method", self._completed(self.method))
         self.targets.check(self.amplitude_max, TWO_PI / coordinates.frequency, coordinates.mode_number)
+        for name, S in (("amplitude_max", self.amplitude_max), *(("at", S) for S in self.targets.at)):
+            self._check_range(name, S)
+
+    def _check_range(self, name: str, S: float) -> None:
+        """Raises ValueError for an amplitude that arithmetic in double precision does not reach."""
+        try:
+            parameter = abs(self.coordinates.parameter_of(S))
+        except ArithmeticError:
+            parameter = math.inf
+        low, high = WITHIN
+        if not low <= parameter <= high:
+            size = f"the free parameter of the scaled equations (g S of a chain) has the size {parameter:.3g} there"
+            raise ValueError(f"{name}: given {S!r}; {size}; accepted: sizes from {low:g} to {high:g}")
+        if S > LARGEST:
+            raise ValueError(f"{name}: given {S!r}; accepted: a number up to {LARGEST:g}")
 
     @cached_property
     def coordinates(self) -> Coordinates:

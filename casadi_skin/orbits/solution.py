@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
-from casadi_skin.arguments import short_repr
+from casadi_skin.arrays import real_array
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
@@ -56,7 +56,10 @@ class Solution:
         return self.space.interval(self.point)
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """States at times in the interval, shape (time, component); raises ValueError for others."""
+        """States at times in the interval, shape (time, component).
+
+        Raises ValueError for other times, TypeError for what is no number.
+        """
         times = as_times(t)
         start, end = self.interval
         slack = 1e-9 * (end - start)
@@ -139,6 +142,11 @@ class Solution:
         """Largest residual of the equations relative to their largest term."""
         return self.point.problem.relative_residual(self.point.z)
 
+    @property
+    def stable(self) -> bool:
+        """Whether it is stable; raises ValueError for a solution that does not move in time."""
+        raise ValueError("stable: a solution of a boundary-value problem that is no orbit has no stability")
+
     # Optima -----------------------------------------------------------------------------------------------------------
 
     @property
@@ -170,8 +178,8 @@ class Solution:
 
 
 def as_times(t: ArrayLike) -> Array:
-    """Times as an array; raises ValueError for what is no number."""
-    try:
-        return np.atleast_1d(np.asarray(t, dtype=float))
-    except (TypeError, ValueError):
-        raise ValueError(f"t: given {short_repr(t)}; accepted: numbers") from None
+    """Times as an array of one dimension; raises TypeError and ValueError for what is no number."""
+    found = np.atleast_1d(real_array("t", t, "numbers"))
+    if found.ndim != 1:
+        raise ValueError(f"t: given shape {found.shape}; accepted: numbers, shape (times,)")
+    return found

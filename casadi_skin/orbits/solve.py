@@ -15,7 +15,7 @@ from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
 from casadi_skin.orbits.converged_mesh import converged_mesh
-from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.guesses import Guess, along_the_guess, sampled
 from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
@@ -27,6 +27,8 @@ from casadi_skin.solvers.newton import NewtonCorrector
 
 OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker")
 TRIES = 6  # resolutions on which a first solution is sought
+JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
+STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
 TOLERANCES = (1e-13, 1e-1)
 UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
 
@@ -82,6 +84,8 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
     for problem in _first_problems(point_solver.levels, resolutions, guess):
         z = packed(problem, guess)
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
+        if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
+            correction = _corrected(NewtonCorrector(problem), z, problem)
         backwards = problem.backwards(correction.z) if correction.converged else ""
         if backwards:
             failures.append(backwards)
@@ -89,8 +93,17 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
         if correction.converged:
             correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
             resolved = converged_mesh(point_solver.levels, problem, correction.z)
-            return refined(point_solver, *(resolved or (problem, correction)))
-        words = f"{correction.status.value}; {problem.worst(correction.z)}", rank_deficiency(problem, correction.z)
+            try:
+                return refined(point_solver, *(resolved or (problem, correction)))
+            except BoundaryError as error:
+                if problem.resolution not in JUMPS:
+                    raise
+                failures.append(str(error))
+                continue
+        words = (
+            f"{correction.status.value}; {problem.worst(correction.z)}",
+            rank_deficiency(problem, correction.z, everywhere=True),
+        )
         failures.append("; there ".join(filter(None, words)))
     raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 
@@ -115,7 +128,10 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
 
 
 def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
-    """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess."""
+    """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess.
+
+    A guess with jumps, which a uniform mesh would miss, gets a mesh along its length before.
+    """
     if (
         isinstance(guess, Solution)
         and isinstance(guess.point.problem, BoundaryProblem)
@@ -124,6 +140,12 @@ def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) ->
         problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         yield problem
+    for resolution in JUMPS:
+        problem = levels.problem(resolution)
+        assert isinstance(problem, BoundaryProblem)
+        lengths = along_the_guess(problem.statement, guess, resolution)
+        if np.min(lengths) < STEEP / resolution:
+            yield problem.with_constants(lengths)
     for resolution in resolutions:
         problem = levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)

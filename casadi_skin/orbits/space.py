@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from casadi_skin.bvp.problem import Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import Continuation, End, Point, Target
+from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.solution import Solution
 
 
 class SolutionSpace(Protocol):
@@ -20,8 +23,11 @@ class SolutionSpace(Protocol):
     Attributes:
         parameter: name of the quantity that the branch is followed in.
         start_is_limit: whether `start` is a limit of the solutions and none of them.
-        locates_folds: whether folds are located while the branch is followed.
+        locates_folds: whether special points are located while the branch is followed.
         tolerance: relative error allowed in the solutions.
+        to: value of `parameter` at which the branch ends.
+        knows_stability: whether stability is computed with every solution, asked for or not.
+        free: names of parameters that are found with the state.
         state_names, output_sites: names and numbers of the components in files and pictures.
         symmetry: which part of the period is unknown.
         S_rate: the relative change of S per that of the free parameter.
@@ -35,6 +41,12 @@ class SolutionSpace(Protocol):
     def locates_folds(self) -> bool: ...
     @property
     def tolerance(self) -> float: ...
+    @property
+    def to(self) -> float: ...
+    @property
+    def knows_stability(self) -> bool: ...
+    @property
+    def free(self) -> Sequence[str]: ...
     @property
     def model(self) -> Any: ...
     @property
@@ -54,8 +66,8 @@ class SolutionSpace(Protocol):
     @property
     def S_rate(self) -> float: ...
 
-    def continuation(self, history: tuple[Point, ...]) -> Continuation:
-        """The continuation from the last points of it, the start among them."""
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
         ...
 
     def target(self, name: str, value: float) -> Target:
@@ -72,6 +84,14 @@ class SolutionSpace(Protocol):
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Why a branch ends at a point, with the reason in words; None where it does not."""
+        ...
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Special points between two points, in order, each marked by its kind; raises NotLocatedError."""
+        ...
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated absolute error of what is followed at a special point."""
         ...
 
     def parameters(self, point: Point) -> dict[str, float]:
@@ -92,4 +112,15 @@ class SolutionSpace(Protocol):
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors at phase zero, one a column in the order of the multipliers."""
+        ...
+
+
+@runtime_checkable
+class Follows(Protocol):
+    """A space whose solutions can be followed in a parameter."""
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> SolutionSpace:
+        """The space of the branch through one of its solutions; raises ValueError where there is none."""
         ...

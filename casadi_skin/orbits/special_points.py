@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
+from casadi_skin import methods
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
-FOLD = "fold"
+FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -22,19 +24,62 @@ class NotLocatedError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point of a branch that stands out.
+    """A point of a branch that stands out; of equilibria with the coefficient that decides there.
 
     Attributes:
-        kind: "fold".
+        kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
+            doubling", "torus" and "branch point", and "hopf" where they end.
+        parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.
         solution: the solution there.
     """
 
     kind: str
+    parameter: str
     parameters: Mapping[str, float]
     error: float
     solution: Solution
+
+    def __repr__(self) -> str:
+        words = f", {self.criticality}" if self.kind == HOPF else ""
+        name = self.parameter
+        return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
+
+    @cached_property
+    def _critical(self) -> Any:
+        return methods.TASKS["critical"].load()(self)
+
+    @property
+    def vector(self) -> Any:
+        """Critical eigenvector, shape (components of the state,); raises ValueError for what is no equilibrium."""
+        return self._critical.vector
+
+    @property
+    def frequency(self) -> float:
+        """Imaginary part of the critical eigenvalues; raises ValueError for what is no equilibrium."""
+        return float(self._critical.frequency)
+
+    @property
+    def coefficient(self) -> float:
+        """Coefficient of the normal form: of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one.
+
+        NaN where none is defined; raises ValueError for what is no equilibrium.
+        """
+        return float(self._critical.coefficient)
+
+    @property
+    def criticality(self) -> str:
+        """What the coefficient means: of a Hopf point "supercritical", "subcritical" or "degenerate"."""
+        return str(self._critical.words)
+
+    def follow(self, parameter: str, to: float, **options: Any) -> Any:
+        """The `Branch` that leaves here, by `casadi_skin.equilibria.switch.switch`."""
+        return methods.TASKS["switch"].load()(self, parameter, to, **options)
+
+    def curve(self, parameter: str, to: float, **options: Any) -> Any:
+        """This point followed in a second parameter, by `casadi_skin.equilibria.curve.curve`."""
+        return methods.TASKS["curve"].load()(self, parameter, to, **options)
 
 
 def turns_between(before: Point, after: Point) -> bool:
@@ -48,19 +93,28 @@ def parameter_rate(point: Point) -> float:
 
 
 def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Point:
-    """The point between two at which the free parameter is stationary; raises NotLocatedError where none is found."""
+    """The point between two at which the free parameter is stationary; raises NotLocatedError where none is found.
+
+    Its place is found on one level of resolution: the errors of orbits at a held parameter, by which others are
+    refined, are of no use beside a fold.
+    """
     from scipy.optimize import brentq
 
-    known: dict[float, Point] = {0.0: before, 1.0: after}
-
     def rate(fraction: float) -> float:
-        point = known.get(fraction) or point_solver.along(before, after, fraction)
-        if point is None:
-            why = point_solver.failure or "the equations are singular beside it"
-            raise NotLocatedError(f"the parameter turns back at a point that cannot be located: {why}")
-        known[fraction] = point
-        return parameter_rate(point)
+        if fraction in (0.0, 1.0):
+            return parameter_rate(after if fraction else before)
+        tangent = point_solver.tangent_along(before, after, fraction)
+        if tangent is None:
+            raise _not_located(point_solver)
+        return float(tangent[after.problem.parameter_index])
 
     root = float(brentq(rate, 0.0, 1.0, xtol=FOLD_TOLERANCE))
-    rate(root)
-    return known[root]
+    point = point_solver.along(before, after, root)
+    if point is None:
+        raise _not_located(point_solver)
+    return replace(point, special=FOLD)
+
+
+def _not_located(point_solver: PointSolver) -> NotLocatedError:
+    why = point_solver.failure or "the equations are singular beside it"
+    return NotLocatedError(f"the parameter turns back at a point that cannot be located: {why}")

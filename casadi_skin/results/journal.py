@@ -1,227 +1,98 @@
-"""The journal of a run: every solution as it converges, appended to one file, so that a killed run loses nothing.
+"""The journal of a run: what is computed, appended to one file and flushed to disk at once.
 
-Records are MessagePack behind a length of four bytes; a record that was cut off by a kill is ignored when reading.
+A record is MessagePack behind a header: a mark, the format, the length, and a CRC-32 of all of these. Reading ends at
+the first record that is cut off, damaged, or of another format; what was written before it holds.
 """
 
 from __future__ import annotations
 
+import os
 import struct
-from collections.abc import Sequence
+import zlib
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import Generic, Self, TypeVar
 
 import msgspec
-import numpy as np
 
-from casadi_skin.continuation.points import End, Point
-from casadi_skin.files import replacing
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import Following
-from casadi_skin.orbits.making import solution_at
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.solvers.levels import ErrorEstimate
-from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
+MARK, FORMAT = b"cskj", 2
+HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
+Record = TypeVar("Record")
 
 
-class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
-    """Stability by the N x N problem; arrays as bytes of little-endian doubles."""
+class Journal(Generic[Record]):
+    """An open journal, made where there is none; use as a context manager.
 
-    mu: bytes
-    mu_error: bytes
-    trivial_deviation: float
-    power: int
+    Attributes:
+        path: its file.
+        records: what it holds when it is opened.
+        fault: why its tail was dropped then, in words; empty where it was whole.
+    """
 
+    def __init__(self, path: Path, decoder: msgspec.msgpack.Decoder[Record]) -> None:
+        self.path, self._encoder = path, msgspec.msgpack.Encoder()
+        data = path.read_bytes() if path.exists() else b""
+        self.records, self._end, self.fault = read_records(data, decoder)
+        self._file = path.open("r+b" if path.exists() else "x+b", buffering=0)
+        self._file.truncate(self._end)
 
-class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
-    """Stability by the monodromy matrix."""
-
-    multipliers: bytes
-    monodromy: bytes
-    trivial: int
-    trivial_deviation: float
-    allowed: float
-
-
-class SolutionRecord(msgspec.Struct, frozen=True, tag="solution"):
-    """A converged solution with all that the continuation needs to go on from it."""
-
-    branch: str
-    resolution: int
-    z: bytes
-    tangent: bytes
-    Omega_error: float
-    profile_error: float
-    step: float
-    iterations: int
-    requested: bool
-    walked: bool
-    floquet: ReversibleRecord | FullPeriodRecord | None
-    constants: bytes  # of the problem: the mesh
-    at_round_off: bool
-    parameter_error: float
-
-
-class ChangeRecord(msgspec.Struct, frozen=True, tag="change"):
-    """A change of stability; it lies between the solutions recorded before and after it."""
-
-    branch: str
-    change: StabilityChange
-
-
-class EndRecord(msgspec.Struct, frozen=True, tag="end"):
-    """The end of a branch."""
-
-    branch: str
-    end: End | None
-    detail: str
-    misses: dict[str, tuple[float, ...]]
-
-
-Record = SolutionRecord | ChangeRecord | EndRecord
-Kind = TypeVar("Kind")
-
-
-def _doubles(data: bytes, kind: str = "<f8") -> np.ndarray:
-    return np.frombuffer(data, kind).copy()
-
-
-def _bytes(values: np.ndarray, kind: str = "<f8") -> bytes:
-    return values.astype(kind).tobytes()
-
-
-def solution_record(branch: str, solution: Solution, with_stability: bool) -> SolutionRecord:
-    """Record of a solution of the branch of that name."""
-    point = solution.point
-    floquet = solution.floquet() if with_stability and isinstance(solution, Orbit) else None
-    return SolutionRecord(
-        branch=branch,
-        resolution=point.problem.resolution,
-        z=_bytes(point.z),
-        tangent=_bytes(point.tangent),
-        Omega_error=point.error.Omega,
-        profile_error=point.error.profile,
-        step=point.step,
-        iterations=point.iterations,
-        requested=point.requested,
-        walked=point.walked,
-        floquet=None if floquet is None else _floquet_record(floquet),
-        constants=_bytes(point.problem.constants),
-        at_round_off=point.at_round_off,
-        parameter_error=point.error.parameter,
-    )
-
-
-def _floquet_record(floquet: Floquet) -> ReversibleRecord | FullPeriodRecord:
-    if isinstance(floquet, ReversibleFloquet):
-        mu, errors = _bytes(floquet.mu, "<c16"), _bytes(floquet.mu_error)
-        return ReversibleRecord(mu, errors, floquet.trivial_deviation, floquet.power)
-    assert isinstance(floquet, FullPeriodFloquet)
-    multipliers, monodromy = _bytes(floquet.multipliers, "<c16"), _bytes(floquet.monodromy)
-    return FullPeriodRecord(multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed)
-
-
-def _floquet(record: ReversibleRecord | FullPeriodRecord) -> Floquet:
-    if isinstance(record, ReversibleRecord):
-        mu, errors = _doubles(record.mu, "<c16"), _doubles(record.mu_error)
-        return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
-    multipliers = _doubles(record.multipliers, "<c16")
-    monodromy = _doubles(record.monodromy).reshape(multipliers.size, multipliers.size)
-    return FullPeriodFloquet(multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed)
-
-
-def _solution(record: SolutionRecord, space: SolutionSpace) -> Solution:
-    point = Point(
-        problem=space.levels.problem(record.resolution).with_constants(_doubles(record.constants)),
-        z=_doubles(record.z),
-        tangent=_doubles(record.tangent),
-        error=ErrorEstimate(record.Omega_error, record.profile_error, parameter=record.parameter_error),
-        step=record.step,
-        iterations=record.iterations,
-        requested=record.requested,
-        walked=record.walked,
-        at_round_off=record.at_round_off,
-    )
-    return solution_at(space, point, None if record.floquet is None else _floquet(record.floquet))
-
-
-class Journal:
-    """An open journal; use as a context manager."""
-
-    def __init__(self, path: Path) -> None:
-        self._file: BinaryIO = path.open("ab")
-        self._encoder = msgspec.msgpack.Encoder()
-
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def append(self, record: msgspec.Struct) -> None:
-        """Write one record and hand it to the operating system at once."""
-        _write(self._file, self._encoder.encode(record))
-        self._file.flush()
+        """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""
+        payload = self._encoder.encode(record)
+        data = _header(payload) + payload
+        self._file.seek(self._end)
+        try:
+            written = 0
+            while written < len(data):
+                written += self._file.write(data[written:]) or 0
+            os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(self._end)
+            raise
+        self._end += len(data)
 
 
-def _write(file: BinaryIO, payload: bytes) -> None:
-    file.write(struct.pack("<I", len(payload)) + payload)
+def _header(payload: bytes) -> bytes:
+    fields = MARK, FORMAT, len(payload)
+    return HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(HEADER.pack(*fields, 0))))
 
 
-def read_journal(path: Path) -> list[Record]:
-    """All whole records of a journal; what a kill cut off at its end is left out.
+def read_records(data: bytes, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[list[Record], int, str]:
+    """The records of a journal up to the first that is not whole, the length of these, and what is wrong with the next.
 
-    Raises ValueError, in one line, for a journal that this version did not write.
+    The last is empty where all of `data` is records of this format.
     """
+    place, records = 0, list[Record]()
+    while place < len(data):
+        try:
+            record, length = _record(data, place, decoder)
+        except ValueError as error:
+            return records, place, f"{error} at byte {place}"
+        records.append(record)
+        place += length
+    return records, place, ""
+
+
+def _record(data: bytes, place: int, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[Record, int]:
+    """The record at a place and its length in bytes; raises ValueError, in words, where there is none."""
+    if len(data) - place < HEADER.size:
+        raise ValueError("a record that is cut off")
+    mark, version, length, _ = HEADER.unpack_from(data, place)
+    if mark != MARK:
+        raise ValueError("no record of a journal")
+    if version != FORMAT:
+        raise ValueError(f"a record of format {version}, where {FORMAT} is read,")
+    payload = data[place + HEADER.size : place + HEADER.size + length]
+    if len(payload) < length:
+        raise ValueError("a record that is cut off")
+    if data[place : place + HEADER.size] != _header(payload):
+        raise ValueError("a damaged record")
     try:
-        return read_records(path, msgspec.msgpack.Decoder(Record))
+        return decoder.decode(payload), HEADER.size + length
     except msgspec.DecodeError as error:
-        raise ValueError(f"{path}: is no journal of this version; accepted: --overwrite") from error
-
-
-def read_records(path: Path, decoder: msgspec.msgpack.Decoder[Kind]) -> list[Kind]:
-    """All whole records of a journal, of the kind that the decoder knows."""
-    data, place, records = path.read_bytes(), 0, []
-    while place + 4 <= len(data):
-        (length,) = struct.unpack_from("<I", data, place)
-        if place + 4 + length > len(data):
-            break
-        records.append(decoder.decode(data[place + 4 : place + 4 + length]))
-        place += 4 + length
-    return records
-
-
-def trim_journal(path: Path, records: Sequence[msgspec.Struct]) -> None:
-    """Replace the journal by these records."""
-    encoder = msgspec.msgpack.Encoder()
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        for record in records:
-            _write(file, encoder.encode(record))
-
-
-def resumable(records: Sequence[Record]) -> list[Record]:
-    """The records up to the last point of a continuation, or to the end of a branch.
-
-    Points between two points of a continuation, and changes of stability after the last one, are computed again.
-    """
-    last = 0
-    for place, record in enumerate(records, start=1):
-        if isinstance(record, EndRecord) or (isinstance(record, SolutionRecord) and record.walked):
-            last = place
-    return list(records[:last])
-
-
-def restore(
-    records: Sequence[Record], branch: str, space: SolutionSpace, stability: bool, events: bool
-) -> Following | Branch:
-    """The finished branch of that name, or what goes on from what the records hold of it."""
-    mine = [r for r in records if r.branch == branch]
-    solutions = [_solution(r, space) for r in mine if isinstance(r, SolutionRecord)]
-    changes = [r.change for r in mine if isinstance(r, ChangeRecord)]
-    following = Following(space, stability, events, solutions, changes)
-    for record in mine:
-        if isinstance(record, EndRecord):
-            return following.finished(record.end, record.detail, record.misses)
-    return following
+        raise ValueError("a record of another version") from error

@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import FOLD
 from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray, unique_names
-from casadi_skin.results.extremes import extremes
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.results.equilibria import equilibrium_quantities
+from casadi_skin.results.quantity import CSV, NETCDF, Place, Quantity
+from casadi_skin.stability.result import ReversibleFloquet
 
 if TYPE_CHECKING:
     import xarray
@@ -31,47 +33,6 @@ if TYPE_CHECKING:
     from casadi_skin.certify.certificate import Certificate
 
 PHASES = 401  # of the common grid of profiles of solutions
-CSV, NETCDF, BOTH = "csv", "netcdf", "both"
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """A solution of a branch with what its quantities need to know: its place, and marks."""
-
-    solution: Solution
-    index: int
-    mode: int = 0
-    requested: bool = False
-    special: str = ""
-
-    @property
-    def orbit(self) -> Orbit:
-        """The solution, where it is an orbit."""
-        assert isinstance(self.solution, Orbit)
-        return self.solution
-
-    @property
-    def floquet(self) -> Floquet:
-        """Stability of the orbit."""
-        return self.orbit.floquet()
-
-    @cached_property
-    def extremes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Smallest and largest value of each state, shapes (components,)."""
-        return extremes(self.solution)
-
-
-@dataclass(frozen=True, eq=False)
-class Quantity:
-    """A quantity of a solution: `of` gives its value, an array where it has `dimensions`."""
-
-    name: str
-    meaning: str
-    of: Callable[[Place], Any]
-    dimensions: tuple[str, ...] = ()
-    where: str = BOTH
-    may_be_empty: bool = False
-
 
 # Families -------------------------------------------------------------------------------------------------------------
 
@@ -324,16 +285,15 @@ def _branch_arrays(parameters: Sequence[str], states: Sequence[str]) -> list[Qua
 
 def quantities_of(branch: Branch) -> list[Quantity]:
     """The quantities of a branch of any kind."""
+    if isinstance(branch.solutions[0], Equilibrium):
+        return equilibrium_quantities(branch)
     return family_quantities(branch) if isinstance(branch.space, Family) else branch_quantities(branch)
 
 
 def places_of(branch: Branch) -> list[Place]:
     """The solutions of a branch with their marks."""
-    folds = {id(point.solution) for point in branch.special_points} if branch.space.locates_folds else set()
     mode = branch.space.coordinates.mode_number if isinstance(branch.space, Family) else 0
-    return [
-        Place(s, i, mode, s.point.requested, FOLD if id(s) in folds else "") for i, s in enumerate(branch.solutions)
-    ]
+    return [Place(s, i, mode, s.point.requested, s.point.special) for i, s in enumerate(branch.solutions)]
 
 
 def csv_row(quantities: Sequence[Quantity], place: Place) -> dict[str, Cell]:
@@ -366,7 +326,7 @@ def dataset_of(branches: Sequence[Branch], vectors: bool = False) -> Dataset:
         values = np.array([quantity.of(place) for place in places])
         dimensions = ("point", *quantity.dimensions)
         variables.append(Variable(quantity.name, dimensions, values, quantity.meaning, quantity.may_be_empty))
-    if not isinstance(held[0].space, Family):
+    if isinstance(held[0].space, BoundarySpace):
         variables.append(_mesh([place.solution for place in places]))
     if vectors:
         variables += _vectors(places)
@@ -384,6 +344,8 @@ def _axes(branch: Branch) -> list[Variable]:
     if solution.parameters:
         names = np.array(list(solution.parameters))
         axes.append(Variable("parameter_name", ("parameter",), names, "names along `parameter`"))
+    if isinstance(solution, Equilibrium):
+        return axes
     phases = np.linspace(0.0, 1.0, PHASES)
     return [*axes, Variable("phase", ("phase",), phases, "place in the interval or the period, from 0 to 1")]
 

@@ -15,14 +15,14 @@ from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import read_model
+from casadi_skin.models.saved import loads
 from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.runs.request import Request, chain_of
 from casadi_skin.scene import OrbitTable, Scene, SceneError
 from casadi_skin.scene.faults import check_known, refusal, toml_repr
-from casadi_skin.scene.model_tables import CONSERVED, SELECTED, ModelTable
+from casadi_skin.scene.model_tables import CONSERVED, SELECTED, EquilibriumTable, ModelTable
 
 KINDS = (OdeModel, BoundaryValueProblem)
 Numbers = Sequence[float] | Mapping[str, float]
@@ -44,6 +44,8 @@ def bind(scene: Scene, scene_path: Path) -> Request:
     if scene.orbit is not None:
         _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
         (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
+    if scene.equilibrium is not None:
+        _check_equilibrium(request, scene.equilibrium)
     _check_continuation(request)
     _check_families(request)
     _check_perturbation(request)
@@ -62,7 +64,7 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
     try:
         source = read_source(path)
         names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
-        found = read_model(path) if table.name is None else named(path, names, table.name, KINDS)
+        found = loads(source, str(path)) if table.name is None else named(path, names, table.name, KINDS)
     except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
         raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
@@ -153,7 +155,7 @@ def check_spectrum(request: Request) -> None:
 def _bound_problem(
     scene: Scene, table: ModelTable, path: Path, source: str, problem: BoundaryValueProblem, names: Mapping[str, Any]
 ) -> Request:
-    for name in ("orbit", "family", "spectrum", "export", "search"):
+    for name in ("equilibrium", "orbit", "family", "spectrum", "export", "search"):
         if getattr(scene, name) is not None:
             given = f"with {table.name}, a BoundaryValueProblem"
             raise refusal(f"[{name}]", given, "[solution], or an OdeModel")
@@ -185,6 +187,13 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
     if count != len(states):
         raise refusal(place, f"{given}, which returns {count} numbers", f"{len(states)}: {', '.join(states)}")
     return guess
+
+
+def _check_equilibrium(request: Request, table: EquilibriumTable) -> None:
+    model = request.equations
+    if model.forced:
+        raise refusal("[equilibrium]", f"with {model.name}, which is forced", "[orbit], or a model without time")
+    _check_state("[equilibrium] start", table.start, model.state_names)
 
 
 # Orbits ---------------------------------------------------------------------------------------------------------------
@@ -251,6 +260,10 @@ def _check_continuation(request: Request) -> None:
         values[SELECTED] = next(iter(request.scene.orbit.select.values()))
     free = () if problem is None else problem.free
     check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+    if table.curve is not None:
+        check_known("[continuation] curve", table.curve.parameter, [n for n in values if n != table.parameter])
+        if table.curve.to == values[table.curve.parameter]:
+            raise refusal("[continuation] curve", f"to = {table.curve.to!r}, where it starts", "another number")
     if table.to == values[table.parameter]:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
     if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
-from casadi_skin.files import replacing
+from casadi_skin.files import leftovers, replacing
 from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
-WRITTEN = ("family.csv", "events.csv", "spectrum.csv", "family.nc", "dynamics.csv", "dynamics.nc", "search.csv",
-           "starts.csv", "search.nc", "branch.csv", "branch.nc", "special_points.csv",
-           f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
+           "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
+           "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
+           "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit")
+ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
+PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit", "curves")
 
 
 class DirectoryError(ValueError):
@@ -37,32 +42,81 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    held = _check_free(directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite")
+    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg")), "*.fmu")
+    _check_writable(directory)
+    left = leftovers(directory, names) if directory.is_dir() else []
+    held = _check_free(
+        directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite", left
+    )
     if held and existing is Existing.RESUME:
         _check_same(directory, scene)
         written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc"))
         if written and not (directory / JOURNAL).exists():
             return False
-    if existing is Existing.OVERWRITE:
-        _remove_export(directory / EXPORT)
-        for name in (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg"))):
-            for path in directory.glob(name):
-                path.unlink()
-    directory.mkdir(parents=True, exist_ok=True)
-    with replacing(directory / SCENE) as temporary:
-        temporary.write_text(scene_text, encoding="utf-8")
+    if held and existing is Existing.OVERWRITE:
+        _remove_results(directory, names[:-1])
+    for path in left:
+        path.unlink(missing_ok=True)
+    make_directory(directory)
+    _write_scene(directory, scene_text)
     return True
+
+
+def renew(directory: Path, scene_text: str) -> None:
+    """Make the directory of a run that was removed; its journal is empty."""
+    directory.mkdir(parents=True)
+    _write_scene(directory, scene_text)
+    (directory / JOURNAL).touch()
+
+
+def _write_scene(directory: Path, scene_text: str) -> None:
+    with replacing(directory / SCENE) as temporary:
+        temporary.write_text(f"{MADE}\n{scene_text}", encoding="utf-8")
+
+
+def make_directory(directory: Path) -> None:
+    """Make a directory with those above it; raises DirectoryError where that cannot be."""
+    new = [path for path in (directory, *directory.parents) if not path.exists()]
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        for path in new[1:]:  # nothing is left of what was made on the way
+            with suppress(OSError):
+                path.rmdir()
+        raise DirectoryError(f"{directory}: cannot be made: {error.strerror}; accepted: another path") from error
+
+
+def _remove_results(directory: Path, names: Sequence[str]) -> None:
+    """Remove what a run made; raises DirectoryError, before anything is removed, where a directory is not of a run."""
+    if not _of_a_run(directory):
+        held = next(iter(sorted(path.name for path in directory.iterdir())))
+        accepted = f"--overwrite replaces the results of a run, with its {SCENE}; accepted: an empty or new directory"
+        raise DirectoryError(f"{directory}: holds {held} and no run made it; {accepted}")
+    old = [path for name in names for path in directory.glob(name)]
+    for path in old:
+        if path.is_dir() and not path.is_symlink():
+            raise DirectoryError(f"{path}: is a directory, which no run made; accepted: a directory without it")
+    _remove_export(directory / EXPORT)
+    for path in old:
+        path.unlink()
+
+
+def _of_a_run(directory: Path) -> bool:
+    """Whether a run made the directory: its copy of the scene begins with a line that scenes of users do not have."""
+    scene = directory / SCENE
+    return scene.is_file() and scene.read_bytes().startswith(MADE.encode())
 
 
 def _remove_export(folder: Path) -> None:
     """Remove the C code of a run before; raises DirectoryError for a folder of that name with anything else in it."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise DirectoryError(f"{folder}: is no folder that a run made; {ACCEPTED_EXPORT}")
     if not folder.exists():
         return
     own = {path for name in EXPORTED for path in folder.glob(name)}
     others = sorted(path.name for path in folder.iterdir() if path not in own)
     if others:
-        accepted = "accepted: a folder of generated C alone"
-        raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {accepted}")
+        raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {ACCEPTED_EXPORT}")
     for path in own:
         path.unlink()
     folder.rmdir()
@@ -73,14 +127,14 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    _check_free(directory, overwrite, "an empty or new directory, or --overwrite")
-    directory.mkdir(parents=True, exist_ok=True)
-
-
-def _check_free(directory: Path, may_hold: bool, accepted: str) -> bool:
-    """Whether the directory holds anything; raises DirectoryError where it may not, or cannot be written."""
     _check_writable(directory)
-    held = sorted(path.name for path in directory.iterdir()) if directory.exists() else []
+    _check_free(directory, overwrite, "an empty or new directory, or --overwrite")
+    make_directory(directory)
+
+
+def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
+    """Whether a directory holds anything but what is `left`; raises DirectoryError where it may not."""
+    held = sorted(path.name for path in directory.iterdir() if path not in left) if directory.exists() else []
     if held and not may_hold:
         more = " and more" if len(held) > 1 else ""
         raise DirectoryError(f"{directory}: holds {held[0]}{more}; accepted: {accepted}")
@@ -115,8 +169,8 @@ def check_same_source(directory: Path, path: Path, source: str) -> None:
 def _check_same(directory: Path, scene: Scene) -> None:
     """Raises DirectoryError where the directory is not a run of this scene."""
     path = directory / SCENE
-    if not path.exists():
-        raise DirectoryError(f"{directory}: holds no {SCENE}, so no run to resume; accepted: the directory of a run")
+    if not _of_a_run(directory):
+        raise DirectoryError(f"{directory}: holds no {SCENE} of a run to resume; accepted: the directory of a run")
     try:
         before = parse_scene(path.read_text(encoding="utf-8"), str(path))
     except (SceneError, UnicodeDecodeError) as error:

@@ -3,42 +3,55 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.simulation import simulate
+from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
-from casadi_skin.scene.model_tables import SELECTED
+from casadi_skin.scene.model_tables import SELECTED, EquilibriumTable
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
 
 
-def first_solution(request: Request) -> Solution:
-    """The orbit or the solution that a scene asks for, at its parameters.
+def first_solution(request: Request, simulated: Cycle | None = None) -> Solution:
+    """The equilibrium, the orbit or the solution that a scene asks for; an orbit from its simulated cycle.
 
-    Raises BoundaryError where none is found, IntegrationError where the simulation fails, ValueError where the
-    simulation does not settle on a cycle or the guess is none.
+    Raises EquilibriumError and BoundaryError where none is found, IntegrationError and ValueError where `cycle` does,
+    ValueError where the guess is none.
     """
+    if request.scene.equilibrium is not None:
+        return _equilibrium(request, request.scene.equilibrium)
     if request.problem is not None:
         if request.guess is None:
             raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
         return request.problem.solve(request.guess, **request.options)
-    return _orbit(request, request.options)
+    return _orbit(request, simulated or cycle(request), request.options)
 
 
-def _orbit(request: Request, options: dict[str, Any]) -> Orbit:
+def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
+    model = request.equations
+    start = state_of(table.start, model.state_names)
+    return find_equilibrium(
+        model, start, parameters=request.parameters, transient=table.transient, tolerance=request.tolerance
+    )
+
+
+def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
     orbit, model, values = request.orbit, request.equations, dict(request.parameters)
-    guess = cycle(request)
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
     select, section = _vanishing(request.condition(orbit.select)), _vanishing(request.condition(orbit.section))
@@ -58,7 +71,7 @@ def cycle(request: Request) -> Cycle:
     """A stretch of a simulation that is the guess of an orbit.
 
     A forced model starts it at a multiple of its period after the transient, an autonomous one where the section is
-    crossed, if there is one.
+    crossed, if there is one. Raises IntegrationError where the simulation fails, ValueError where it does not settle.
     """
     orbit, model, values = request.orbit, request.ode, request.parameters
     start_state = state_of(orbit.start, model.state_names)
@@ -82,6 +95,30 @@ def cycle(request: Request) -> Cycle:
         raise ValueError(f"[orbit] start: {error} ({reason})") from error
     section = request.condition(orbit.section)
     return found if section is None else _from_section(found, section[0] - section[1])
+
+
+def cycle_record(cycle: Cycle) -> CycleRecord:
+    """Record of a simulated cycle: its stretch of the simulation."""
+    t = cycle.evolution.t
+    first = max(int(np.searchsorted(t, cycle.start, "right")) - 1, 0)
+    last = min(int(np.searchsorted(t, cycle.start + cycle.period)) + 1, t.size)
+    part = slice(first, last)
+    return CycleRecord(
+        "", bytes_of(t[part]), bytes_of(cycle.evolution.states[part]), float(cycle.start), float(cycle.period)
+    )
+
+
+def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Mapping[str, float]) -> Cycle | None:
+    """The simulated cycle of a model that records hold; None where they hold none."""
+    found = next((record for record in records if isinstance(record, CycleRecord)), None)
+    if found is None:
+        return None
+    equations, t = EquationsOfMotion(model.first_order(), parameters), doubles_of(found.t)
+    states = doubles_of(found.states)
+    if states.size != t.size * equations.size or not np.all(np.isfinite(states)):
+        return None
+    evolution = Evolution(equations, t, states.reshape(t.size, -1), "cvodes", 0.0, PHYSICAL, 0)
+    return Cycle(evolution, found.start, found.period)
 
 
 def _from_section(found: Cycle, section: Expression) -> Cycle:

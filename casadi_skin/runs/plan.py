@@ -19,6 +19,7 @@ from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
+from casadi_skin.scene.model_tables import EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
 MOST_WORDS = 16  # that a line of the plan lists
@@ -35,6 +36,8 @@ def plan_lines(request: Request) -> Lines:
         lines.append(("spectrum", "linear frequencies and modes"))
     if request.families:
         lines += _family_lines(request)
+    elif scene.equilibrium is not None:
+        lines += _equilibrium_lines(request, scene.equilibrium)
     elif scene.orbit is not None or request.problem is not None:
         lines += _boundary_lines(request)
     elif scene.search is not None:
@@ -53,7 +56,7 @@ def plan_lines(request: Request) -> Lines:
 
 
 def _nothing(request: Request) -> str:
-    tables = "family" if isinstance(request.model, Chain) else "[family], [orbit] or [solution]"
+    tables = "family" if isinstance(request.model, Chain) else "[family], [equilibrium], [orbit] or [solution]"
     return f"any boundary-value problem: the scene asks for no {tables}"
 
 
@@ -137,6 +140,9 @@ def _family_lines(request: Request) -> Lines:
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
+    if first.certify:
+        which = "every orbit" if first.certify == "all" else "the orbits asked for"
+        lines.append(("proofs", f"of {which}, in balls"))
     lines.append(("expected cost", _cost(request, family, problem, building)))
     return lines
 
@@ -191,6 +197,28 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
 
 def _with_events(request: Request) -> bool:
     return request.scene.stability is not None and request.scene.stability.events
+
+
+# Equilibria -----------------------------------------------------------------------------------------------------------
+
+
+def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines:
+    model, table = request.equations, request.scene.continuation
+    names = model.state_names[: model.size]
+    state = _named(dict(zip(names, state_of(equilibrium.start, model.state_names), strict=False)))
+    where = "near" if equilibrium.transient is None else f"where a simulation for {equilibrium.transient:g} rests, from"
+    lines = [("equilibrium", f"{where} {state}"), ("unknowns", f"{model.size}: {_listed(names)}")]
+    if table is not None:
+        at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
+        lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
+        lines.append(("located", "folds, branch points and Hopf points, with their normal forms"))
+        if table.switch:
+            lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, as far"))
+        if table.curve is not None:
+            curve = table.curve
+            lines.append(("curves", f"folds and Hopf points in {curve.parameter} to {curve.to:g}"))
+    lines.append(("tolerance", f"{request.tolerance:g}, relative, of each component of the state"))
+    return lines
 
 
 # Orbits and solutions -------------------------------------------------------------------------------------------------

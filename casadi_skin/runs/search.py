@@ -18,7 +18,7 @@ from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.progress import Progress
-from casadi_skin.results.journal import Journal, read_records, trim_journal
+from casadi_skin.results.journal import Journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
 from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene, SearchTable
@@ -54,11 +54,11 @@ def family_search(request: Request) -> FamilySearch:
 def run_search(request: Request, journal: Path, progress: Progress) -> SearchResult:
     """Run the search, each start kept in the journal as it ends; starts that the journal holds are not run again."""
     problem, table = family_search(request), search_table(request.scene)
-    decoder = msgspec.msgpack.Decoder(OutcomeRecord)
-    records = [r for r in (read_records(journal, decoder) if journal.exists() else []) if _ended(r)]
-    trim_journal(journal, records)
     progress.say("building")
-    with Journal(journal) as file:
+    with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
+        if file.fault:
+            progress.tell(f"{journal}: {file.fault}; what follows it is dropped and computed again")
+        records = [record for record in file.records if record.ending is not Ending.INTERRUPTED]
         return search(
             problem,
             problem.starts(table.starts, table.seed),
@@ -68,10 +68,6 @@ def run_search(request: Request, journal: Path, progress: Progress) -> SearchRes
             progress=lambda where: progress.say(str(where)),
             workers=table.workers,
         )
-
-
-def _ended(record: OutcomeRecord) -> bool:
-    return record.ending is not Ending.INTERRUPTED
 
 
 def write_results(request: Request, scene_text: str, result: SearchResult, directory: Path) -> None:

@@ -95,7 +95,7 @@ def _check_boundary_method(method: MethodTable) -> None:
 
 def _check_sought(scene: Scene) -> None:
     """One of [family], [orbit], [solution] and [search], and what may stand beside it."""
-    sought = [name for name in ("family", "orbit", "solution") if getattr(scene, name) is not None]
+    sought = [name for name in ("family", "equilibrium", "orbit", "solution") if getattr(scene, name) is not None]
     if len(sought) > 1:
         words = " or ".join(f"[{name}]" for name in sought[:2])
         raise refusal(f"[{sought[1]}]", f"beside [{sought[0]}]", f"{words} in one scene")
@@ -104,12 +104,17 @@ def _check_sought(scene: Scene) -> None:
     if scene.solution is not None and scene.model is not None and scene.model.file.endswith(".json"):
         given = f'with file = "{scene.model.file}"'
         raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")
-    if scene.stability is not None and scene.family is None and scene.orbit is None:
-        accepted = "beside a [family] or an [orbit], whose stability it asks for"
+    cycles = scene.continuation is not None and "hopf" in scene.continuation.switch
+    if scene.stability is not None and scene.family is None and scene.orbit is None and not cycles:
+        accepted = (
+            'beside a [family] or an [orbit], or with "hopf" in [continuation] switch, whose stability it asks for'
+        )
         raise refusal("[stability]", "without [family] or [orbit]", accepted)
-    if scene.continuation is not None and scene.orbit is None and scene.solution is None:
-        accepted = "beside an [orbit] or a [solution], from which it follows a branch"
-        raise refusal("[continuation]", "without [orbit] or [solution]", accepted)
+    if scene.continuation is not None and not {"equilibrium", "orbit", "solution"} & set(sought):
+        accepted = "beside an [equilibrium], an [orbit] or a [solution], from which it follows a branch"
+        raise refusal("[continuation]", "without [equilibrium], [orbit] or [solution]", accepted)
+    if scene.equilibrium is not None and scene.method != MethodTable():
+        raise refusal("[method]", "beside [equilibrium]", "beside [family], [orbit] or [solution]")
 
 
 def _check_orbit(scene: Scene) -> None:
@@ -134,6 +139,14 @@ def _check_continuation(scene: Scene) -> None:
     for item, value in enumerate(table.at, start=1):
         if value in table.at[: item - 1]:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
+    for key in ("switch", "curve"):
+        if getattr(table, key) and scene.equilibrium is None:
+            raise refusal(f"[continuation] {key}", "without [equilibrium]", "beside an [equilibrium]")
+    for item, kind in enumerate(table.switch, start=1):
+        if kind in table.switch[: item - 1]:
+            raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")
+    if table.curve is not None and table.curve.parameter == table.parameter:
+        raise refusal("[continuation] curve", f"parameter = {toml_repr(table.parameter)} again", "another parameter")
     if table.parameter == SELECTED and scene.solution is not None:
         raise refusal("[continuation] parameter", toml_repr(SELECTED), "with [orbit] select, whose value it moves")
 

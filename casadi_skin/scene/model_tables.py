@@ -4,15 +4,18 @@ As in the tables of a scene of a chain, titles say what a key is and description
 units that the model is written in.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
 
-from casadi_skin.scene.tables import Finite, Positive, Table
+from casadi_skin.scene.tables import Finite, Positive, Table, one_of
 
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
+
+Leaving = Literal["hopf", "branch point"]
+LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in equilibria, which loads numerics
 
 _MAX_POINTS = 1_000_000
 _MAX_CYCLES = 1000
@@ -94,6 +97,29 @@ class OrbitTable(Table, frozen=True):
     ] = 1
 
 
+class EquilibriumTable(Table, frozen=True):
+    """An equilibrium of the model: where it is sought."""
+
+    start: Annotated[
+        tuple[Finite, ...] | _Named,
+        Meta(title="State near which it is sought, or that a simulation starts from", description=_STATES),
+    ]
+    transient: Annotated[
+        Positive | None,
+        Meta(
+            title="Time simulated before, until the model rests",
+            description="a finite number > 0 (left out: the start itself is the guess)",
+        ),
+    ] = None
+
+
+class CurveTable(Table, frozen=True):
+    """A second parameter in which folds and Hopf points are followed."""
+
+    parameter: Annotated[_Text, Meta(title="Second parameter", description="the name of a parameter")]
+    to: Annotated[Finite, Meta(title="Value at which curves end", description="a finite number")]
+
+
 class SolutionTable(Table, frozen=True):
     """A solution of the boundary-value problem that the file states."""
 
@@ -107,7 +133,7 @@ class SolutionTable(Table, frozen=True):
 
 
 class ContinuationTable(Table, frozen=True):
-    """The branch of orbits or solutions in one parameter, through folds."""
+    """The branch of equilibria, orbits or solutions in one parameter, through folds."""
 
     parameter: Annotated[
         _Text,
@@ -132,3 +158,17 @@ class ContinuationTable(Table, frozen=True):
             description="a number > 0 and <= 10",
         ),
     ] = 0.2
+    switch: Annotated[
+        tuple[Leaving, ...],
+        Meta(
+            title="Special points of equilibria at which the branches that leave are followed too",
+            description=f"a list of {one_of(LEAVING)}, each once; beside [equilibrium]",
+        ),
+    ] = ()
+    curve: Annotated[
+        CurveTable | None,
+        Meta(
+            title="Second parameter in which folds and Hopf points of equilibria are followed",
+            description="a table with parameter, the name of another parameter, and to, a number; beside [equilibrium]",
+        ),
+    ] = None

@@ -8,7 +8,13 @@ import msgspec
 from msgspec import Meta
 
 from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
-from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
+from casadi_skin.scene.model_tables import (
+    ContinuationTable,
+    EquilibriumTable,
+    ModelTable,
+    OrbitTable,
+    SolutionTable,
+)
 from casadi_skin.scene.tables import (
     AccuracyTable,
     ChainTable,
@@ -28,6 +34,7 @@ class Scene(Table, frozen=True):
     model: ModelTable | None = None
     spectrum: SpectrumTable | None = None
     family: FamilyTable | None = None
+    equilibrium: EquilibriumTable | None = None
     orbit: OrbitTable | None = None
     solution: SolutionTable | None = None
     continuation: ContinuationTable | None = None
@@ -74,6 +81,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "model": ModelTable,
         "spectrum": SpectrumTable,
         "family": FamilyTable,
+        "equilibrium": EquilibriumTable,
         "orbit": OrbitTable,
         "solution": SolutionTable,
         "continuation": ContinuationTable,

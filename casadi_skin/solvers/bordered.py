@@ -131,9 +131,22 @@ class BorderedSolver:
         solve = self._factor_sparse(nonzeros, row)
         if not self._accurate(solve(self._probes), nonzeros, row):
             raise SingularError(
-                "the Jacobian with its border is singular: two families meet, or a fold in what is held"
+                "the Jacobian with its border is singular: two families meet, a fold in what is held, or sizes "
+                "too far apart for double precision"
             )
         return solve
+
+    def orientation(self, nonzeros: Array, row: Array) -> float:
+        """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
+        from scipy.sparse.linalg import splu
+
+        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
+        try:
+            factors = splu(self._closed)
+        except RuntimeError:
+            return 0.0
+        sign = _parity(factors.perm_r) * _parity(factors.perm_c)
+        return float(sign * np.prod(np.sign(factors.U.diagonal())))
 
     def _accurate(self, probes: Array, nonzeros: Array, row: Array) -> bool:
         """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
@@ -182,3 +195,15 @@ class BorderedSolver:
             return splu(self._closed).solve
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
+
+
+def _parity(permutation: Indices) -> float:
+    """1 for an even permutation, -1 for an odd one, by its cycles."""
+    seen, sign = np.zeros(permutation.size, dtype=bool), 1.0
+    for start in range(permutation.size):
+        length, place = 0, start
+        while not seen[place]:
+            seen[place], place, length = True, int(permutation[place]), length + 1
+        if length and length % 2 == 0:
+            sign = -sign
+    return sign

@@ -14,7 +14,7 @@ from casadi_skin.solvers.corrector import Corrector
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
 UNEVEN = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
 NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with what rounding does
-FOLD = 1e-4  # tangents that change the parameter by less than this part of it are those of a fold
+FOLD = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Refinement:
 
 def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
     """The error that a step from z to the better point makes up for."""
-    parameter = abs(float(step[problem.parameter_index] / z[problem.parameter_index])) if with_parameter else 0.0
+    parameter = abs(float(step[problem.parameter_index])) / problem.parameter_size(z) if with_parameter else 0.0
     Omega, profile = abs(problem.frequency_step(z, step)), problem.profile_change(z, step)
     return ErrorEstimate(SAFETY * Omega, SAFETY * profile, parameter=SAFETY * parameter)
 
@@ -153,7 +153,7 @@ class Levels:
 def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
     """A step brought back to the parameter of z along a tangent, but for the neighbourhood of a fold."""
     index = problem.parameter_index
-    if along is None or abs(along[index]) <= FOLD * abs(z[index]):
+    if along is None or abs(along[index]) <= FOLD * problem.parameter_size(z):
         return step
     brought_back = np.asarray(step - along * (step[index] / along[index]))
     brought_back[index] = 0.0  # but for round-off
@@ -179,5 +179,5 @@ def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, 
 def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:
     """Relative error of the parameter at a held Omega by rounded constants, which put Omega off at a held parameter."""
     by_Omega = abs(problem.frequency_step(z, tangent)) / problem.frequency(z)
-    by_parameter = abs(float(tangent[problem.parameter_index] / z[problem.parameter_index]))
+    by_parameter = abs(float(tangent[problem.parameter_index])) / problem.parameter_size(z)
     return problem.round_off * by_parameter / max(by_Omega, EPSILON)

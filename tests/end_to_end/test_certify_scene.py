@@ -37,6 +37,11 @@ def test_orbits_asked_for_or_all_have_proved_columns(tmp_path, capsys, certify):
     assert f"{len(proved)} of {len(proved)} orbits proved to exist" in capsys.readouterr().out
 
 
+def test_plan_tells_what_is_proved(tmp_path, capsys):
+    assert main(["check", str(scene(tmp_path, '"all"'))]) == 0
+    assert "proofs        of every orbit" in capsys.readouterr().out
+
+
 def test_tables_of_scenes_without_proofs_have_no_such_columns(tmp_path):
     out = tmp_path / "out"
     assert main(["run", str(scene(tmp_path, "false")), "--out", str(out), "--quiet"]) == 0

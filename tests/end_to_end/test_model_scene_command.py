@@ -12,7 +12,9 @@ import pytest
 from apart import undrawn
 from outputs import read_rows
 
+from casadi_skin import save_model
 from casadi_skin.cli import main
+from casadi_skin.models.loading import run_file
 
 pytestmark = pytest.mark.usefixtures("pictures")
 
@@ -52,6 +54,28 @@ def period_by_crossings(mu: float, until: float = 90.0) -> float:
         events=crossing, rtol=1e-12, atol=1e-12,
     )  # fmt: skip
     return float(np.diff(flow.t_events[0])[-1])
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_the_python_file_of_a_scene_is_named_before_it_runs(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(tmp_path, "van_der_pol", ORBIT)
+    (tmp_path / "model.py").write_text("print('ran'); raise SystemExit", encoding="utf-8")
+    assert main([command, str(scene)]) == 2
+    assert capsys.readouterr().out.splitlines() == [f"program       {tmp_path / 'model.py'} is run as Python", "ran"]
+    assert main(["run", str(scene), "--quiet"]) == 2
+    assert capsys.readouterr().out == "ran\n"
+
+
+def test_a_saved_model_is_no_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path, "van_der_pol", ORBIT)
+    names = run_file(tmp_path / "model.py", MODEL)
+    save_model(names["van_der_pol"], tmp_path / "model.json")
+    text = scene.read_text(encoding="utf-8").replace("model.py", "model.json").replace('name = "van_der_pol"\n', "")
+    scene.write_text(text, encoding="utf-8")
+    assert main(["check", str(scene)]) == 0
+    assert "program" not in capsys.readouterr().out
 
 
 # The examples ---------------------------------------------------------------------------------------------
@@ -262,7 +286,7 @@ def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys:
         assert main([command, str(scene)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["check", str(write_scene(tmp_path, "van_der_pol", ""))]) == 0
-    assert "no [family], [orbit] or [solution]" in capsys.readouterr().out
+    assert "no [family], [equilibrium], [orbit] or [solution]" in capsys.readouterr().out
     assert main(["run", str(scene)]) == 2
     assert "asks for nothing to compute" in capsys.readouterr().err
 

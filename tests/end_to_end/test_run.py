@@ -284,8 +284,37 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     assert "--overwrite" in capsys.readouterr().err
     assert sorted(p.name for p in out.iterdir()) == ["family.csv", "thesis.tex"]
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2  # no run made it
+    (out / "scene.toml").write_text(scene.read_text(encoding="utf-8"), encoding="utf-8")
+    for flag in ("--overwrite", "--resume"):  # nor with a scene that a user wrote
+        assert main(["run", str(scene), "--out", str(out), flag]) == 2
+    assert (out / "family.csv").read_text(encoding="utf-8") == "old"
+
+
+def test_overwriting_touches_what_a_run_made_and_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = write_scene(tmp_path / "a.toml"), tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    mine = {"thesis.tex": "years of work", ".notes.csv.abcd1234.csv": "mine", "orbit.txt": "mine"}
+    for name, text in mine.items():
+        (out / name).write_text(text, encoding="utf-8")
+    (out / "branch.csv").mkdir()  # a folder of the user's with the name of a result
+    capsys.readouterr()
+    before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    (out / "branch.csv").rmdir()
+    mine_elsewhere = tmp_path / "elsewhere"
+    mine_elsewhere.mkdir()
+    (mine_elsewhere / "README.md").write_text("mine", encoding="utf-8")
+    (out / "export").symlink_to(mine_elsewhere)
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2
+    assert (mine_elsewhere / "README.md").exists()
+    (out / "export").unlink()
     assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
-    assert (out / "thesis.tex").read_text(encoding="utf-8") == "years of work"
+    assert {name: (out / name).read_text(encoding="utf-8") for name in mine} == mine
     assert read_rows(out / "family.csv")[0]["mode"] == "1"
 
 

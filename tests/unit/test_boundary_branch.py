@@ -11,7 +11,7 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.follow import Following, following_space
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.results.journal import restore, solution_record
+from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
 
 
 def buckling() -> BoundaryValueProblem:
@@ -142,6 +142,36 @@ def van_der_pol() -> Orbit:
     return find_orbit(model, guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
 
 
+@pytest.mark.parametrize("beside", [1e-3, 1e-6, 1e-8, 1e-10, 1e-12])
+def test_values_next_to_a_fold_are_found_on_both_sides_of_it(beside: float, cubic: Solution) -> None:
+    """Against the roots of x^3 - 3 x = a, which lie at a distance of sqrt(beside/3) from the fold at x = -1."""
+    branch = cubic.follow("a", 4.0, at=[2.0 - beside])
+    assert branch.complete
+    found = [s for s in branch.solutions if s.point.requested]
+    assert [s.parameters["a"] for s in found] == [2.0 - beside] * 3
+    off = np.array([s.states[0, 0] + 1.0 for s in found[:2]])
+    np.testing.assert_allclose(off, np.array([-1.0, 1.0]) * np.sqrt(beside / 3.0), rtol=1e-2)
+    values = branch.values
+    turn = next(i for i, s in enumerate(branch.solutions) if s.point.located and not s.point.requested)
+    assert values[turn] == pytest.approx(2.0, abs=1e-9)
+    assert np.all(np.diff(values[: turn + 1]) > 0)
+    beyond = cubic.follow("a", 4.0, at=[2.0 + 1e-6])
+    assert sum(s.point.requested for s in beyond.solutions) == 1
+
+
+@pytest.mark.parametrize("count", range(1, 6))
+def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Solution) -> None:
+    def space() -> BoundarySpace:
+        return following_space(cubic, "a", 4.0, at=[2.0 - 1e-9], max_points=500, max_step=0.2)
+
+    whole = Following(space())
+    list(whole)
+    fold = next(i for i, s in enumerate(whole.solutions) if s.point.located)
+    again = Following(space(), solutions=whole.solutions[: fold - 2 + count])
+    list(again)
+    np.testing.assert_array_equal(again.branch().values, whole.branch().values)
+
+
 @pytest.mark.parametrize("kind", ["solutions", "orbits"])
 def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
     """Folds, values asked for and multipliers among it."""
@@ -151,16 +181,18 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
     def space() -> BoundarySpace:
         return following_space(first, name, to, at=at, max_points=500, max_step=0.2)
 
-    following = Following(space(), stability)
-    whole = [result for result in following if isinstance(result, Solution)]
-    records = [solution_record("branch", solution, stability) for solution in whole]
-    for part in (0.0, 0.4, 0.7):
-        kept = round(part * len(whole))
-        while not whole[kept].point.walked:
-            kept -= 1
-        again = restore(records[: kept + 1], "branch", space(), stability, stability)
-        assert isinstance(again, Following)
-        assert len(list(again)) == len(whole) - kept - 1
+    records: list[BranchRecord] = []
+    following = Following(space(), stability, keep=lambda point, _: records.append(point_record("b", point)))
+    for result in following:
+        if stability and isinstance(result, Orbit):
+            records.append(stability_record("b", result))
+    whole = following.solutions
+    for part in range(1, 12):
+        kept = part * len(records) // 12
+        known = known_of(records[:kept], "b", space(), stability)
+        assert (known.fault, known.kept) == ("", kept)
+        again = Following(space(), stability, solutions=known.solutions, waiting=known.waiting)
+        assert len(list(again)) == len(whole) - len(known.solutions)
         branch = again.branch()
         assert branch.complete
         np.testing.assert_array_equal(branch.values, following.branch().values)

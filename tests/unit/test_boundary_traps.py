@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -70,7 +69,7 @@ def test_stability_does_not_depend_on_units(x: float, y: float, by: str) -> None
 
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])
 def test_an_orbit_against_time_is_none(corrector: str) -> None:
-    with pytest.raises(BoundaryError, match=r"the interval found, 0 to -6\.66329, does not end after its start"):
+    with pytest.raises(BoundaryError, match=r"the interval found, 0 to -\d.*, does not end after its start"):
         find_orbit(van_der_pol(), turning(2.0, 2.0), 6.6, parameters={"mu": 1.0}, corrector=corrector)
 
 
@@ -94,20 +93,16 @@ def test_the_equilibrium_at_a_hopf_point_is_no_orbit() -> None:
         find_orbit(hopf(), turning(0.1, 0.1), 6.28, parameters={"mu": 0.0})
 
 
-def test_a_branch_through_a_hopf_point_keeps_what_it_has() -> None:
-    """Orbits shrink to the equilibrium at mu = 0 and grow again; rounding decides where on this way the branch ends.
-
-    It is lost beside mu = 0, or on the way back, or comes back to mu = 0.1. An orbit's square radius is mu; the radius
-    itself has half the digits where it vanishes.
-    """
+def test_a_branch_to_a_hopf_point_ends_there_by_name() -> None:
+    """Orbits shrink to the equilibrium at mu = 0: their square radius is mu, their frequency 1 + 0.3 mu."""
     orbit = find_orbit(hopf(), turning(0.3, 0.3), 6.28, parameters={"mu": 0.1})
     branch = orbit.follow("mu", -0.1)
     assert not branch.complete
-    where = r"with mu = \d|at parameter \d|came back to the value of the parameter"
-    assert re.fullmatch(f".*({where}).*", branch.reason)
-    assert len(branch) > 10
-    assert np.min(branch.values) < 1e-4
-    assert np.min(branch.values) > -1e-12  # the point at which mu turns back is at 0 but for rounding
+    assert branch.reason == "the cycle shrinks to an equilibrium at a Hopf point"
+    (end,) = branch.special_points
+    assert end.kind == "hopf"
+    assert abs(end.parameters["mu"]) <= end.error < 1e-12
+    assert np.ptp(branch.solutions[-1].states) == 0.0
     for solution in branch.solutions:
         np.testing.assert_allclose(np.sum(solution.states**2, axis=1), solution["mu"], rtol=0, atol=1e-7)
         assert solution.period == pytest.approx(2 * np.pi / (1 + 0.3 * solution["mu"]), abs=1e-6)

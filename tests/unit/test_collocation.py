@@ -21,7 +21,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.results.journal import SolutionRecord, restore, solution_record
+from casadi_skin.results.branch_records import PointRecord, known_of, point_record
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
@@ -252,13 +252,13 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S
     whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
-    records = [msgspec.msgpack.encode(solution_record("mode 1", o, with_stability=False)) for o in whole]
+    records = [msgspec.msgpack.encode(point_record("mode 1", o.point)) for o in whole]
     for kept in (len(whole) // 2, len(whole) - 3):
-        while not whole[kept - 1].point.walked:
-            kept -= 1
-        known = [msgspec.msgpack.decode(r, type=SolutionRecord) for r in records[:kept]]
-        walk = restore(known, "mode 1", Family(request), stability=False, events=False)
-        assert isinstance(walk, Following)
+        known = known_of(
+            [msgspec.msgpack.decode(r, type=PointRecord) for r in records[:kept]], "mode 1", Family(request), False
+        )
+        assert known.fault == ""
+        walk = Following(Family(request), solutions=known.solutions)
         list(walk)
         again = walk.branch().orbits
         assert len(again) == len(whole)

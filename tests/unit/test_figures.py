@@ -132,7 +132,7 @@ def test_a_family_that_hardly_moves_shows_its_shift() -> None:
     slope = multiple_scales.frequency_slope(8, 1.0, 0.25, -1.0, 1)
     assert points(line)[-1] == pytest.approx([1e-14, 1e-14 * slope], rel=1e-6, abs=0.0)
     figure.draw_without_rendering()
-    assert "10^{\N{MINUS SIGN}15}" in axes.xaxis.get_offset_text().get_text()
+    assert "1e\N{MINUS SIGN}15" in axes.xaxis.get_offset_text().get_text()
     assert all(len(re.sub(r"[^0-9.]", "", label.get_text())) <= 4 for label in axes.get_yticklabels())
 
 

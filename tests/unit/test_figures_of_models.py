@@ -126,7 +126,9 @@ def test_other_branches_are_no_families_and_families_no_other_branches(cycles: B
     for draw in (frequency_figure, profile_figure):
         with pytest.raises(ValueError, match="branches: given a branch in mu; accepted: families"):
             draw([cycles])
-    with pytest.raises(ValueError, match="branch: given a family; accepted: a branch of solutions in a parameter"):
+    with pytest.raises(
+        ValueError, match="branch: given a family; accepted: a branch of orbits or solutions in a parameter"
+    ):
         branch_figure(families[0])
 
 

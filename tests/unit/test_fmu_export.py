@@ -506,7 +506,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
     path = tmp_path / "chain.fmu"
     x, p = ca.SX.sym("x"), ca.SX.sym("p")
     cases = [
-        ((CHAIN, path, "1.0"), {}, "fmi: given '1.0'; accepted: 2.0, 3.0"),
+        ((CHAIN, path, "1.0"), {}, "fmi: given '1.0'; .*accepted: 2.0, 3.0"),
         ((CHAIN, tmp_path / "chain.zip"), {}, "accepted: a file name that ends in .fmu"),
         ((CHAIN, tmp_path / "none" / "chain.fmu"), {}, "accepted: a file in a folder that is there"),
         ((Chain(float("inf"), 1.0, 0.2, 1.0), path), {}, "sites: given inf; accepted: a finite chain"),
@@ -516,7 +516,6 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
         ((CHAIN, path), {"stop_time": 0.0}, "stop_time: given 0.0"),
         ((CHAIN, path), {"tolerance": 1.0}, "tolerance: given 1.0"),
         ((OdeModel("line", x, p * x, p), path), {}, "line: no nominal values of p"),
-        ((OdeModel("a\x01b", x, -x), path), {}, r"name: given 'a\\x01b'; accepted: printable characters"),
         ((OdeModel("line", x, -x, outputs={"der(x)": x}), path), {}, r"line: several variables named der(x\)"),
     ]
     for arguments, keywords, words in cases:

@@ -36,7 +36,7 @@ def breather(sites: int = 6, gamma: float = 0.25, g: float = -1.0, S: float = 0.
 
 @cache
 def found(periods: float = 3.0, distance: float = 0.5, norm: str = "physical") -> SmallestKick:
-    return smallest_kick(breather(), periods * breather().period, distance, norm, starts=4)
+    return smallest_kick(breather(), periods * breather().period, distance=distance, norm=norm, starts=4)
 
 
 def farthest(orbit: Orbit, kick: Array, time: float) -> float:
@@ -49,7 +49,7 @@ def farthest(orbit: Orbit, kick: Array, time: float) -> float:
 
 def test_one_site_is_a_distance_between_curves_of_constant_energy() -> None:
     orbit = breather(1, 0.25, 1.0, 0.5)
-    kick = smallest_kick(orbit, 1.2 * orbit.period, 0.3, starts=2)
+    kick = smallest_kick(orbit, 1.2 * orbit.period, distance=0.3, starts=2)
 
     def energy(y: Array, v: Array) -> Array:
         return 0.5 * v**2 + 1.5 * y**2 + 0.25 * y**4
@@ -365,7 +365,7 @@ def test_no_direction_of_two_sites_escapes_with_less() -> None:
     """All directions of the four-dimensional sphere at once, by Runge-Kutta in physical coordinates."""
     orbit = breather(2, 0.4, 1.0, 0.5, 2)
     time = 1.5 * orbit.period
-    kick = smallest_kick(orbit, time, 0.4, starts=12)
+    kick = smallest_kick(orbit, time, distance=0.4, starts=12)
     gamma, generator = 0.4, np.random.default_rng(3)
     directions = generator.normal(size=(4, 2000))
     directions /= np.linalg.norm(directions, axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -141,7 +142,7 @@ def test_a_model_cannot_be_changed_after_it_was_checked() -> None:
 
 @pytest.mark.parametrize("order", [0, 3, -1])
 def test_other_orders_than_one_and_two_are_refused(order: int) -> None:
-    with pytest.raises(ValueError, match=f"pendulums: order {order}; accepted: 1 or 2"):
+    with pytest.raises(ValueError, match=f"pendulums: order: given {order}; accepted: 1 or 2"):
         pendulums(order=order)
 
 
@@ -433,12 +434,16 @@ def test_what_is_read_is_what_was_saved(make: Make, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "cannot be read as a saved model"),
-        ("{", "cannot be read as a saved model"),
-        ("[]", "not a model saved by casadi_skin; accepted: a file with format"),
-        ('{"format": "casadi_skin model 0"}', "not a model saved by casadi_skin; accepted: a file with format"),
-        ('{"format": "casadi_skin model 1"}', "its equations are damaged"),
-        ('{"format": "casadi_skin model 1", "equations": "nonsense"}', "its equations are damaged"),
+        ("", "not a model saved by casadi_skin: Input data was truncated"),
+        ("{", "not a model saved by casadi_skin: Input data was truncated"),
+        ("[]", "not a model saved by casadi_skin: Expected `object`, got `array`; accepted: a file of format"),
+        ('{"format": "casadi_skin model 0"}', "format 'casadi_skin model 0'; accepted: a file of format"),
+        (
+            '{"format": "casadi_skin model 1", "equations": ""}',
+            "format 'casadi_skin model 1'; accepted: a file of format",
+        ),
+        ('{"format": "casadi_skin model 2"}', "Object missing required field `sha256`"),
+        ("[" * 100_000, "not a model saved by casadi_skin"),
     ],
 )
 def test_other_files_are_refused_in_one_line(text: str, words: str, tmp_path: Path) -> None:
@@ -450,25 +455,19 @@ def test_other_files_are_refused_in_one_line(text: str, words: str, tmp_path: Pa
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_and_a_picture_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="cannot be read as a saved model"):
-        read_model(tmp_path / "nothing.json")
+def test_what_is_no_file_of_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_bytes(bytes(range(256)))
-    with pytest.raises(ValueError, match="cannot be read as a saved model"):
-        read_model(tmp_path / "picture.png")
-
-
-def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
-    path = save_model(forced(), tmp_path / "model.json")
-    text = path.read_text(encoding="utf-8")
-    broken = [text.replace('"results": [', '"results": ["more", '), text.replace('"name": "forced",', ""),
-              text.replace('"nominal": [', '"nominal": [1.0, ')]  # fmt: skip
-    for damaged in broken:
-        assert damaged != text
-        path.write_text(damaged, encoding="utf-8")
-        with pytest.raises(ValueError, match=r"model.json|forced|nominal") as error:
-            read_model(path)
-        assert "\n" not in str(error.value)
+    os.mkfifo(tmp_path / "pipe.json")  # it would never end
+    (tmp_path / "long.json").touch()
+    os.truncate(tmp_path / "long.json", 1 << 30)
+    for name, words in (
+        ("nothing.json", "cannot be read: No such file"),
+        ("picture.png", "not UTF-8 at byte 128"),
+        ("pipe.json", "no file; accepted: a text file"),
+        ("long.json", "longer than 33554432 bytes"),
+    ):
+        with pytest.raises(ValueError, match=rf"{name}: {words}"):
+            read_model(tmp_path / name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -28,7 +28,18 @@ from casadi_skin.scene import (
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
 NAMES = (
-    *("chain", "model", "spectrum", "family", "orbit", "solution", "continuation", "stability", "dynamics"),
+    *(
+        "chain",
+        "model",
+        "spectrum",
+        "family",
+        "equilibrium",
+        "orbit",
+        "solution",
+        "continuation",
+        "stability",
+        "dynamics",
+    ),
     *("search", "export", "accuracy", "method"),
 )
 TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
@@ -330,8 +341,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             "[stability]",
-            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], whose "
-            "stability it asks for",
+            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], or with "
+            '"hopf" in [continuation] switch, whose stability it asks for',
         ),
         (
             '[accuracy]\npreset = "standart"',

@@ -23,7 +23,7 @@ from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.results.journal import EndRecord, restore, solution_record
+from casadi_skin.results.branch_records import EndRecord, known_of, point_record
 from casadi_skin.solvers.bordered import Solve
 from casadi_skin.solvers.levels import ErrorEstimate, Levels
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -235,7 +235,7 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
         ({}, "at: given nothing; accepted: one of S, Omega, period"),
         ({"S": 0.5, "Omega": 1.5}, "at: given S and Omega; accepted: one of S, Omega, period"),
         ({"Omega": -1.0}, r"at: given Omega = -1\.0; accepted: a finite number > 0"),
-        ({"period": np.inf}, "at: given period = inf; accepted: a finite number > 0"),
+        ({"period": np.inf}, "at, period: given inf; accepted: a finite number"),
         ({"Omega": 7.0}, r"at: given Omega = 7\.0, which = 0; the branch covers .* and passes Omega 0 times"),
         ({"Omega": 1.5, "which": 1}, "passes Omega 1 times"),
         ({"Omega": 1.5, "which": -1}, "which: given -1"),
@@ -310,23 +310,24 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
     whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
-    cut = max(i for i, o in enumerate(whole[: len(whole) // 2]) if o.point.walked)
-    walk = restore(
-        [solution_record("mode 1", o, False) for o in whole[: cut + 1]], "mode 1", Family(request), False, False
-    )
-    assert isinstance(walk, Following)
-    list(walk)
-    again = walk.branch()
-    assert again.complete
-    assert [o.Omega for o in again.orbits] == [o.Omega for o in whole]
-    assert [o.S_error for o in again.orbits] == [o.S_error for o in whole]
-    assert [o.period for o in again.orbits if o.point.requested][-1] == period
+    records = [point_record("mode 1", o.point) for o in whole]
+    for cut in (len(whole) // 3, len(whole) // 2, len(whole) - 1):
+        known = known_of(records[:cut], "mode 1", Family(request), False)
+        assert (known.fault, known.kept) == ("", cut)
+        walk = Following(Family(request), solutions=known.solutions)
+        assert len(list(walk)) == len(whole) - cut  # nothing is computed twice
+        again = walk.branch()
+        assert again.complete
+        assert [o.Omega for o in again.orbits] == [o.Omega for o in whole]
+        assert [o.S_error for o in again.orbits] == [o.S_error for o in whole]
+        assert [o.period for o in again.orbits if o.point.requested][-1] == period
 
 
 def test_what_was_missed_is_kept_in_the_journal() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
     misses = {"Omega": (9.0,), "period": (100.0,)}
-    restored = restore([EndRecord("mode 1", End.REACHED, "", misses)], "mode 1", tools, False, False)
-    assert isinstance(restored, Branch)
+    known = known_of([EndRecord("mode 1", End.REACHED, "", misses)], "mode 1", tools, False)
+    assert known.end is not None
+    restored = Following(tools).finished(known.end.end, known.end.detail, known.end.misses)
     assert (restored.missed, restored.misses) == ((), misses)
     assert not restored.complete

@@ -11,7 +11,7 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_name, file_path, truth
 from casadi_skin.export.compiler import build_library
 from casadi_skin.export.exported_model import Source
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
@@ -64,9 +64,9 @@ def export_fmu(
         ValueError: An argument is out of range; no C can be generated of the model; fmpy, which has the headers of the
             standard, or a C compiler is missing.
     """
-    target = Path(path)
-    if fmi not in SOURCES:
-        raise ValueError(f"fmi: given {short_repr(fmi)}; accepted: {', '.join(SOURCES)}")
+    target = file_path("path", path)
+    check_name("fmi", fmi, SOURCES)
+    truth("binary", binary)
     if target.suffix != ".fmu":
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():

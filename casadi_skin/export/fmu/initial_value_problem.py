@@ -69,7 +69,9 @@ def initial_value_problem(
     if not isinstance(what, Chain):
         for name, given in (("mode", mode), ("S", S)):
             if given is not None:
-                raise ValueError(f"{name}: given {given!r}; accepted: with a Chain, which starts from a linear mode")
+                raise ValueError(
+                    f"{name}: given {short_repr(given)}; accepted: with a Chain, which starts from a linear mode"
+                )
     if isinstance(what, OdeModel):
         return _of_model(what, start, what.nominal, stop_time, tolerance)
     if isinstance(what, Orbit):
@@ -189,11 +191,6 @@ def _of_model(
     given = (0.0,) * count if start is None else _start(start, *{model.size, count})
     names = [*model.state_names, *(f"der({name})" for name in model.state_names)]
     names += [*model.parameter_names, *model.outputs, "time"]
-    strange = [name for name in (model.name, *names) if not name.isprintable()]
-    if strange:
-        raise ValueError(
-            f"name: given {short_repr(strange[0])}; accepted: printable characters, for XML takes no others"
-        )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(

@@ -6,8 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr, whole
+from casadi_skin.arguments import check_name, number, short_repr, whole
 from casadi_skin.bvp.problem import Indices
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.orbits.orbit import Orbit
 
 NORMS = ("physical", "energy")
@@ -15,10 +16,10 @@ LEAST_DISTANCE = 1e-4
 LONGEST = 100.0  # periods
 
 
-def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) -> None:
+def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, seed: int) -> None:
     """Raises TypeError or ValueError for arguments out of range or an orbit that is not linearly stable."""
-    if not isinstance(orbit, Orbit):
-        raise TypeError(f"orbit: given {short_repr(orbit)}; accepted: an Orbit, such as branch.at(S=0.2)")
+    if not isinstance(orbit, Orbit) or not isinstance(orbit.model, Chain):
+        raise TypeError(f"orbit: given {short_repr(orbit)}; accepted: an Orbit of a chain, such as branch.at(S=0.2)")
     chain = orbit.model
     if chain.infinite or abs(chain.gamma) == 1.0:
         raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
@@ -31,11 +32,11 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int) ->
     least = max(LEAST_DISTANCE, 1e3 * orbit.profile_error)
     if number("distance", distance, "a finite fraction of the breather") < least:
         raise ValueError(f"distance: given {distance!r}; accepted: from {least:.1e} on, what the orbit's error allows")
-    if norm not in NORMS:
-        raise ValueError(f"norm: given {short_repr(norm)}; accepted: {', '.join(NORMS)}")
+    check_name("norm", norm, NORMS)
     if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
         raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
     whole("starts", starts, 1)
+    whole("seed", seed, 0)
     if not orbit.floquet().stable:
         largest = orbit.floquet().max_abs_multiplier
         raise ValueError(
@@ -48,8 +49,11 @@ def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
     count = orbit.model.sites
     if at is None:
         return np.arange(count)
-    given = [at] if isinstance(at, int | np.integer) else list(at)
-    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and 1 <= n <= count for n in given)
-    if not given or not whole or len(set(given)) < len(given):
-        raise ValueError(f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}")
+    refused = f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}"
+    if isinstance(at, bool) or not isinstance(at, int | np.integer | list | tuple | range | np.ndarray):
+        raise TypeError(refused)
+    given = np.atleast_1d(np.asarray(at, dtype=object)).ravel().tolist()
+    known = all(isinstance(n, int) and not isinstance(n, bool) and 1 <= n <= count for n in given)
+    if not given or not known or len(set(given)) < len(given):
+        raise ValueError(refused)
     return np.array(sorted(given)) - 1

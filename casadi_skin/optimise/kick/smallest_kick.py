@@ -132,10 +132,10 @@ class SmallestKick:
 def smallest_kick(
     orbit: Orbit,
     time: float,
+    *,
     distance: float = 0.5,
     norm: str = "physical",
     at: int | Iterable[int] | None = None,
-    *,
     starts: int = 8,
     seed: int = 0,
     progress: Report | None = None,
@@ -164,7 +164,7 @@ def smallest_kick(
         KickError: nothing is found.
         KeyboardInterrupt: an interruption before any kick is known to escape.
     """
-    check(orbit, time, distance, norm, starts)
+    check(orbit, time, distance, norm, starts, seed)
     runner = Runner(progress, workers, executor)
     sites = kicked_sites(orbit, at)
     flow = KickedFlow.up_to(orbit, float(time))

@@ -1,0 +1,43 @@
+"""Checks of arguments that are arrays of numbers, as in `arguments`."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.arguments import short_repr
+
+
+def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArray[np.float64]:
+    """The value as an array of floats; raises TypeError where it is none, ValueError where a number is not finite.
+
+    A matrix of CasADi's numbers (DM) is an array, and one of one column a vector.
+    """
+    refused = f"{name}: given {short_repr(value)}; accepted: {accepted}"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of CasADi, where numpy meets expressions
+            full = value.full() if type(value).__name__ == "DM" else value
+            found = np.asarray(full)
+    except Exception:  # of whatever the object does where numpy asks it for numbers
+        raise TypeError(refused) from None
+    if found.dtype.kind not in "iuf" and found.size:  # text, truths, complex numbers and objects are none
+        raise TypeError(refused)
+    found = found.astype(float)
+    if not np.all(np.isfinite(found)):
+        raise ValueError(refused)
+    return found.ravel() if full is not value and found.ndim == 2 and found.shape[1] == 1 else found
+
+
+def site_numbers(value: Any) -> NDArray[np.int64] | None:
+    """Numbers of sites or components, shape (sites,); None for all. Raises TypeError, ValueError for other values."""
+    if value is None:
+        return None
+    accepted = "whole numbers, each that of a site"
+    found = np.atleast_1d(real_array("sites", value, accepted))
+    if found.ndim != 1 or not np.all((found == np.round(found)) & (np.abs(found) < 2.0**53)):
+        raise ValueError(f"sites: given {short_repr(value)}; accepted: {accepted}")
+    return found.astype(np.int64)

@@ -1,0 +1,143 @@
+"""Folds and Hopf points followed in a second parameter, by the extended systems of which they are regular solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import End, Point
+from casadi_skin.equilibria.codimension_two import TAKENS, special_on_curve
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.location import FOLD, HOPF, SYSTEMS, jacobian_of
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
+from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace, corrector_of
+from casadi_skin.equilibria.statics import Statics
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.solvers.levels import Levels
+
+
+@dataclass(frozen=True, eq=False)
+class CurveSpace(EquilibriumSpace):
+    """Folds or Hopf points of a model in two parameters, of which one is followed and the other one free.
+
+    Attributes:
+        kind: "fold" or "hopf".
+        second: how the free parameter is measured: it has its start at 0 and changes by its usual size to 1.
+        rate: of time, that omega is measured by.
+    """
+
+    kind: str = FOLD
+    second: Course | None = None
+    rate: float = 1.0
+
+    @cached_property
+    def problem(self) -> AlgebraicProblem:
+        """The extended system, with u that follows the parameter."""
+        assert self.second is not None
+        system = SYSTEMS[self.kind](self.statics, self.sizes, (self.second,), self.course, self.rate)
+        if self.first is not None:
+            return system.with_constants(self.first.problem.constants)
+        return system
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The one level that there is."""
+        return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameter that is found with the state."""
+        return () if self.second is None else (self.second.name,)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Points of codimension two on the stretch between two points, in order."""
+        yield from special_on_curve(self, before, after)
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""
+        return (End.TAKENS if self.kind == HOPF and point.special == TAKENS else None), ""
+
+
+def curve(
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float] = (),
+    max_points: int = 500,
+    max_step: float = 0.2,
+    until: Callable[[Any], bool] | None = None,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """A fold or a Hopf point of equilibria followed in a second parameter, with that in which it was found free.
+
+    Arguments:
+        point: the fold or Hopf point.
+        parameter: name of the second parameter.
+        to: its value at which the curve ends.
+        at, max_points, max_step, until, progress: as in `follow`.
+
+    Returns:
+        The curve as a branch of equilibria; its special points are those of codimension two: "cusp", "bogdanov-takens",
+        "zero-hopf", "generalized hopf", "hopf-hopf". It also ends where it comes back to the value that it started
+        from, and a curve of Hopf points at a Bogdanov-Takens point.
+
+    Raises:
+        ValueError: an argument is out of range, or the point is of another kind.
+        EquilibriumError: the curve cannot be started.
+    """
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    return run_following(Following(space, until=until), progress)
+
+
+def curve_space(
+    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+) -> CurveSpace:
+    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    solution = point.solution
+    if not isinstance(solution, Equilibrium) or point.kind not in (FOLD, HOPF) or solution.space.free:
+        raise ValueError(f"curve: given a {point.kind}; accepted: a fold or a Hopf point of a branch of equilibria")
+    if parameter == point.parameter:
+        others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
+        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
+    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    return replace(_started(point, parameter, float(to), tuple(float(value) for value in at)), settings=settings)
+
+
+def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:
+    """The space of the curve through a special point; raises EquilibriumError where derivatives are not there."""
+    solution = cast(Equilibrium, point.solution)
+    old = cast(EquilibriumSpace, solution.space)
+    statics = Statics(old.model, solution.parameters)
+    sizes, x = sizes_of([solution.positions]), solution.positions
+    p0 = solution.parameters[point.parameter]
+    course = old.course
+    assert course is not None
+    second = Course(point.parameter, p0, p0 + (course.to - course.start))
+    rate = point.frequency if point.kind == HOPF else 1.0
+    space = CurveSpace(
+        statics, old.tolerance, old.corrector, sizes, parameter, to, at, kind=point.kind, second=second, rate=rate
+    )
+    try:
+        _ = space.problem.function
+    except (RuntimeError, NotImplementedError):
+        words = "the model has no second derivatives, which a curve in two parameters needs"
+        raise EquilibriumError(f"{old.model.name}: {words}") from None
+    z = np.concatenate([x / sizes, np.zeros(space.problem.size - x.size)])
+    matrix = jacobian_of(space.problem, z)
+    near = 1j * rate if point.kind == HOPF else None
+    problem, z = _extended(space, matrix, x / sizes, near)
+    return replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
+
+
+def _extended(space: CurveSpace, matrix: Array, y: Array, near: complex | None) -> tuple[AlgebraicProblem, Array]:
+    from casadi_skin.equilibria.systems import ExtendedSystem
+
+    return cast(ExtendedSystem, space.problem).started(matrix, y, np.zeros(1), near)

@@ -1,0 +1,89 @@
+"""One equilibrium with its eigenvalues and its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.equilibria.problem import AlgebraicProblem
+from casadi_skin.equilibria.statics import ComplexArray, Spectrum
+from casadi_skin.orbits.solution import Solution, as_times
+
+if TYPE_CHECKING:
+    from casadi_skin.equilibria.space import EquilibriumSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium(Solution):
+    """A state at which a model rests; dimensionless, or in the units of its model."""
+
+    def __repr__(self) -> str:
+        named = [f"{name} = {value:.6g}" for name, value in zip(self.space.state_names, self.positions, strict=True)]
+        values = [f"{name} = {value:.6g}" for name, value in self.parameters.items()]
+        words = f"; {', '.join(values)}" if values else ""
+        shown = ", ".join(named[:6]) + (", ..." if len(named) > 6 else "")
+        return f"<Equilibrium of {self.model.name}: {shown}{words}; {'stable' if self.stable else 'unstable'}>"
+
+    @property
+    def _equations(self) -> AlgebraicProblem:
+        return cast(AlgebraicProblem, self.point.problem)
+
+    @property
+    def positions(self) -> Array:
+        """The unknowns: the state, of a model of second order its positions, shape (state,)."""
+        return self._equations.state(self.point.z)
+
+    @property
+    def state(self) -> Array:
+        """The first-order state: of a model of second order positions and velocities, which vanish."""
+        at_rest = np.zeros(self.model.full_size - self.model.size)
+        return np.concatenate([self.positions, at_rest])
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """The state at any times, shape (time, component): it is the same at all."""
+        return np.tile(self.state, (as_times(t).size, 1))
+
+    def __getitem__(self, name: str) -> float | Array:
+        """The value of a parameter or of a state; raises KeyError for other names."""
+        if name in self.parameters:
+            return self.parameters[name]
+        names = self.model.state_names
+        if name not in names:
+            raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
+        return float(self.state[names.index(name)])
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """Eigenvalues with their errors."""
+        return cast("EquilibriumSpace", self.space).spectrum(self.point)
+
+    @property
+    def eigenvalues(self) -> ComplexArray:
+        """Eigenvalues of the linearisation by descending real part, shape (components of the first-order state,)."""
+        return self.spectrum.values
+
+    @property
+    def eigenvalue_error(self) -> float:
+        """Largest estimated absolute error of the eigenvalues."""
+        return float(np.max(self.spectrum.errors))
+
+    @property
+    def stable(self) -> bool:
+        """Whether no eigenvalue has a positive real part, within estimated errors."""
+        return self.spectrum.stable
+
+    @property
+    def unstable(self) -> int:
+        """Number of eigenvalues with a positive real part, by more than estimated errors."""
+        return int(np.sum(self.spectrum.values.real > self.spectrum.errors))
+
+    @property
+    def parameter_error(self) -> float:
+        """0: no parameter is found with the state."""
+        return 0.0

@@ -1,0 +1,224 @@
+"""Algebraic equations with one unknown more, as correctors and continuations take them: nothing is discretised.
+
+Unknowns are measured by sizes that are powers of two, so that scaling rounds nothing, and equations by their largest
+derivative, so that stiff models and components of any unit are solved alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
+from casadi_skin.equilibria.statics import Statics
+from casadi_skin.models.expressions import Expression
+from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.levels import Levels
+
+SMALLEST = 1e-3  # of a component's size: changes of smaller components are measured by that
+BESIDE = 0.1  # weight of unknowns beside state and parameters in the length of a step
+
+
+@dataclass(frozen=True)
+class Course:
+    """A parameter that goes from a value to another one as a scalar s goes from 0 to 1."""
+
+    name: str
+    start: float
+    to: float
+
+    def at(self, s: Any) -> Any:
+        """The value at s, a number or an expression."""
+        return self.start + s * (self.to - self.start)
+
+    def fraction(self, value: float) -> float:
+        """The s of a value."""
+        return (value - self.start) / (self.to - self.start)
+
+
+def sizes_of(states: Sequence[Array]) -> Array:
+    """What each component is measured by: its largest value in these states as a power of two, shape (n,).
+
+    One that is zero there is measured by the median of the others, and by no more than 1.
+    """
+    largest = np.max(np.abs(np.stack(list(states))), axis=0)
+    some = largest[largest > 1e-12 * max(1.0, float(np.max(largest, initial=0.0)))]
+    usual = min(1.0, float(np.median(some))) if some.size else 1.0
+    held = np.where(largest > 1e-12 * max(1.0, float(np.max(largest, initial=0.0))), largest, usual)
+    return np.asarray(2.0 ** np.round(np.log2(held)))
+
+
+class AlgebraicProblem(Problem):
+    """Unknowns z = (y, others, scalars, u): the state over its sizes, what a system adds, free parameters, u.
+
+    Here F(y, p) = 0 alone, the model at rest in units of the sizes; u follows `walking`, or is held and does nothing.
+    Subclasses add unknowns and equations: `others` counts theirs beside the state, `added` their scalars.
+    """
+
+    resolution = 1
+    others = 0
+    added = 0
+
+    def __init__(
+        self, statics: Statics, sizes: Array, free: Sequence[Course] = (), walking: Course | None = None
+    ) -> None:
+        self.statics, self.scale, self.free, self.walking = statics, sizes, tuple(free), walking
+        self.states = statics.size + self.others
+
+    @property
+    def size(self) -> int:
+        return self.states + len(self.free) + self.added + 1
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of u among the unknowns; equilibria have no Omega."""
+        if scalar is Scalar.OMEGA:
+            raise ValueError("an equilibrium has no Omega")
+        return self.size - 1
+
+    def parameter_size(self, z: Array) -> float:
+        """1, which is what u goes through along a branch."""
+        return max(1.0, abs(float(z[-1])))
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @property
+    def force(self) -> Callable[[Expression, Expression], Expression]:
+        """F(y, p): the equations in units of the sizes."""
+        f, scale = self.statics.function, ca.DM(self.scale)
+        return lambda y, p: f(scale * y, p) / scale
+
+    def parameters_at(self, scalars: Any) -> Any:
+        """All parameters of the model, in its order, from the scalars among the unknowns."""
+        courses = {course.name: (course, place) for place, course in enumerate(self.free)}
+        if self.walking is not None:
+            courses[self.walking.name] = (self.walking, len(self.free) + self.added)
+        entries = []
+        for name, value in self.statics.values.items():
+            course, place = courses.get(name, (None, 0))
+            entries.append(value if course is None else course.at(scalars[place]))
+        if isinstance(scalars, np.ndarray):
+            return np.array(entries, dtype=float)
+        return ca.vertcat(*entries) if entries else type(scalars)(0, 1)
+
+    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
+        """As many equations as y, others, free parameters and added scalars; c are the constants."""
+        return self.force(y, self.parameters_at(scalars))
+
+    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        kind, n = type(self.statics.model.state), self.statics.size
+        z, c = kind.sym("z", self.size), kind.sym("c", self.constants.size)
+        R = ca.densify(self._residual(z[:n], z[n : self.states], z[self.states :], c))
+        function = ca.Function("algebraic", [z, c], [R, ca.jacobian(R, z)])
+        symbol = ca.MX.sym("z", self.size)
+        residual, jacobian = function(symbol, self.constants_symbol)
+        return symbol, residual, jacobian
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Residual and non-zeros of the Jacobian, each equation relative to its largest derivative."""
+        residual, nonzeros = super().evaluate(z)
+        rows, columns = self.pattern
+        largest = np.zeros(self.size - 1)
+        np.maximum.at(largest, rows, np.abs(nonzeros) * np.maximum(np.abs(z), 1.0)[columns])
+        largest[~(largest > 0.0)] = 1.0
+        return residual / largest, nonzeros / largest[rows]
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    def state(self, z: Array) -> Array:
+        """The unknowns of the model, shape (n,)."""
+        return np.asarray(self.scale * z[: self.statics.size])
+
+    def parameters(self, z: Array) -> Array:
+        """All parameters of the model, in its order."""
+        return np.asarray(self.parameters_at(z[self.states :]), dtype=float)
+
+    def named(self, z: Array) -> dict[str, float]:
+        """All parameters by name."""
+        return dict(zip(self.statics.values, map(float, self.parameters(z)), strict=True))
+
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        return z.copy()
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return np.tile(self.state(z), (np.size(theta), 1))
+
+    def frequency(self, z: Array) -> float:
+        return 1.0
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        scalars = slice(self.states, self.size - 1)
+        return float(np.max(np.abs(step[scalars]) / np.maximum(np.abs(z[scalars]), 1.0), initial=0.0))
+
+    def profile_change(self, z: Array, step: Array) -> float:
+        n = self.statics.size
+        return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST)))
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars; little of what is beside these."""
+        weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
+        weights[:n] /= n
+        weights[n : self.states] *= BESIDE**2 / max(self.others, 1)
+        weights[-1] = parameter_scale**-2.0
+        return np.asarray(weights)
+
+    def rounding(self, z: Array) -> float:
+        return super().rounding(z) * (self.statics.model.rounding / EPSILON)
+
+    # Words ----------------------------------------------------------------------------------------------------------
+
+    def place(self, equation: int) -> str:
+        n = self.statics.size
+        return f"the equation of {self.statics.names[equation]}" if equation < n else f"condition {equation - n + 1}"
+
+    def whereabouts(self, z: Array) -> str:
+        named: Mapping[str, float] = self.named(z)
+        words = ", ".join(f"{name} = {value:.6g}" for name, value in named.items())
+        return f"with {words}" if words else f"at {self.statics.names[0]} = {self.state(z)[0]:.6g}"
+
+    def deficiency(self, z: Array) -> str:
+        """What the equations leave undetermined at z while u is held, in words; empty where they are regular."""
+        matrix = self.dense(z)[:, :-1]
+        left, values, right = np.linalg.svd(matrix)
+        if values[-1] > 1e-9 * values[0]:
+            return ""
+        n = self.statics.size
+        name = self.statics.names[int(np.argmax(np.abs(right[-1][:n])))]
+        rows = np.flatnonzero(np.abs(left[:, -1]) > 0.05 * np.max(np.abs(left[:, -1])))
+        dependent = " and ".join(self.place(int(row)) for row in rows[:6])
+        verb = "vanishes" if rows.size == 1 else "depend on each other"
+        return f"{dependent} {verb} to first order and leave {name} undetermined"
+
+    def dense(self, z: Array) -> Array:
+        """The Jacobian, each equation relative to its largest derivative, shape (size - 1, size)."""
+        rows, columns = self.pattern
+        matrix = np.zeros((self.size - 1, self.size))
+        matrix[rows, columns] = self.evaluate(z)[1]
+        return matrix
+
+
+class ExactLevels(Levels):
+    """The one level of equations that are not discretised: what is left of errors is the corrector's, and rounding."""
+
+    def __init__(self, problem: AlgebraicProblem, correct_with: Callable[[Problem], Corrector]) -> None:
+        super().__init__(lambda _: problem, correct_with, (1,))
+
+    def finer(self, problem: Problem, z: Array | None = None) -> Problem:
+        return problem
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """An algebraic problem with its corrector and its bordered linear solver."""
+
+    problem: AlgebraicProblem
+    correct_with: Callable[[Problem], Corrector]
+
+    @cached_property
+    def levels(self) -> ExactLevels:
+        """The problem as continuations take it."""
+        return ExactLevels(self.problem, self.correct_with)

@@ -1,0 +1,262 @@
+"""Equilibria of one model as the solutions that a branch connects (see `orbits.space.SolutionSpace`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NoReturn
+
+import numpy as np
+
+from casadi_skin import methods
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
+from casadi_skin.continuation.arclength import ArclengthContinuation
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
+from casadi_skin.equilibria.statics import Spectrum, Statics
+from casadi_skin.equilibria.systems import ExtendedSystem
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.solvers.bordered import SingularError
+from casadi_skin.solvers.corrector import Correction, Corrector
+from casadi_skin.solvers.levels import ErrorEstimate, Levels
+from casadi_skin.solvers.rounding import RoundedCorrector
+from casadi_skin.stability.result import Floquet
+
+ITERATIONS = 60
+LONGEST = 1.0 / 30.0  # of the way of the parameter: a step, so that eigenvalues do not come and go within it
+NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
+BESIDE = 0.1  # of a step from a special point: where the search for other ones starts
+
+
+class EquilibriumError(ArithmeticError):
+    """No equilibrium was found: the message names the equation and the place in one line."""
+
+
+def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
+    """A corrector by name, asked for a hundredth of the tolerance where rounding allows it."""
+    fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
+    return RoundedCorrector(methods.CORRECTORS[name].load()(problem, fine, ITERATIONS))
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumSpace:
+    """Equilibria of a model; where `parameter` is named they are followed in it from a start.
+
+    Attributes:
+        statics: the model at rest; values of its parameters are those at the start of a branch.
+        tolerance: relative error of the state.
+        corrector: name of the corrector.
+        sizes: what components of the state are measured by.
+        parameter: the parameter that is followed, from its value to `to`; empty where none is.
+        at: values of it at which equilibria are wanted.
+        first: the start of the branch.
+        settings: of the continuation.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+    """
+
+    statics: Statics
+    tolerance: float
+    corrector: str
+    sizes: Array
+    parameter: str = ""
+    to: float = 1.0
+    at: tuple[float, ...] = ()
+    first: Point | None = None
+    settings: ContinuationSettings | None = None
+    leaves: bool = False
+    start_is_limit: bool = field(default=False, init=False)
+    locates_folds: bool = field(default=True, init=False)
+    S_rate: float = field(default=1.0, init=False)
+
+    @property
+    def model(self) -> OdeModel:
+        """The model as it was given."""
+        return self.statics.model
+
+    @property
+    def course(self) -> Course | None:
+        """How the parameter followed goes; None where none is."""
+        return Course(self.parameter, self.statics.values[self.parameter], self.to) if self.parameter else None
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def problem(self) -> AlgebraicProblem:
+        """The equations, with u that follows the parameter."""
+        return AlgebraicProblem(self.statics, self.sizes, (), self.course)
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The one level that there is."""
+        return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """What makes equilibria at the tolerance."""
+        settings = self.settings or ContinuationSettings(1.0, self.tolerance)
+        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST))
+
+    def refined(self, correction: Correction) -> Point:
+        """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
+        problem, name = self.problem, self.model.name
+        deficiency = problem.deficiency(correction.z)
+        if deficiency:
+            why = "the equilibrium is not alone there, as with a conserved quantity, or lies at a fold"
+            raise EquilibriumError(f"{name}: {deficiency}: {why}")
+        try:
+            point = self.point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
+        except SingularError as error:
+            raise EquilibriumError(f"{name}: the equilibrium cannot be refined: {error}") from error
+        if point is None:
+            raise EquilibriumError(f"{name}: the equilibrium cannot be refined to the tolerance; try a larger one")
+        return point
+
+    # The branch -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def start(self) -> Point:
+        """The first equilibrium as a point of the branch; raises EquilibriumError where it cannot be solved again."""
+        first = self.first
+        assert first is not None
+        step = self.point_solver.settings.first_step
+        if self.leaves:
+            return replace(first, step=step)
+        z = first.z.copy()
+        z[-1] = 0.0
+        correction = self.levels.corrector(self.problem).correct(z, self.problem.parameter_row(), 0.0)
+        if not correction.converged:
+            why = f"{correction.status.value}; {self.problem.worst(correction.z)}"
+            raise EquilibriumError(f"the start of the branch: {why}")
+        return replace(self.refined(correction), step=step)
+
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from the last points of it, and those reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> EquilibriumSpace:
+        """The space of the branch through one of these equilibria in a parameter."""
+        assert isinstance(solution.point.problem, AlgebraicProblem)
+        sizes = sizes_of([solution.point.problem.state(solution.point.z)])
+        z = np.append(solution.point.problem.state(solution.point.z) / sizes, 0.0)
+        statics = Statics(self.model, solution.parameters)
+        first = replace(solution.point, z=z)
+        return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, at, first, settings)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Special points on the stretch between two points, in order; raises NotLocatedError."""
+        from casadi_skin.equilibria.detection import special_between
+
+        if self.leaves and not np.any(before.z != self.start.z):  # a special point itself, which is known
+            beside = self.point_solver.along(before, after, BESIDE)
+            if beside is None:
+                return
+            before = beside
+        yield from special_between(self, before, after)
+
+    def target(self, name: str, value: float) -> Target:
+        """Where the parameter followed has a value."""
+        if name != self.parameter or self.course is None:
+            raise ValueError(f"at: given {name}; accepted: {self.parameter}")
+        return Target(Scalar.PARAMETER, self.course.fraction(value))
+
+    def asked(self) -> Mapping[str, Sequence[float]]:
+        return {self.parameter: self.at}
+
+    def value(self, name: str, point: Point) -> float:
+        assert self.course is not None
+        asked = {self.course.fraction(value): value for value in (*self.at, self.to)}
+        u = point.parameter
+        return asked[u] if u in asked else float(self.course.at(u))
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        return None, ""
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.statics.names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the unknowns, from 1."""
+        return np.arange(1, self.statics.size + 1)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters that are found with the state: none here."""
+        return ()
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        assert isinstance(point.problem, AlgebraicProblem)
+        return point.problem.named(point.z)
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """An equilibrium needs no time."""
+        return 0.0, 0.0
+
+    def solution(self, point: Point, exact: Mapping[str, float] | None) -> Solution:
+        """The equilibrium of a point."""
+        from casadi_skin.equilibria.equilibrium import Equilibrium
+
+        if exact is None:
+            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
+        return Equilibrium(self, point, exact)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated absolute error of the parameter followed at a special point."""
+        return abs(point.error.parameter * (self.to - self.statics.values[self.parameter])) if self.parameter else 0.0
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    @property
+    def knows_stability(self) -> bool:
+        """Whether stability is computed with every solution."""
+        return True
+
+    @property
+    def stability_batch(self) -> int:
+        return 1
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        raise ValueError(NO_ORBIT)
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> NoReturn:
+        raise ValueError(NO_ORBIT)
+
+    def energy(self, point: Point) -> float:
+        raise ValueError(NO_ORBIT)
+
+    @property
+    def symmetry(self) -> NoReturn:
+        raise ValueError(NO_ORBIT)
+
+    def spectrum(self, point: Point) -> Spectrum:
+        """Eigenvalues at a point, computed once for the last few points."""
+        for known, found in self._spectra:
+            if known is point:
+                return found
+        assert isinstance(point.problem, AlgebraicProblem)
+        z = point.z
+        moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), 1e-3) * _finite(point.error)
+        found = self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
+        self._spectra[:] = [*self._spectra[-7:], (point, found)]
+        return found
+
+    @cached_property
+    def systems(self) -> dict[str, ExtendedSystem | None]:
+        """Extended systems that have been built, by kind; None where derivatives that they need are not there."""
+        return {}
+
+    @cached_property
+    def _spectra(self) -> list[tuple[Point, Spectrum]]:
+        return []
+
+
+def _finite(error: ErrorEstimate) -> float:
+    return error.profile if np.isfinite(error.profile) else 0.0

@@ -1,0 +1,181 @@
+"""A model at rest: the equations that vanish there, their derivatives, and the eigenvalues of the linearisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
+
+ComplexArray = NDArray[np.complex128]
+SAFETY = 4.0  # of the estimated errors of eigenvalues
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Eigenvalues by descending real part, with estimated absolute errors; both of shape (components,)."""
+
+    values: ComplexArray
+    errors: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether none has a positive real part, within estimated errors."""
+        return bool(np.all(self.values.real <= self.errors))
+
+
+@dataclass(frozen=True, eq=False)
+class Statics:
+    """The equations f(x, p) = 0 of a model at rest: x its state, of a model of second order its positions alone.
+
+    Attributes:
+        model: the model as given, which no force drives in time.
+        values: value of each parameter by name.
+
+    Raises ValueError for a forced model, and where a parameter has no value.
+    """
+
+    model: OdeModel
+    given: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if self.model.forced:
+            period = "" if isinstance(self.model.forcing_period, ca.SX | ca.MX) else f" {self.model.forcing_period:g}"
+            why = f"its right-hand side depends on time, with period{period}, and it has orbits in place of equilibria"
+            raise ValueError(f"model: given {self.model.name}, which is forced: {why}; accepted: one without time")
+        _ = self.values
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter by name, in the model's order."""
+        return named_values(self.model, self.given)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.model.size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return self.model.state_names[: self.size]
+
+    @property
+    def oscillates(self) -> bool:
+        """Whether pairs of eigenvalues may cross the imaginary axis one by one, as no conserved quantity pins them."""
+        return self.model.order == 1 and self.model.hamiltonian is None
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """Function (x, p) -> f, dense."""
+        model = self.model
+        return ca.Function("f", [model.state, model.parameters], [ca.densify(model.rhs)], ["x", "p"], ["f"])
+
+    # Derivatives ----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _jacobian(self) -> ca.Function:
+        x, p = self.symbols()
+        f = self.function(x, p)
+        return ca.Function("J", [x, p], [ca.densify(ca.jacobian(f, x)), ca.densify(ca.jacobian(f, p))])
+
+    @cached_property
+    def _second(self) -> ca.Function:
+        """Function (x, p, u, v) -> f_xx u v."""
+        x, p = self.symbols()
+        u, v = (type(x).sym(name, self.size) for name in "uv")
+        once = ca.jtimes(self.function(x, p), x, u)
+        return ca.Function("B", [x, p, u, v], [ca.densify(ca.jtimes(once, x, v))])
+
+    @cached_property
+    def _third(self) -> ca.Function:
+        """Function (x, p, u, v, w) -> f_xxx u v w."""
+        x, p = self.symbols()
+        u, v, w = (type(x).sym(name, self.size) for name in "uvw")
+        twice = ca.jtimes(ca.jtimes(self.function(x, p), x, u), x, v)
+        return ca.Function("C", [x, p, u, v, w], [ca.densify(ca.jtimes(twice, x, w))])
+
+    def symbols(self) -> tuple[Expression, Expression]:
+        """New symbols of the unknowns and of the parameters."""
+        kind = type(self.model.state)
+        return kind.sym("x", self.size), kind.sym("p", int(self.model.parameters.numel()))
+
+    def jacobian(self, x: Array, p: Array) -> Array:
+        """df/dx, shape (n, n)."""
+        return np.array(self._jacobian(x, p)[0])
+
+    def by_parameters(self, x: Array, p: Array) -> Array:
+        """df/dp, shape (n, parameters)."""
+        return np.array(self._jacobian(x, p)[1])
+
+    def second(self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array) -> ComplexArray:
+        """f_xx u v for complex directions, shape (n,)."""
+
+        def real(a: Array, b: Array) -> Array:
+            return np.array(self._second(x, p, a, b)).ravel()
+
+        return real(u.real, v.real) - real(u.imag, v.imag) + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
+
+    def third(
+        self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array, w: ComplexArray | Array
+    ) -> ComplexArray:
+        """f_xxx u v w for complex directions, shape (n,)."""
+        total = np.zeros(self.size, complex)
+        for a, by_u in ((u.real, 1.0), (u.imag, 1j)):
+            for b, by_v in ((v.real, 1.0), (v.imag, 1j)):
+                for c, by_w in ((w.real, 1.0), (w.imag, 1j)):
+                    if np.any(a) and np.any(b) and np.any(c):
+                        total += by_u * by_v * by_w * np.array(self._third(x, p, a, b, c)).ravel()
+        return total
+
+    # Eigenvalues ----------------------------------------------------------------------------------------------------
+
+    def spectrum(self, x: Array, p: Array, moved: Array | None = None) -> Spectrum:
+        """Eigenvalues of the linearisation, of a model of second order +-sqrt(mu) of those of df/dx.
+
+        `moved` is the estimated error of x, shape (n,), which the errors of eigenvalues include to first order, beside
+        rounding by the condition of each (Wilkinson 1965).
+        """
+        from scipy.linalg import matrix_balance
+
+        A = self.jacobian(x, p)
+        if not np.all(np.isfinite(A)):
+            raise ArithmeticError(f"{self.model.name}: the derivatives are not finite at the equilibrium")
+        balanced, scales = matrix_balance(A, permute=False, separate=True)
+        scale = np.asarray(scales)[0]
+        values, left, right = eigensystem(np.asarray(balanced))
+        size = np.finfo(float).eps * np.linalg.norm(balanced)
+        if moved is not None and np.any(moved):
+            change = np.array(self.jacobian(x + moved, p)) - A
+            size = size + float(np.linalg.norm(change / scale[:, None] * scale))
+        with np.errstate(divide="ignore"):
+            condition = 1.0 / np.abs(np.sum(left.conj() * right, axis=0))
+        errors = np.minimum(SAFETY * size * condition, np.sqrt(SAFETY * size * (np.linalg.norm(balanced) + 1e-300)))
+        if self.model.order == 2:
+            values, errors = _roots(values, errors)
+        places = np.lexsort((-values.imag, -values.real))
+        return Spectrum(values[places], errors[places])
+
+
+def eigensystem(A: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Eigenvalues, and left and right eigenvectors as columns."""
+    from scipy.linalg import eig
+
+    values, left, right = (np.asarray(part, dtype=np.complex128) for part in eig(A, left=True))
+    return values, left, right
+
+
+def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:
+    """+-sqrt(mu) and their errors: exactly imaginary where mu is negative; one that is 0 but for errors has theirs."""
+    exact = np.where((np.abs(squares.imag) <= errors) & (squares.real < 0.0), squares.real, squares)
+    roots = np.sqrt(exact.astype(complex))
+    size = np.minimum(errors / np.maximum(np.abs(roots), 1e-300), np.sqrt(errors))
+    return np.concatenate([roots, -roots]), np.concatenate([size, size])

@@ -1,0 +1,212 @@
+"""The branch that leaves at a special point: cycles at a Hopf point, the other branch at a branch point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import ContinuationSettings, Point
+from casadi_skin.equilibria.cycles import TOLERANCE, born_at
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.leaving_orbits import leaving_orbits
+from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
+from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
+from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
+from casadi_skin.equilibria.statics import Statics
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.branch_points import other_tangent
+from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import DOUBLING, SpecialPoint
+
+PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, to see where its parameter goes
+SAME = 1e-4  # of a direction: what tells two branches apart
+
+
+def switch(
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    side: int = 1,
+    at: Sequence[float] = (),
+    max_points: int = 500,
+    max_step: float = 0.2,
+    until: Callable[[Any], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    tolerance: float = TOLERANCE,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """The branch that leaves at a special point.
+
+    At a Hopf point that of the cycles born there, from amplitude zero; at a branch point the other branch; at a period
+    doubling the orbits of twice the period.
+
+    Arguments:
+        point: a Hopf point or a branch point of equilibria; of orbits a period doubling, or a branch point that the
+            other branch leaves to both sides, as where a symmetry is lost.
+        parameter: name of the parameter to follow: at a branch point that in which it was found.
+        to: where the branch ends.
+        side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
+            component that changes most grows is 1.
+        at, max_points, max_step, until, events, progress: as in `follow`.
+        stability: whether multipliers are computed for each cycle.
+        tolerance: of cycles, as in `find_orbit`.
+
+    Returns:
+        The branch, whose first solution is the special point itself; a branch of cycles also ends where it has gone as
+        far to the other side as `to` is to this side.
+
+    Raises:
+        ValueError: an argument is out of range, or nothing leaves there towards `to`.
+        BoundaryError, EquilibriumError: the branch cannot be started.
+    """
+    space = leaving_space(
+        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance
+    )
+    return run_following(Following(space, stability, events, until=until), progress)
+
+
+def leaving_space(
+    point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
+    max_step: float, tolerance: float,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
+    solution = point.solution
+    of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
+    of_orbits = point.kind == DOUBLING and isinstance(solution, Orbit)
+    if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
+        accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
+        raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
+    if side not in (1, -1):
+        raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
+    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    values = tuple(float(value) for value in at)
+    if isinstance(solution, Orbit):
+        turns, both = (2 if point.kind == DOUBLING else 1), replace(settings, parameter_min=-1.0)
+        return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
+    if point.kind == HOPF and isinstance(solution, Equilibrium):
+        space = cast(EquilibriumSpace, solution.space)
+        statics = Statics(space.model, solution.parameters)
+        cycles = replace(settings, parameter_min=-1.0)
+        return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
+    if not isinstance(solution, Equilibrium):
+        return _other_solutions(solution, parameter, float(to), values, replace(settings, parameter_min=-1.0), side)
+    return other_branch(point, parameter, float(to), values, settings, side)
+
+
+def _other_solutions(
+    solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
+) -> BoundarySpace:
+    """The space of the other branch at a branch point of a boundary-value problem."""
+    old = cast(BoundarySpace, solution.space)
+    tangent = other_tangent(old.point_solver, solution.point)
+    space = old.following(solution, parameter, to, at, settings)
+    problem = space.levels.problem(solution.intervals).with_constants(solution.problem.constants)
+    z = solution.point.z.copy()
+    span, before = to - solution.parameters[parameter], old.to - old.statement.values[parameter]
+    z[-1], tangent[-1] = 0.0, tangent[-1] * before / span
+    tangent = tangent / np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
+    towards = np.sign(tangent[-1]) if abs(tangent[-1]) > SAME else 1.0
+    tangent = side * towards * tangent
+    first = replace(solution.point, problem=problem, z=z, tangent=tangent, special="")
+    return replace(space, first=first, leaves=True)
+
+
+def _kind_of(solution: Solution) -> str:
+    if isinstance(solution, Equilibrium):
+        return "equilibria"
+    return "orbits" if isinstance(solution, Orbit) else "a boundary-value problem"
+
+
+# The other branch at a branch point -----------------------------------------------------------------------------------
+
+
+def other_branch(
+    point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
+) -> EquilibriumSpace:
+    """The space of the other branch at a branch point of equilibria; raises ValueError where it goes elsewhere."""
+    solution = cast(Equilibrium, point.solution)
+    space = cast(EquilibriumSpace, solution.space)
+    if parameter != point.parameter:
+        raise ValueError(f"parameter: given {parameter!r}; accepted: {point.parameter}, in which the point was found")
+    direction = _other_direction(space, solution.point)
+    statics = Statics(space.model, solution.parameters)
+    sizes = sizes_of([solution.positions])
+    old = space.course
+    assert old is not None
+    n, span = statics.size, to - solution.parameters[parameter]
+    tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
+    z = np.append(solution.positions / sizes, 0.0)
+    leaving = EquilibriumSpace(
+        statics, space.tolerance, space.corrector, sizes, parameter, to, at, None, settings, leaves=True
+    )
+    weights = leaving.point_solver.metric(leaving.problem, z)
+    tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
+    for sign in (float(side), -float(side)) if abs(tangent[-1]) > SAME else (float(side),):
+        if _goes_on(leaving, z, sign * tangent):
+            first = replace(solution.point, problem=leaving.problem, z=z, tangent=sign * tangent, special="")
+            return replace(leaving, first=first)
+    elsewhere = "below" if span > 0 else "above"
+    raise ValueError(
+        f"to: given {to!r}; accepted: a value {elsewhere} {solution.parameters[parameter]:.10g}, to which the other "
+        "branch goes"
+    )
+
+
+def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
+    """Whether the parameter goes on to its end along a tangent, seen a small step along."""
+    weights = space.point_solver.metric(space.problem, z)
+    guess, row = z + PROBE * tangent, weights * tangent
+    correction = space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))
+    if not correction.converged:
+        raise EquilibriumError(f"{space.model.name}: the other branch cannot be started: {correction.status.value}")
+    return bool(correction.z[-1] > 0.0)
+
+
+def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
+    """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
+    problem, z = space.problem, point.z
+    left, _, right = np.linalg.svd(_unscaled(problem, z))
+    first, second, psi = right[-1], right[-2], left[:, -1]
+    quadratic = _second_derivatives(problem)
+
+    def form(a: Array, b: Array) -> float:
+        return float(psi @ np.array(quadratic(z, a, b)).ravel())
+
+    a, b, c = form(first, first), 2.0 * form(first, second), form(second, second)
+    discriminant = b * b - 4.0 * a * c
+    if not discriminant > 0.0:
+        raise EquilibriumError(f"{space.model.name}: no two branches cross at the branch point, to second order")
+    root = np.sqrt(discriminant)
+    # (alpha, beta) with a alpha^2 + b alpha beta + c beta^2 = 0, without cancellation
+    q = -0.5 * (b + np.copysign(root, b))
+    directions = [alpha * first + beta * second for alpha, beta in ((q, a), (c, q)) if alpha or beta]
+    along = point.tangent / np.linalg.norm(point.tangent)
+    unit = [direction / np.linalg.norm(direction) for direction in directions]
+    return min(unit, key=lambda direction: abs(float(direction @ along)))
+
+
+def _unscaled(problem: AlgebraicProblem, z: Array) -> Array:
+    """The Jacobian of the equations as they are written, shape (n, n + 1)."""
+    rows, columns = problem.pattern
+    matrix = np.zeros((problem.size - 1, problem.size))
+    matrix[rows, columns] = problem._buffers.evaluate(z, problem.constants)[1]
+    return matrix
+
+
+def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:
+    """Function (z, u, v) -> the second derivative of the equations in two directions."""
+    z, residual, _ = problem.symbols
+    u, v = ca.MX.sym("u", problem.size), ca.MX.sym("v", problem.size)
+    once = ca.jtimes(residual, z, u)
+    return ca.Function("second", [z, u, v], [ca.densify(ca.jtimes(once, z, v))])

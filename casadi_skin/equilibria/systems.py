@@ -1,0 +1,137 @@
+"""Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria.
+
+Fold: F = 0, F_y v = 0, v v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, v v = 1,
+d v = 0, with kappa = omega^2 (Roose and Hlavacek 1985), which stays regular where kappa goes through zero. Branch
+point: F + beta c = 0, psi F_y = 0, psi F_p = 0, c psi = 1 with beta = 0 (Griewank and Reddien 1984).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course
+from casadi_skin.equilibria.statics import Statics
+from casadi_skin.models.expressions import Expression
+
+
+class ExtendedSystem(AlgebraicProblem):
+    """What extended systems share: their unknowns start from an approximate point, which sets their constants."""
+
+    def __init__(
+        self, statics: Statics, sizes: Array, free: Sequence[Course], walking: Course | None = None, rate: float = 1.0
+    ) -> None:
+        super().__init__(statics, sizes, free, walking)
+        n = statics.size
+        self.rate = float(2.0 ** np.round(np.log2(rate)))  # of time: what omega is measured by
+        self.others, self.added = self.shape(n)
+        self.states = n + self.others
+        self.constants = np.zeros(self.constant_count(n))
+
+    @staticmethod
+    def shape(n: int) -> tuple[int, int]:
+        """Unknowns beside the state, and added scalars."""
+        raise NotImplementedError
+
+    @staticmethod
+    def constant_count(n: int) -> int:
+        """Number of constants."""
+        return n
+
+    def started(
+        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
+    ) -> tuple[AlgebraicProblem, Array]:
+        """The system with its constants, and its unknowns, from dF/dy at an approximate point; u is 0.
+
+        `near` tells which pair of eigenvalues is meant, by default that nearest to the imaginary axis.
+        """
+        raise NotImplementedError
+
+
+class FoldSystem(ExtendedSystem):
+    """Folds, with the null vector v of F_y."""
+
+    @staticmethod
+    def shape(n: int) -> tuple[int, int]:
+        return n, 0
+
+    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
+        F = self.force(y, self.parameters_at(scalars))
+        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(others, others) - 1)
+
+    @staticmethod
+    def constant_count(n: int) -> int:
+        return 0
+
+    def started(
+        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
+    ) -> tuple[AlgebraicProblem, Array]:
+        v = np.linalg.svd(matrix)[2][-1]
+        return self, np.concatenate([y, v, scalars, [0.0]])
+
+
+class BranchSystem(ExtendedSystem):
+    """Branch points, with the left null vector psi of (F_y, F_p) and the imperfection beta, which is zero."""
+
+    @staticmethod
+    def shape(n: int) -> tuple[int, int]:
+        return n, 1
+
+    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
+        F, beta = self.force(y, self.parameters_at(scalars)), scalars[1]
+        by_y, by_p = ca.jtimes(F, y, others, True), ca.dot(ca.jacobian(F, scalars)[:, 0], others)
+        return ca.vertcat(F + beta * c, by_y, by_p, ca.dot(c, others) - 1)
+
+    def started(
+        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
+    ) -> tuple[AlgebraicProblem, Array]:
+        psi = np.linalg.svd(matrix)[0][:, -1]
+        return self.with_constants(psi), np.concatenate([y, psi, scalars, [0.0, 0.0]])
+
+
+class HopfSystem(ExtendedSystem):
+    """Hopf points, with v and w = F_y v / rate in the critical plane, and kappa = (omega/rate)^2."""
+
+    @staticmethod
+    def shape(n: int) -> tuple[int, int]:
+        return 2 * n, 1
+
+    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
+        n, rate, kappa = self.statics.size, self.rate, scalars[len(self.free)]
+        F = self.force(y, self.parameters_at(scalars))
+        v, w = others[:n], others[n:]
+        turned, back = ca.jtimes(F, y, v) / rate - w, ca.jtimes(F, y, w) / rate + kappa * v
+        return ca.vertcat(F, turned, back, ca.dot(v, v) - 1, ca.dot(c, v))
+
+    def started(
+        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
+    ) -> tuple[AlgebraicProblem, Array]:
+        values, vectors = np.linalg.eig(matrix)
+        upper = np.flatnonzero(values.imag > 0.0)
+        if not upper.size:
+            raise ArithmeticError("no pair of complex eigenvalues is near the imaginary axis")
+        k = upper[np.argmin(np.abs(values[upper].real) if near is None else np.abs(values[upper] - near))]
+        v, d = plane(vectors[:, k])
+        w = matrix @ v / self.rate
+        kappa = (values[k].imag / self.rate) ** 2
+        return self.with_constants(d), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
+
+    def kappa(self, z: Array) -> float:
+        """(omega/rate)^2 of a solution; negative where the eigenvalues are real with sum zero."""
+        return float(z[self.states + len(self.free)])
+
+
+def plane(q: Array) -> tuple[Array, Array]:
+    """An orthonormal basis of the plane of the real and imaginary parts of a vector, which may be turned freely."""
+    turned = q * np.exp(-0.5j * np.angle(np.sum(q * q)))  # real and imaginary parts are orthogonal now
+    v = turned.real / np.linalg.norm(turned.real)
+    size = np.linalg.norm(turned.imag)
+    if size > 1e-12:
+        return v, turned.imag / size
+    d = np.zeros_like(v)
+    d[np.argmin(np.abs(v))] = 1.0
+    d -= v * (v @ d)
+    return v, d / np.linalg.norm(d)

@@ -1,0 +1,145 @@
+"""Bifurcation diagrams: branches of equilibria and cycles against a parameter; curves in two parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.figures.branch_lines import LOOKS, stability_pieces
+from casadi_skin.figures.style import blank, colours, finished, plain, style
+from casadi_skin.figures.style import title as model_title
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.results.extremes import extremes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKS = {  # the symbols of the field, as far as there are any
+    "fold": ("D", "0.6"),
+    "branch point": ("o", "white"),
+    "hopf": ("s", "black"),
+    "period doubling": ("^", "0.6"),
+    "torus": ("h", "0.6"),
+    "cusp": ("v", "black"),
+    "bogdanov-takens": ("o", "black"),
+    "zero-hopf": ("P", "black"),
+    "generalized hopf": ("*", "black"),
+    "hopf-hopf": ("X", "black"),
+}
+PLAIN = ("d", "0.8")
+
+
+def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
+    """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
+
+    Arguments:
+        branches: branches of equilibria and orbits in one parameter; the first tells which.
+        title: stands in place of the name of the model.
+        state: place of the state among its names, from 0.
+
+    Returns:
+        The figure: stable stretches solid, unstable ones dashed, cycles in a colour of their own, and a symbol for each
+        kind of special point.
+
+    Raises:
+        ValueError: there is no solution, or a branch is followed in another parameter.
+    """
+    held = [branch for branch in branches if len(branch)]
+    if not held or any(branch.parameter != held[0].parameter for branch in held):
+        raise ValueError("branches: given none, or several parameters; accepted: branches in one parameter")
+    first = held[0].solutions[0]
+    name = plain(first.space.state_names[state])
+    rest, cycle = colours(2)
+    with style():
+        figure = blank(6.4, 4.2)
+        axes = figure.subplots()
+        for branch in held:
+            orbits = isinstance(branch.solutions[0], Orbit)
+            for heights in _heights(branch, state):
+                path = np.column_stack([branch.values, heights])
+                _draw(axes, branch, path, cycle if orbits else rest, "cycles" if orbits else "equilibria")
+                _mark(axes, branch, path)
+        what = f"{name}, of cycles largest and smallest" if any(_has_orbits(b) for b in held) else name
+        axes.set(xlabel=plain(held[0].parameter), ylabel=what)
+        axes.set_title(_title(held[0], title, (held[0].parameter,)))
+        return finished(figure, [axes], 4, in_black=True)
+
+
+def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
+    """Curves of folds and Hopf points in the plane of two parameters, with their points of codimension two.
+
+    Arguments:
+        curves: what `point.curve` gives, all in the same two parameters.
+        title: stands in place of the name of the model.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: a branch is no curve in these two parameters.
+    """
+    planes = {(curve.parameter, *curve.space.free) for curve in curves if len(curve)}
+    if len(planes) != 1 or len(next(iter(planes))) != 2:
+        raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
+    second, first = next(iter(planes))
+    kinds = {"fold": ("-", 1.8), "hopf": ((0, (4.0, 1.4)), 1.8)}
+    with style():
+        figure = blank(6.0, 4.4)
+        axes = figure.subplots()
+        for curve in curves:
+            kind = str(getattr(curve.space, "kind", ""))
+            dashes, width = kinds[kind]
+            path = np.column_stack([curve[first], curve[second]])
+            axes.plot(
+                *path.T,
+                ls=dashes,
+                lw=width,
+                color=colours(2)[int(kind == "hopf")],
+                label=f"{kind}s" if kind == "fold" else "Hopf points",
+            )
+            _mark(axes, curve, path)
+        axes.set(xlabel=plain(first), ylabel=plain(second))
+        axes.set_title(_title(curves[0], title, (first, second)))
+        return finished(figure, [axes], 4, in_black=True)
+
+
+def _has_orbits(branch: Branch) -> bool:
+    return isinstance(branch.solutions[0], Orbit)
+
+
+def _heights(branch: Branch, state: int) -> list[Array]:
+    """A state along a branch: its value at equilibria, its largest and smallest along orbits."""
+    if isinstance(branch.solutions[0], Equilibrium):
+        return [np.array([solution.evaluate(0.0)[0, state] for solution in branch.solutions])]
+    low, high = np.array([[side[state] for side in extremes(solution)] for solution in branch.solutions]).T
+    return [high, low]
+
+
+def _draw(axes: Axes, branch: Branch, path: Array, colour: object, label: str) -> None:
+    for stable, piece in stability_pieces(branch, path):
+        look = dict(LOOKS[stable])
+        words = f"{label}, {look.pop('label')}"
+        axes.plot(*piece.T, color=colour, zorder=3, label=words, **look)
+
+
+def _mark(axes: Axes, branch: Branch, path: Array) -> None:
+    """A symbol for each special point."""
+    for kind in dict.fromkeys(solution.point.special for solution in branch.solutions):
+        if not kind:
+            continue
+        marker, face = MARKS.get(kind, PLAIN)
+        places = [i for i, solution in enumerate(branch.solutions) if solution.point.special == kind]
+        axes.plot(*path[places].T, marker, ms=6, mfc=face, mec="black", ls="none", label=kind, zorder=5)
+
+
+def _title(branch: Branch, title: str, without: tuple[str, ...]) -> str:
+    solution = branch.solutions[0]
+    names = (*without, *branch.space.free)
+    known = {key: value for key, value in solution.parameters.items() if key not in names}
+    return model_title(solution.space.model, known, title)

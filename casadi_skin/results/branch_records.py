@@ -1,0 +1,274 @@
+"""Records of branches in the journal of a run: points as they converge, their stability, and how a branch ended.
+
+What is read back is not believed: each point is solved for again, and is refused where a Newton step moves it away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.solvers.levels import ErrorEstimate, Refinement
+from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
+
+
+class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
+    """Stability by the N x N problem; arrays as bytes of little-endian doubles."""
+
+    mu: bytes
+    mu_error: bytes
+    trivial_deviation: float
+    power: int
+
+
+class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
+    """Stability by the monodromy matrix."""
+
+    multipliers: bytes
+    monodromy: bytes
+    trivial: int
+    trivial_deviation: float
+    allowed: float
+
+
+class RefinementRecord(msgspec.Struct, frozen=True):
+    """The better solution that shows the error of a point whose stability is not known yet."""
+
+    resolution: int
+    constants: bytes
+    z: bytes
+
+
+class PointRecord(msgspec.Struct, frozen=True, tag="point"):
+    """A converged point with all that the continuation needs to go on from it."""
+
+    branch: str
+    resolution: int
+    constants: bytes  # of the problem: the mesh
+    z: bytes
+    tangent: bytes
+    Omega_error: float
+    profile_error: float
+    parameter_error: float
+    step: float
+    along: float
+    iterations: int
+    requested: bool
+    walked: bool
+    located: bool
+    special: str
+    at_round_off: bool
+    better: RefinementRecord | None
+    missed: tuple[Target, ...]  # by the continuation so far
+
+
+class StabilityRecord(msgspec.Struct, frozen=True, tag="stability"):
+    """Stability of the first point recorded whose stability was not, and the changes since the point before it."""
+
+    branch: str
+    floquet: ReversibleRecord | FullPeriodRecord
+    changes: tuple[StabilityChange, ...]
+
+
+class EndRecord(msgspec.Struct, frozen=True, tag="end"):
+    """The end of a branch."""
+
+    branch: str
+    end: End | None
+    detail: str
+    misses: dict[str, tuple[float, ...]]
+
+
+class CutRecord(msgspec.Struct, frozen=True, tag="cut"):
+    """Of what is recorded of a branch before this, only the first few records hold."""
+
+    branch: str
+    kept: int
+
+
+class CycleRecord(msgspec.Struct, frozen=True, tag="cycle"):
+    """The simulated cycle from which the first orbit is solved for."""
+
+    branch: str
+    t: bytes
+    states: bytes
+    start: float
+    period: float
+
+
+BranchRecord = PointRecord | StabilityRecord | EndRecord | CutRecord | CycleRecord
+
+
+def doubles_of(data: bytes, kind: str = "<f8") -> np.ndarray:
+    return np.frombuffer(data, kind).copy()
+
+
+def bytes_of(values: np.ndarray, kind: str = "<f8") -> bytes:
+    return values.astype(kind).tobytes()
+
+
+# Writing ------------------------------------------------------------------------------------------------------------
+
+
+def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_better: bool = False) -> PointRecord:
+    """Record of a point of the branch of that name; with its better solution where its stability is to be computed."""
+    better = point.better if with_better else None
+    return PointRecord(
+        branch=branch,
+        resolution=point.problem.resolution,
+        constants=bytes_of(point.problem.constants),
+        z=bytes_of(point.z),
+        tangent=bytes_of(point.tangent),
+        Omega_error=point.error.Omega,
+        profile_error=point.error.profile,
+        parameter_error=point.error.parameter,
+        step=point.step,
+        along=point.along,
+        iterations=point.iterations,
+        requested=point.requested,
+        walked=point.walked,
+        located=point.located,
+        special=point.special,
+        at_round_off=point.at_round_off,
+        better=None
+        if better is None
+        else RefinementRecord(better.problem.resolution, bytes_of(better.problem.constants), bytes_of(better.z)),
+        missed=tuple(missed),
+    )
+
+
+def stability_record(branch: str, orbit: Orbit, changes: Sequence[StabilityChange] = ()) -> StabilityRecord:
+    """Record of the stability of the next orbit of a branch, with the changes since the one before."""
+    floquet = orbit.floquet()
+    if isinstance(floquet, ReversibleFloquet):
+        mu, errors = bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error)
+        found: ReversibleRecord | FullPeriodRecord = ReversibleRecord(
+            mu, errors, floquet.trivial_deviation, floquet.power
+        )
+    else:
+        assert isinstance(floquet, FullPeriodFloquet)
+        multipliers, monodromy = bytes_of(floquet.multipliers, "<c16"), bytes_of(floquet.monodromy)
+        found = FullPeriodRecord(multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed)
+    return StabilityRecord(branch, found, tuple(changes))
+
+
+# Reading ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Known:
+    """What a journal knows of a branch.
+
+    Attributes:
+        solutions, changes: with their stability where that is computed.
+        waiting: points after them whose stability is to be computed.
+        missed: what the continuation did not find.
+        end: how the branch ended; None where it goes on.
+        kept: number of its records that hold.
+        fault: why the others do not, in words.
+    """
+
+    solutions: list[Solution] = field(default_factory=list)
+    changes: list[StabilityChange] = field(default_factory=list)
+    waiting: list[Point] = field(default_factory=list)
+    missed: tuple[Target, ...] = ()
+    end: EndRecord | None = None
+    kept: int = 0
+    fault: str = ""
+
+
+def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace, stability: bool) -> Known:
+    """What records know of the branch of that name, up to the first point that does not solve the equations."""
+    known = Known()
+    for record in _holding(records, branch):
+        if isinstance(record, PointRecord):
+            point = _point(record, space)
+            known.fault = "a point of another discretisation" if point is None else _fault(space, point, known)
+            if point is None or known.fault:
+                return known
+            known.missed = record.missed
+            if stability:
+                known.waiting.append(point)
+            else:
+                known.solutions.append(solution_at(space, point))
+        elif isinstance(record, StabilityRecord):
+            known.changes.extend(record.changes)
+            known.solutions.append(solution_at(space, known.waiting.pop(0), _floquet(record.floquet)))
+        else:
+            known.end = record
+        known.kept += 1
+    return known
+
+
+def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
+    """Why a point is none of the branch; of a special point, where the equations may be singular, by its residual."""
+    leaves = bool(getattr(space, "leaves", False)) and not (known.solutions or known.waiting)
+    if not (point.special or leaves):
+        return space.point_solver.fault(point)
+    if not (np.all(np.isfinite(point.z)) and np.all(np.isfinite(point.tangent))):
+        return "a value that is not finite"
+    off = point.problem.relative_residual(point.z)
+    return "" if off <= max(space.tolerance, point.error.profile) else f"a residual of {off:.1e}"
+
+
+def _holding(records: Sequence[BranchRecord], branch: str) -> list[PointRecord | StabilityRecord | EndRecord]:
+    """The records of a branch that hold."""
+    mine = list[PointRecord | StabilityRecord | EndRecord]()
+    for record in records:
+        if record.branch != branch:
+            continue
+        if isinstance(record, CycleRecord):
+            continue
+        if isinstance(record, CutRecord):
+            del mine[record.kept :]
+        else:
+            mine.append(record)
+    return mine
+
+
+def _point(record: PointRecord, space: SolutionSpace) -> Point | None:
+    """The point of a record; None where the problem has another number of unknowns."""
+    if record.resolution not in space.levels.resolutions:
+        return None
+    problem = space.levels.problem(record.resolution)
+    constants, z, tangent = doubles_of(record.constants), doubles_of(record.z), doubles_of(record.tangent)
+    if (constants.size, z.size, tangent.size) != (problem.constants.size, problem.size, problem.size):
+        return None
+    return Point(
+        problem=problem.with_constants(constants),
+        z=z,
+        tangent=tangent,
+        error=ErrorEstimate(record.Omega_error, record.profile_error, parameter=record.parameter_error),
+        step=record.step,
+        along=record.along,
+        iterations=record.iterations,
+        requested=record.requested,
+        walked=record.walked,
+        located=record.located,
+        special=record.special,
+        better=None if record.better is None else _refinement(record.better, space),
+        at_round_off=record.at_round_off,
+    )
+
+
+def _refinement(record: RefinementRecord, space: SolutionSpace) -> Refinement:
+    problem = space.levels.problem(record.resolution).with_constants(doubles_of(record.constants))
+    return Refinement(problem, doubles_of(record.z))
+
+
+def _floquet(record: ReversibleRecord | FullPeriodRecord) -> Floquet:
+    if isinstance(record, ReversibleRecord):
+        mu, errors = doubles_of(record.mu, "<c16"), doubles_of(record.mu_error)
+        return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
+    multipliers = doubles_of(record.multipliers, "<c16")
+    monodromy = doubles_of(record.monodromy).reshape(multipliers.size, multipliers.size)
+    return FullPeriodFloquet(multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed)

@@ -1,0 +1,57 @@
+"""A quantity of a solution, and a solution with its marks: what tables and datasets are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.extremes import extremes
+from casadi_skin.stability.result import Floquet
+
+CSV, NETCDF, BOTH = "csv", "netcdf", "both"
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A solution of a branch with what its quantities need to know: its place, and marks."""
+
+    solution: Solution
+    index: int
+    mode: int = 0
+    requested: bool = False
+    special: str = ""
+
+    @property
+    def orbit(self) -> Orbit:
+        """The solution, where it is an orbit."""
+        assert isinstance(self.solution, Orbit)
+        return self.solution
+
+    @property
+    def floquet(self) -> Floquet:
+        """Stability of the orbit."""
+        return self.orbit.floquet()
+
+    @cached_property
+    def extremes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Smallest and largest value of each state, shapes (components,)."""
+        return extremes(self.solution)
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A quantity of a solution: `of` gives its value, an array where it has `dimensions`."""
+
+    name: str
+    meaning: str
+    of: Callable[[Place], Any]
+    dimensions: tuple[str, ...] = ()
+    where: str = BOTH
+    may_be_empty: bool = False

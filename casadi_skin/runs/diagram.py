@@ -1,0 +1,174 @@
+"""A bifurcation diagram: what leaves a branch of equilibria, curves in two parameters, and the files of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import casadi_skin.figures as figures
+from casadi_skin.continuation.points import End
+from casadi_skin.equilibria.curve import curve_space
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.location import FOLD, HOPF
+from casadi_skin.equilibria.switch import leaving_space
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
+from casadi_skin.results.quantities import dataset_of
+from casadi_skin.runs.request import Request
+from casadi_skin.scene.model_tables import ContinuationTable
+
+NATURAL = (
+    End.HOPF,
+    End.TAKENS,
+    End.RETURNED,
+    End.AWAY,
+)  # ends of what leaves a branch, or is followed in two parameters
+CYCLES, OTHER, CURVE = "cycles", "other", "curve"
+EMPTY: Cell = ""
+SAME = 1e-6  # distance of special points that are one
+
+
+def further_spaces(
+    branches: Sequence[Branch], table: ContinuationTable, tolerance: float, failures: list[str]
+) -> Iterator[tuple[str, SolutionSpace]]:
+    """Names and spaces of the branches that leave at special points, then of the curves through them.
+
+    `branches` grows: its last one is what was followed for the name and space before. A name ends with the numbers of
+    the special points that lead to it; a special point that was met before is not left again. What cannot be started
+    is told in `failures`.
+    """
+    met, waiting, reached = list[SpecialPoint](), [("", branches[-1])], list[tuple[str, SpecialPoint]]()
+    while waiting:
+        prefix, branch = waiting.pop(0)
+        for number, point in enumerate(branch.special_points, start=1):
+            if any(_is_same(point, other) for other in met):
+                continue
+            met.append(point)
+            reached.append((f"{prefix}_{number}", point))
+            space = _leaving(point, branch, table, tolerance, failures) if point.kind in table.switch else None
+            if space is not None:
+                yield f"{CYCLES if point.kind == HOPF else OTHER}{prefix}_{number}", space
+                if point.kind != HOPF:
+                    waiting.append((f"{prefix}_{number}", branches[-1]))
+    curves = list[Branch]()
+    for place, point in reached:
+        passed = any(_passes(curve, point) for curve in curves)
+        if table.curve is not None and point.kind in (FOLD, HOPF) and not passed:
+            to, options = table.curve.to, {"max_points": table.max_points, "max_step": table.max_step}
+            try:
+                yield f"{CURVE}{place}", curve_space(point, table.curve.parameter, to, at=(), **options)  # type: ignore[arg-type]
+            except (ValueError, ArithmeticError) as error:
+                failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
+            else:
+                curves.append(branches[-1])
+
+
+def _leaving(
+    point: SpecialPoint, branch: Branch, table: ContinuationTable, tolerance: float, failures: list[str]
+) -> SolutionSpace | None:
+    """What leaves at a point, to where the branch was to end or else to where it came from; None where nothing does."""
+    reasons = []
+    for to in (table.to, branch.solutions[0].parameters[table.parameter]):
+        try:
+            return leaving_space(
+                point, table.parameter, to, side=1, at=(), max_points=table.max_points, max_step=table.max_step,
+                tolerance=tolerance,
+            )  # fmt: skip
+        except (ValueError, ArithmeticError) as error:
+            reasons.append(str(error))
+    failures.append(f"[continuation] switch: {point.kind} at {point.parameters[point.parameter]:.8g}: {reasons[0]}")
+    return None
+
+
+def _passes(curve: Branch, point: SpecialPoint) -> bool:
+    """Whether a curve that came back to the value of its parameter did so at another special point."""
+    if curve.end is not End.RETURNED or getattr(curve.space, "kind", "") != point.kind:
+        return False
+    try:
+        found = curve.at(point.parameters[curve.parameter], which=1)
+    except (ValueError, ArithmeticError):
+        return False
+    x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
+    return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
+
+
+def _is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
+    """Whether two special points are one, met on two branches."""
+    if (
+        one.kind != other.kind
+        or not isinstance(one.solution, Equilibrium)
+        or not isinstance(other.solution, Equilibrium)
+    ):
+        return False
+    x, y = one.solution.positions, other.solution.positions
+    apart = np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x))))
+    p, q = one.parameters[one.parameter], other.parameters[one.parameter]
+    return bool(apart) and abs(p - q) <= SAME * max(1.0, abs(p))
+
+
+def is_further(branch: Branch) -> bool:
+    """Whether a branch left another one, or is a curve in two parameters."""
+    return bool(getattr(branch.space, "leaves", False) or getattr(branch.space, "kind", ""))
+
+
+def ended_well(branch: Branch) -> bool:
+    """Whether a branch reached what was asked, or its natural end where it left another one."""
+    return branch.complete or (is_further(branch) and branch.end in NATURAL and not any(branch.misses.values()))
+
+
+def write_diagram(
+    request: Request,
+    names: Sequence[str],
+    branches: Sequence[Branch],
+    attributes: dict[str, float | str],
+    directory: Path,
+) -> None:
+    """special_points.csv, a netCDF file a branch, and the pictures."""
+    title = request.scene.title or ""
+    for name, branch in zip(names, branches, strict=True):
+        write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    first = branches[0]
+    if not first.parameter:
+        return
+    columns = special_columns(first)
+    rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", columns, rows)
+    in_one = [branch for branch in branches if not branch.space.free or isinstance(branch.solutions[0], Orbit)]
+    figures.save(figures.bifurcation_figure(in_one, title), directory / "branch")
+    curves = [branch for branch in branches if branch not in in_one]
+    if curves:
+        figures.save(figures.curves_figure(curves, title), directory / "curves")
+
+
+def special_columns(branch: Branch) -> list[str]:
+    """Columns of special_points.csv of a diagram."""
+    fixed = ("branch", "kind", "error", "period", "frequency", "coefficient", "criticality")
+    names = [branch.parameter, *(name for name in branch.solutions[0].parameters if name != branch.parameter)]
+    return ["branch", "kind", *unique_names(names, fixed), *fixed[2:]]
+
+
+def special_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch; what a point does not have is empty."""
+    for point in branch.special_points:
+        known = list(branch_parameters(point, columns[2:-5]).values())
+        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY
+        yield dict(zip(columns, [name, point.kind, *known, point.error, period, *_critical(point)], strict=True))
+
+
+def branch_parameters(point: SpecialPoint, columns: Sequence[str]) -> dict[str, Cell]:
+    """Values of parameters by column; names that the table takes itself have " (of the model)" after them."""
+    return {name: float(point.parameters[name.removesuffix(" (of the model)")]) for name in columns}
+
+
+def _critical(point: SpecialPoint) -> list[Cell]:
+    try:
+        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
+    except (ValueError, ArithmeticError):
+        return [EMPTY, EMPTY, EMPTY]
+    return [frequency or EMPTY, coefficient if coefficient == coefficient else EMPTY, words]

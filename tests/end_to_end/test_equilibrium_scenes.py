@@ -1,0 +1,178 @@
+"""Scenes of equilibria: their tables, files and pictures; what is refused, in one line."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from casadi_skin.cli import main
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+MODEL = """
+import casadi as ca
+from casadi_skin import OdeModel, BoundaryValueProblem
+x, y, p, t = (ca.SX.sym(n) for n in "xypt")
+cubic = OdeModel("cubic", ca.vertcat(x, y), ca.vertcat(p + x - x**3, -y), p, nominal=(-1.0,))
+forced = OdeModel("forced", x, ca.cos(t) - x, time=t, forcing_period=6.28)
+"""
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(tmp_path: Path, name: str, rest: str) -> Path:
+    (tmp_path / "model.py").write_text(MODEL, encoding="utf-8")
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f'[model]\nfile = "model.py"\nname = "{name}"\n{rest}', encoding="utf-8")
+    return scene
+
+
+def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Values published in MatCont's manual for the catalytic oscillator, to the digits printed there."""
+    out = tmp_path / "out"
+    assert main(["run", str(EXAMPLES / "carbon_monoxide.toml"), "--out", str(out)]) == 0
+    points = rows(out / "special_points.csv")
+    on_branch = [(p["kind"], round(float(p["q2"]), 5)) for p in points if p["branch"] == "branch"]
+    assert on_branch == [("hopf", 1.05156), ("fold", 1.04205), ("fold", 1.05220), ("hopf", 1.04099)]
+    assert {p["kind"] for p in points if p["branch"] != "branch"} == {"cusp", "generalized hopf"}
+    assert all(0.0 < float(p["error"]) < 1e-10 for p in points)
+    for name in ("branch.csv", "branch.nc", "branch.svg", "curves.svg", "curve_1.csv", "curve_2.nc"):
+        assert (out / name).exists(), name
+    assert not (out / "curve_3.csv").exists()  # the second fold is on the curve of the first one
+    folds = rows(out / "curve_2.csv")
+    assert list(folds[0])[3:5] == ["k", "q2"]
+    printed = capsys.readouterr().out
+    assert "curve" in printed
+    assert "subcrit" in printed
+
+
+def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
+    """Closed forms: predators enter at K = 1; the balance is lost at K = 3, at x = 1 and with frequency 1/sqrt(3)."""
+    out = tmp_path / "out"
+    assert main(["run", str(EXAMPLES / "prey_and_predators.toml"), "--out", str(out), "--quiet"]) == 0
+    enter, lost = rows(out / "special_points.csv")
+    assert (enter["branch"], enter["kind"], lost["branch"], lost["kind"]) == (
+        "branch",
+        "branch point",
+        "other_1",
+        "hopf",
+    )
+    assert abs(float(enter["K"]) - 1.0) < 1e-12
+    assert abs(float(lost["K"]) - 3.0) < 1e-12
+    assert abs(float(lost["frequency"]) - 3.0**-0.5) < 1e-12
+    assert lost["criticality"] == "supercritical"
+    cycles = rows(out / "cycles_1_1.csv")
+    assert float(cycles[0]["period"]) == pytest.approx(2.0 * np.pi * 3.0**0.5, rel=1e-10)
+    assert float(cycles[-1]["K"]) == 5.0
+    assert {row["stable"] for row in cycles} == {"1"}
+    other = rows(out / "other_1.csv")
+    np.testing.assert_allclose([float(row["x"]) for row in other], 1.0, rtol=1e-10)
+    assert [row["special"] for row in other].count("hopf") == 1
+
+
+def test_an_interrupted_diagram_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from casadi_skin.progress import Progress
+
+    scene, whole, part = EXAMPLES / "prey_and_predators.toml", tmp_path / "whole", tmp_path / "part"
+    assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
+    seen = iter(range(25))
+
+    def interrupt(self: Progress, solution: object, points: int) -> None:
+        if next(seen, None) is None:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Progress, "solution", interrupt)
+        assert main(["run", str(scene), "--out", str(part), "--quiet"]) == 130
+    assert main(["run", str(scene), "--out", str(part), "--quiet", "--resume"]) == 0
+    for name in ("branch.csv", "other_1.csv", "cycles_1_1.csv", "special_points.csv"):
+        one, other = rows(whole / name), rows(part / name)
+        assert len(one) == len(other), name
+        for before, after in zip(one, other, strict=True):
+            for key, value in before.items():
+                try:
+                    assert float(after[key]) == pytest.approx(float(value), rel=1e-6, abs=1e-6), (name, key)
+                except ValueError:
+                    assert after[key] == value
+
+
+def test_a_single_equilibrium_has_one_row(tmp_path: Path) -> None:
+    scene, out = write(tmp_path, "cubic", "[equilibrium]\nstart = [-1.2, 0.1]\n"), tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    (row,) = rows(out / "branch.csv")
+    assert abs(-1.0 + float(row["x"]) - float(row["x"]) ** 3) < 1e-12
+    assert row["stable"] == "1"
+
+
+def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(EXAMPLES / "prey_and_predators.toml")]) == 0
+    printed = capsys.readouterr().out
+    assert "near x = 0.5, y = 0" in printed
+    assert "branches at every branch point and hopf" in printed
+
+
+@pytest.mark.parametrize(
+    ("name", "rest", "words"),
+    [
+        ("forced", "[equilibrium]\nstart = [0]\n", "[equilibrium]: given with forced, which is forced"),
+        ("cubic", "[equilibrium]\nstart = [0]\n", "[equilibrium] start: given a list of 1; accepted: 2 numbers: x, y"),
+        ("cubic", "[equilibrium]\nstart = { z = 1 }\n", "[equilibrium] start: "),
+        ("cubic", "[equilibrium]\n", "[equilibrium] start: missing"),
+        ("cubic", "[equilibrium]\nstart=[0,0]\n[orbit]\nstart=[0,0]\n", "[orbit]: given beside [equilibrium]"),
+        ("cubic", "[equilibrium]\nstart=[0,0]\n[stability]\n", "[stability]: given without [family] or [orbit]"),
+        ("cubic", "[equilibrium]\nstart=[0,0]\n[method]\ndegree = 3\n", "[method]: given beside [equilibrium]"),
+        (
+            "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\nswitch=["fold"]\n',
+            '[continuation] switch: given "fold" as item 1; accepted: a list of "hopf", "branch point"',
+        ),
+        (
+            "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\ncurve={parameter="q",to=1}\n',
+            "[continuation] curve: ",
+        ),
+        (
+            "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\ncurve={parameter="p",to=1}\n',
+            '[continuation] curve: given parameter = "p" again; accepted: another parameter',
+        ),
+        (
+            "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\nswitch=["hopf"]\n',
+            "[continuation] switch: given without [equilibrium]; accepted: beside an [equilibrium]",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, rest: str, words: str) -> None:
+    scene, out = write(tmp_path, name, rest), tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.strip().splitlines()) == 1
+    assert not out.exists()
+
+
+def test_what_is_not_found_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rest = "parameters = { p = 0.0 }\n[equilibrium]\nstart = [0.0, 0.0]\ntransient = 0.5\n"
+    scene = write(tmp_path, "cubic", rest.replace("[0.0, 0.0]", "[0.1, 1.0]"))
+    assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    assert "does not settle" in capsys.readouterr().err
+
+
+def test_the_lines_of_the_page_give_the_numbers_that_it_tells() -> None:
+    text = (ROOT / "docs" / "equilibria.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    names: dict[str, Any] = {}
+    exec(compile(block, "equilibria.md", "exec"), names)
+    fold, hopf, curve = (names[name] for name in ("fold", "hopf", "curve"))
+    assert repr(fold).startswith("<fold at p = 0.105738978272 +- ")
+    assert repr(hopf).startswith("<hopf at p = 0.13090004482 +- ")
+    assert hopf.frequency == pytest.approx(4.0077747, abs=5e-8)
+    assert hopf.coefficient == pytest.approx(-0.3889545, abs=5e-8)
+    assert curve.special_points[-1].kind == "cusp"
+    x = 0.5 * (1.0 - np.sqrt(1.0 - 12.0 / 14.0))
+    assert abs(fold.parameters["p"] - x * np.exp(-14.0 * x / 3.0) / (1.0 - x)) < 1e-16

@@ -1,0 +1,214 @@
+"""Faults of files and streams: one line on standard error, exit status 1, and what was computed is kept."""
+
+from __future__ import annotations
+
+import csv
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from apart import BLANK
+
+from casadi_skin.cli import main
+from casadi_skin.results.journal import Journal
+from casadi_skin.runs import writing
+from casadi_skin.runs.directory import MADE
+
+SCENE = """[chain]
+sites = 4
+alpha = 1.0
+gamma = 0.25
+g = -1.0
+[family]
+mode = [1, 4]
+amplitude_max = 1.0
+at = [0.5]
+[stability]
+"""
+FULL = Path("/dev/full")
+pytestmark = pytest.mark.usefixtures("pictures")
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def run(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """casadi-skin with these words, in a process of its own; its pictures stay blank."""
+    code = f"{BLANK}from casadi_skin.cli import main\nraise SystemExit(main({[str(word) for word in words]!r}))"
+    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
+    folder = Path(__file__).parents[1]
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, text=True, check=False, timeout=60, **streams)
+
+
+def one_line(told: str, words: str) -> None:
+    assert words in told
+    assert told.count("\n") == 1
+    assert told.startswith("casadi-skin: ")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+# Streams ------------------------------------------------------------------------------------------------------------
+
+
+def closed(descriptor: int) -> Callable[[], None]:
+    return lambda: os.close(descriptor)
+
+
+@needs_full
+@pytest.mark.parametrize("words", [["spectrum"], ["check"], ["run"], ["--help"]], ids=lambda words: words[0])
+def test_a_full_standard_output_is_a_failure(words: list[str], scene: Path, tmp_path: Path) -> None:
+    words = {"run": ["run", str(scene), "--out", str(tmp_path / "out")], "--help": words}.get(
+        words[0], [*words, str(scene)]
+    )
+    with FULL.open("w", encoding="utf-8") as full:
+        done = run(*words, stdout=full)
+    assert done.returncode == 1
+    one_line(done.stderr, "standard output: No space left on device")
+    if words[0] == "run":
+        assert len(rows(tmp_path / "out" / "family.csv")) > 10
+        assert (tmp_path / "out" / "family.nc").exists()
+
+
+def test_a_closed_standard_output_is_a_failure_unless_nothing_is_printed(scene: Path, tmp_path: Path) -> None:
+    done = run("spectrum", scene, stdout=None, preexec_fn=closed(1))
+    assert done.returncode == 1
+    one_line(done.stderr, "standard output: it is closed")
+    out = tmp_path / "out"
+    assert run("run", scene, "--out", out, "--quiet", stdout=None, preexec_fn=closed(1)).returncode == 0
+    assert (out / "family.nc").exists()
+
+
+def test_a_reader_that_has_gone_is_told_in_one_line(scene: Path) -> None:
+    reading, writing_end = os.pipe()
+    os.close(reading)
+    done = run("spectrum", scene, stdout=writing_end)
+    os.close(writing_end)
+    assert done.returncode == 1
+    one_line(done.stderr, "standard output: Broken pipe")
+
+
+@needs_full
+def test_the_exit_status_does_not_depend_on_standard_error(scene: Path, tmp_path: Path) -> None:
+    with FULL.open("w", encoding="utf-8") as full:
+        assert run("check", tmp_path / "nothing.toml", stderr=full).returncode == 2
+    done = run("check", tmp_path / "nothing.toml", stderr=None, preexec_fn=closed(2))
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_warnings_of_other_packages_do_not_reach_the_terminal(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import numpy as np
+
+    write = writing.write_netcdf
+
+    def warning(*arguments: Any) -> None:
+        np.float64(1e300) * np.float64(1e300)
+        write(*arguments)
+
+    monkeypatch.setattr(writing, "write_netcdf", warning)
+    assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
+
+
+# Files --------------------------------------------------------------------------------------------------------------
+
+
+def limited(size: int) -> Callable[[], None]:
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+@pytest.mark.parametrize("size", [512, 9_000, 25_000])
+def test_a_limit_on_the_size_of_files_keeps_what_was_computed(size: int, scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run("run", scene, "--out", out, "--quiet", preexec_fn=limited(size))
+    assert done.returncode == 1
+    one_line(done.stderr, "File too large; what was computed is in")
+    assert not list(out.glob(".*"))
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert not (out / "journal.msgpack").exists()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 40 kB; skipped where none can be mounted."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = shutil.which("mount")
+    if os.geteuid() != 0 or mount is None:
+        pytest.skip("needs to mount a disk")
+    if subprocess.run([mount, "-t", "tmpfs", "-o", "size=40k", "tmpfs", disk], check=False).returncode:
+        pytest.skip("needs to mount a disk")
+    yield disk
+    subprocess.run(["umount", disk], check=True)
+
+
+def test_a_full_disk_keeps_what_was_computed(small_disk: Path, scene: Path) -> None:
+    out = small_disk / "out"
+    done = run("run", scene, "--out", out, "--quiet")
+    assert done.returncode == 1
+    one_line(done.stderr, "No space left on device; what was computed is in")
+    kept = (out / "journal.msgpack").stat().st_size
+    assert kept > 10_000
+    subprocess.run(["mount", "-o", "remount,size=1m", small_disk], check=True)
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+
+
+def test_a_directory_that_is_removed_during_a_run_is_made_again_with_what_was_computed(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, left, append = tmp_path / "out", iter(range(20)), Journal.append
+
+    def removing(self: Any, record: Any) -> None:
+        append(self, record)
+        if next(left, None) == 19:
+            shutil.rmtree(out)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "append", removing)
+        assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert str(out) in told
+    assert len(rows(out / "family.csv")) >= 8
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert {row["mode"] for row in rows(out / "family.csv")} == {"1", "4"}
+
+
+@pytest.mark.parametrize("out", ["/proc/out", "/dev/null/out", "a" * 300, "b/" + "a" * 300])
+@pytest.mark.parametrize("command", ["run", "spectrum"])
+def test_a_directory_that_cannot_be_made_is_refused_before_anything_is_computed(
+    command: str, out: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    if out.startswith("/") and not Path(out).parent.exists():
+        pytest.skip(f"needs {Path(out).parent}")
+    monkeypatch.chdir(tmp_path)
+    started = time.monotonic()
+    assert main([command, str(scene), "--out", out]) == 2
+    assert time.monotonic() - started < 5.0
+    told = capsys.readouterr()
+    assert told.out == ""
+    one_line(told.err, out)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_the_copy_of_the_scene_tells_what_made_the_directory(scene: Path, tmp_path: Path) -> None:
+    assert main(["spectrum", str(scene), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "scene.toml").read_text(encoding="utf-8") == f"{MADE}\n{SCENE}"

@@ -1,0 +1,59 @@
+"""Branch points of boundary-value problems against closed forms, and the branches that leave there."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import symbols
+from scipy.integrate import solve_bvp
+
+from casadi_skin import BoundaryValueProblem, Branch, OdeModel
+
+
+@pytest.fixture(scope="module")
+def zero() -> Branch:
+    """AUTO-07p's demo `bvp`: u'' = -(p pi)^2 u + u^2 with u = 0 at both ends; the branch of zeros."""
+    u, v, p = symbols("u v p")
+    model = OdeModel("bvp", ca.vertcat(u, v), ca.vertcat(v, -((p * np.pi) ** 2) * u + u**2), p)
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"p": 0.5})
+    branch = problem.solve([0.0, 0.0]).follow("p", 5.5)
+    assert isinstance(branch, Branch)
+    return branch
+
+
+def test_the_branch_points_of_auto_are_found_with_their_errors(zero: Branch) -> None:
+    """At p = 1, 2, 3, 4, 5, where sin(p pi x) solves the linear problem."""
+    assert [point.kind for point in zero.special_points] == ["branch point"] * 5
+    for exact, point in enumerate(zero.special_points, start=1):
+        assert abs(point.parameters["p"] - exact) <= point.error < 1e-7
+
+
+@pytest.mark.parametrize(("place", "to"), [(0, 1.6), (0, 0.7), (1, 2.5)])
+def test_the_other_branch_solves_the_problem_by_another_method(zero: Branch, place: int, to: float) -> None:
+    point = zero.special_points[place]
+    last = point.follow("p", to).solutions[-1]
+    assert last.parameters["p"] == to
+
+    def rhs(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.vstack([y[1], -((to * np.pi) ** 2) * y[0] + y[0] ** 2])
+
+    def ends(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.array([a[0], b[0]])
+
+    x = np.linspace(0.0, 1.0, 101)
+    known = solve_bvp(rhs, ends, x, 1.001 * last.evaluate(x).T, tol=1e-9, max_nodes=20000)
+    assert known.success
+    size = np.max(np.abs(known.sol(x)[0]))
+    assert size > 0.1
+    np.testing.assert_allclose(last.evaluate(x)[:, 0], known.sol(x)[0], atol=1e-6 * size)
+
+
+def test_no_branch_point_is_seen_where_there_is_a_fold_alone() -> None:
+    """Bratu's problem: one fold at 3.513830719125."""
+    u, v, lam = symbols("u v lam")
+    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 1.0})
+    branch = problem.solve([0.0, 0.0]).follow("lam", 4.0)
+    assert [point.kind for point in branch.special_points] == ["fold"]
+    assert branch.special_points[0].parameters["lam"] == pytest.approx(3.513830719125, abs=1e-11)

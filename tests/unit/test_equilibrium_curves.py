@@ -1,0 +1,173 @@
+"""Folds and Hopf points in two parameters and the points of codimension two on them: closed forms, published values."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lorenz, symbols
+from scipy.optimize import fsolve
+
+from casadi_skin import OdeModel, find_equilibrium
+
+
+def _model(name: str, states: list[ca.SX], rhs: list[ca.SX], parameters: list[ca.SX], nominal: tuple) -> OdeModel:
+    return OdeModel(name, ca.vertcat(*states), ca.vertcat(*rhs), ca.vertcat(*parameters), nominal=nominal)
+
+
+def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
+    """AUTO-07p's demo `ab`: p2/(1 + p3) x (1 - x) = 1 at a fold, so that they meet at (p, p3) = (exp(-2), 2.5)."""
+    fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
+    curve = fold.curve("p3", 3.0)
+    assert "came back" in curve.reason
+    for solution in curve.solutions:
+        x, b = solution["x"], 14.0 / (1.0 + solution["p3"])
+        assert abs(b * x * (1.0 - x) - 1.0) < 1e-11
+        assert abs(solution["p"] - x * np.exp(-b * x) / (1.0 - x)) < 1e-12
+    cusp = curve.special_points[-1]
+    assert cusp.kind == "cusp"
+    assert abs(cusp.parameters["p3"] - 2.5) < 1e-12
+    assert abs(cusp.parameters["p"] - np.exp(-2.0)) < 1e-13
+    np.testing.assert_array_equal(curve.parameters["p"], [solution["p"] for solution in curve.solutions])
+
+
+def test_the_bogdanov_takens_point_of_ab_has_trace_and_determinant_zero() -> None:
+    fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
+    found = fold.curve("p3", 3.0).special_points[0]
+    assert found.kind == "bogdanov-takens"
+
+    def conditions(z: np.ndarray) -> list[float]:
+        x, p3 = z
+        rate = x / (1.0 - x)
+        trace = -1.0 - rate + 14.0 * x - 1.0 - p3
+        return [trace, (1.0 + rate) * (1.0 + p3 - 14.0 * x) + 14.0 * x * rate]
+
+    x, p3 = fsolve(conditions, [found.solution["x"], found.parameters["p3"]], xtol=1e-14)
+    assert abs(found.parameters["p3"] - p3) <= max(found.error, 1e-11)
+    assert abs(found.solution["x"] - x) < 1e-10
+
+
+def test_carbon_monoxide_has_its_cusp_its_bogdanov_takens_and_its_bautin_points() -> None:
+    """The two-parameter diagram of CO oxidation; each point against its conditions, solved by another method."""
+    points = find_equilibrium(carbon_monoxide(), [0.001137, 0.891483, 0.062345]).follow("q2", 0.5).special_points
+    (cusp,) = points[1].curve("k", 0.01).special_points
+    (takens,) = points[1].curve("k", 3.0).special_points
+    (from_hopf,) = points[0].curve("k", 3.0).special_points
+    bautin = points[0].curve("k", 0.01).special_points
+    assert [p.kind for p in (cusp, takens, from_hopf, *bautin)] == [
+        "cusp", "bogdanov-takens", "bogdanov-takens", "generalized hopf", "generalized hopf",
+    ]  # fmt: skip
+    for name in ("q2", "k"):
+        assert abs(takens.parameters[name] - from_hopf.parameters[name]) <= takens.error + from_hopf.error
+    for point in bautin:
+        assert point.criticality == "degenerate"
+        assert abs(point.coefficient) < 1e-9
+    exact = _where(carbon_monoxide(), takens, lambda c: [c[0], c[1]])
+    np.testing.assert_allclose([takens.parameters["q2"], takens.parameters["k"]], exact, rtol=1e-10)
+
+
+def _where(model: OdeModel, point, conditions) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Parameters at which coefficients of the characteristic polynomial, from the constant on, satisfy conditions."""
+    f = ca.Function("f", [model.state, model.parameters], [model.rhs, ca.jacobian(model.rhs, model.state)])
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        value, matrix = (np.array(r) for r in f(z[:3], z[3:]))
+        return np.concatenate([value.ravel(), conditions(np.poly(matrix)[::-1])])
+
+    start = [*point.solution.state, point.parameters["q2"], point.parameters["k"]]
+    return np.asarray(fsolve(residual, start, xtol=1e-14))[3:]
+
+
+def test_the_bogdanov_takens_normal_form_in_closed_form() -> None:
+    """x' = y, y' = b1 + b2 x + x^2 - x y: folds at b1 = b2^2/4, Hopf points at b1 = 0 for b2 < 0, both end at 0."""
+    x, y, b1, b2 = symbols("x y b1 b2")
+    model = _model("Bogdanov-Takens", [x, y], [y, b1 + b2 * x + x**2 - x * y], [b1, b2], (-0.5, -1.0))
+    hopf, fold = find_equilibrium(model, [-0.37, 0.0]).follow("b1", 0.5).special_points
+    assert (hopf.kind, fold.kind) == ("hopf", "fold")
+    curve = hopf.curve("b2", 1.0)
+    np.testing.assert_allclose(curve["b1"], 0.0, atol=1e-12)
+    assert "end at a Bogdanov-Takens point" in curve.reason
+    assert abs(curve.special_points[-1].parameters["b2"]) < 1e-9
+    folds = fold.curve("b2", 1.0)
+    np.testing.assert_allclose(folds["b1"], folds["b2"] ** 2 / 4.0, atol=1e-12)
+    assert [point.kind for point in folds.special_points] == ["bogdanov-takens"]
+    assert abs(folds.special_points[0].parameters["b2"]) < 1e-9
+    assert folds.complete
+
+
+def test_the_cusp_normal_form_in_closed_form() -> None:
+    """x' = b1 + b2 x - x^3: 27 b1^2 = 4 b2^3."""
+    x, b1, b2 = symbols("x b1 b2")
+    model = _model("cusp", [x], [b1 + b2 * x - x**3], [b1, b2], (-2.0, 1.0))
+    fold = find_equilibrium(model, [-1.5]).follow("b1", 2.0).special_points[0]
+    curve = fold.curve("b2", -1.0)
+    np.testing.assert_allclose(27.0 * curve["b1"] ** 2, 4.0 * curve["b2"] ** 3, atol=1e-11)
+    (cusp,) = curve.special_points
+    assert cusp.kind == "cusp"
+    assert abs(cusp.parameters["b1"]) < 1e-12
+    assert abs(cusp.parameters["b2"]) < 1e-12
+
+
+def test_the_bautin_normal_form_in_closed_form() -> None:
+    """r' = r (b1 + b2 r^2 - r^4): Hopf points at b1 = 0, degenerate at b2 = 0."""
+    u, v, b1, b2 = symbols("u v b1 b2")
+    r2 = u**2 + v**2
+    growth = b1 + b2 * r2 - r2**2
+    model = _model("Bautin", [u, v], [growth * u - 2 * v, 2 * u + growth * v], [b1, b2], (-1.0, -1.0))
+    (hopf,) = find_equilibrium(model, [0.0, 0.0]).follow("b1", 1.0).special_points
+    (point,) = hopf.curve("b2", 1.0).special_points
+    assert point.kind == "generalized hopf"
+    assert abs(point.parameters["b2"]) < 1e-10
+
+
+def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
+    p, q, x, u, v = symbols("p q x u v")
+    both = hopf_pairs([p, p - q], ca.vertcat(p, q), [1.0, 1.7])
+    hopf = find_equilibrium(both, np.zeros(4), parameters={"p": -1.0, "q": 0.5}).follow("p", 0.25).special_points[0]
+    (point,) = hopf.curve("q", -0.5).special_points
+    assert point.kind == "hopf-hopf"
+    assert abs(point.parameters["q"]) < 1e-10
+    r2 = u**2 + v**2
+    growth = q + x - r2
+    rhs = [p + x**2 - r2, growth * u - 1.3 * v, 1.3 * u + growth * v]
+    saddle = _model("zero-Hopf", [x, u, v], rhs, [p, q], (-1.0, 0.5))
+    points = find_equilibrium(saddle, [-1.0, 0.0, 0.0]).follow("p", 0.5).special_points
+    assert [point.kind for point in points] == ["hopf", "fold"]
+    for start in points:
+        (found,) = start.curve("q", -0.5).special_points
+        assert found.kind == "zero-hopf"
+        assert abs(found.parameters["q"]) < 1e-9
+        assert abs(found.parameters["p"]) < 1e-9
+
+
+def test_the_hopf_curve_of_lorenz_in_closed_form() -> None:
+    """r = s (s + b + 3)/(s - b - 1), with b = 8/3, in s from 10 to 20."""
+    x, y, z, r, s = symbols("x y z r s")
+    model = _model("Lorenz", [x, y, z], [s * (y - x), r * x - y - x * z, x * y - 8 * z / 3], [r, s], (14.0, 10.0))
+    (hopf,) = find_equilibrium(model, [6.0, 6.0, 13.0]).follow("r", 30.0).special_points
+    curve = hopf.curve("s", 20.0, at=[15.0])
+    s_, b = curve["s"], 8.0 / 3.0
+    np.testing.assert_allclose(curve["r"], s_ * (s_ + b + 3.0) / (s_ - b - 1.0), rtol=1e-11)
+    assert curve.at(s=15.0)["r"] == pytest.approx(15.0 * (18.0 + b) / (14.0 - b), rel=1e-12)
+
+
+def test_a_hopf_curve_of_a_large_model_is_that_in_closed_form() -> None:
+    """128 components, 387 unknowns: B = 1 + A^2 + (d1 + d2) mu_1 for the uniform state of the Brusselator."""
+    problem = Brusselator(64)
+    branch = find_equilibrium(problem.model, problem.uniform(4.0)).follow("B", 5.5)
+    curve = branch.special_points[0].curve("A", 2.4)
+    exact = 1.0 + curve["A"] ** 2 + (problem.d1 + problem.d2) * problem.decay()[0]
+    assert curve.complete
+    np.testing.assert_allclose(curve["B"], exact, rtol=1e-10)
+
+
+def test_curves_are_refused_in_one_line() -> None:
+    branch = find_equilibrium(ab(), [0, 0]).follow("p", 0.25)
+    fold = branch.special_points[0]
+    with pytest.raises(ValueError, match="parameter: given 'p', in which the fold was found; accepted: p2, p3"):
+        fold.curve("p", 1.0)
+    with pytest.raises(ValueError, match="parameter: given 'q'"):
+        fold.curve("q", 1.0)
+    (point,) = find_equilibrium(lorenz(), [0, 0, 0], parameters={"r": 0.5}).follow("r", 2.0).special_points
+    with pytest.raises(ValueError, match="curve: given a branch point; accepted: a fold or a Hopf point"):
+        point.curve("r", 1.0)

@@ -1,0 +1,168 @@
+"""Folds, branch points and Hopf points of equilibria against closed forms and published values."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lorenz, symbols
+
+from casadi_skin import OdeModel, find_equilibrium
+from casadi_skin.equilibria.detection import UnresolvedWarning
+
+
+def test_ab_has_the_folds_and_the_hopf_point_of_auto() -> None:
+    """AUTO-07p's demo `ab`: folds at (1 -+ sqrt(1 - 12/14))/2 in closed form, Hopf point at 0.130900045."""
+    points = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points
+    assert [point.kind for point in points] == ["fold", "fold", "hopf"]
+    for point, sign in zip(points[:2], (-1, 1), strict=True):
+        x = 0.5 * (1.0 + sign * np.sqrt(1.0 - 12.0 / 14.0))
+        exact = x * np.exp(-14.0 * x / 3.0) / (1.0 - x)
+        assert abs(point.parameters["p"] - exact) <= 1e-16 + 2.0 * point.error
+        assert point.error < 1e-14
+    assert abs(points[2].parameters["p"] - 0.130900045) < 5e-10
+
+
+def test_the_hopf_point_of_ab_satisfies_its_conditions_in_closed_form() -> None:
+    """Trace zero: -4 + p e^y (14 (1 - x) - 1) = 0 on the curve; l1 by the formula for planar systems."""
+    hopf = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[2]
+    x = hopf.solution["x"]
+    rate = x / (1.0 - x)  # p e^y
+    assert abs(-4.0 + rate * (14.0 * (1.0 - x) - 1.0)) < 1e-12
+    det = 3.0 * (1.0 + rate) - 14.0 * (1.0 - x) * rate
+    assert abs(hopf.frequency - np.sqrt(det)) < 1e-12
+    assert hopf.criticality == "supercritical"
+
+
+def test_lyapunov_coefficient_of_a_planar_model_agrees_with_the_real_formula() -> None:
+    """Guckenheimer and Holmes 1983, (3.4.11), for u' = -w v + f, v' = w u + g."""
+    u, v, m = symbols("u v m")
+    w = 1.7
+    f = m * u - w * v + 0.3 * u**2 - 0.8 * u * v + 1.1 * v**2 - 0.5 * u**3 + 0.2 * u * v**2
+    g = w * u + m * v - 0.7 * u**2 + 0.4 * u * v - 0.6 * v**2 + 0.3 * u**2 * v - 0.9 * v**3
+    (point,) = _from_below(OdeModel("planar", ca.vertcat(u, v), ca.vertcat(f, g), m), [0.0, 0.0], "m", -0.4, 0.5)
+    cubic = (6 * -0.5 + 2 * 0.2 + 2 * 0.3 + 6 * -0.9) / 16
+    fuv, guv, fuu, fvv, guu, gvv = -0.8, 0.4, 0.6, 2.2, -1.4, -1.2
+    quadratic = (fuv * (fuu + fvv) - guv * (guu + gvv) - fuu * guu + fvv * gvv) / (16 * w)
+    # r' = a r^3 with r = |(u, v)| and w' = omega l1 |z|^2 z with |z| = r/sqrt(2)
+    assert abs(point.coefficient - 2.0 * (cubic + quadratic) / w) < 1e-12
+    assert point.frequency == pytest.approx(w, rel=1e-13)
+
+
+def test_lorenz_has_its_pitchfork_and_its_subcritical_hopf_point() -> None:
+    at_zero = _from_below(lorenz(), [0, 0, 0], "r", 0.2, 40.0)
+    assert [point.kind for point in at_zero] == ["branch point"]
+    assert abs(at_zero[0].parameters["r"] - 1.0) <= at_zero[0].error < 1e-12
+    (hopf,) = _from_below(lorenz(), [6, 6, 13], "r", 14.0, 40.0)
+    assert hopf.kind == "hopf"
+    assert abs(hopf.parameters["r"] - 470.0 / 19.0) <= hopf.error < 1e-11
+    assert hopf.criticality == "subcritical"
+    assert abs(hopf.frequency**2 - 8.0 / 3.0 * (470.0 / 19.0 + 10.0)) < 1e-10
+
+
+def test_carbon_monoxide_has_the_points_that_matcont_publishes() -> None:
+    """MatCont's manual, example of a catalytic oscillator; its coefficient is omega l1, its fold's a has any sign."""
+    branch = find_equilibrium(carbon_monoxide(), [0.001137, 0.891483, 0.062345]).follow("q2", 0.5)
+    published = [
+        ("hopf", [0.016357, 0.523973, 0.328336], 1.051558, 10.70259),
+        ("fold", [0.024717, 0.450257, 0.375018], 1.042049, 0.1166509),
+        ("fold", [0.054030, 0.302241, 0.459807], 1.052200, 0.1346534),
+        ("hopf", [0.077929, 0.233063, 0.492149], 1.040991, 4.332247),
+    ]
+    assert [point.kind for point in branch.special_points] == [kind for kind, *_ in published]
+    for point, (kind, state, q2, coefficient) in zip(branch.special_points, published, strict=True):
+        np.testing.assert_allclose(point.solution.state, state, atol=4e-6)
+        assert abs(point.parameters["q2"] - q2) < 1.5e-6
+        found = point.coefficient * (point.frequency if kind == "hopf" else 1.0)
+        assert abs(abs(found) - coefficient) < 3e-4 * coefficient
+
+
+def test_every_hopf_point_of_a_large_model_is_found_once() -> None:
+    """128 components: the Brusselator with diffusion, whose pairs cross one after the other."""
+    problem = Brusselator(64)
+    exact = problem.hopf_values(9.0)
+    start = find_equilibrium(problem.model, problem.uniform(4.0), parameters={"B": 4.0})
+    points = start.follow("B", 9.0).special_points
+    hopf = [point.parameters["B"] for point in points if point.kind == "hopf"]
+    assert exact.size > 3
+    np.testing.assert_allclose(hopf, exact, rtol=1e-10)
+    turing = _turing_values(problem, 9.0)
+    np.testing.assert_allclose([p.parameters["B"] for p in points if p.kind == "branch point"], turing, rtol=1e-10)
+    assert all(point.parameters["B"] < after.parameters["B"] for point, after in pairwise(points))
+
+
+def _turing_values(problem: Brusselator, largest: float) -> np.ndarray:
+    """B at which a real eigenvalue of the uniform state is zero: det = 0 for a wave number."""
+    mu = problem.decay()
+    B = (1.0 + problem.d1 * mu) * (problem.A**2 + problem.d2 * mu) / (problem.d2 * mu)
+    return np.sort(B[largest > B])
+
+
+def test_two_pairs_that_cross_in_one_step_are_told_apart() -> None:
+    """In the same sense, and in opposite senses, where the number of unstable eigenvalues is the same at both ends."""
+    p = ca.SX.sym("p")
+    for second, senses in ((p - 1e-5, (2, 4)), (1e-5 - p, (2, 0))):
+        points = _from_below(hopf_pairs([p, second], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
+        values = [point.parameters["p"] for point in points]
+        assert [point.kind for point in points] == ["hopf", "hopf"], senses
+        np.testing.assert_allclose(values, [0.0, 1e-5], atol=1e-12)
+        np.testing.assert_allclose([point.frequency for point in points], [1.0, 1.3], rtol=1e-9)
+
+
+def test_a_pair_that_crosses_and_comes_back_within_a_step_is_found() -> None:
+    """Growth rate 1e-4 - (p - 0.3)^2: unstable for |p - 0.3| < 0.01 alone; the zero state does not change."""
+    p = ca.SX.sym("p")
+    points = _from_below(hopf_pairs([1e-4 - (p - 0.3) ** 2], p, [1.0]), np.zeros(2), "p", -1.0, 1.0)
+    np.testing.assert_allclose([point.parameters["p"] for point in points], [0.29, 0.31], atol=1e-10)
+
+
+def test_pairs_that_cross_together_are_told_and_counted() -> None:
+    """Of different frequencies each is located; of one frequency, as symmetry makes them, both are told together."""
+    p = ca.SX.sym("p")
+    points = _from_below(hopf_pairs([p, p], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
+    np.testing.assert_allclose([point.parameters["p"] for point in points], 0.0, atol=1e-14)
+    with pytest.warns(UnresolvedWarning, match="more than can be told apart: hopf, 2 in all"):
+        points = _from_below(hopf_pairs([p, p], p, [1.0, 1.0]), np.zeros(4), "p", -1.0, 1.0)
+    assert [point.kind for point in points] == ["hopf", "hopf"]
+    assert all(abs(point.parameters["p"]) <= point.error < 1e-3 for point in points)
+
+
+def test_a_neutral_saddle_is_no_hopf_point() -> None:
+    """Eigenvalues 1 + p and p - 2 have the sum zero at p = 1/2."""
+    x, y, p = symbols("x y p")
+    saddle = OdeModel("saddle", ca.vertcat(x, y), ca.vertcat((1 + p) * x + y**2, (p - 2) * y), p)
+    assert _from_below(saddle, [0.0, 0.0], "p", 0.0, 1.0) == ()
+
+
+def test_two_folds_of_a_narrow_hysteresis_are_found() -> None:
+    """p = x^3 - e x has folds at +-2 (e/3)^(3/2): 2.4e-6 apart where one step goes a tenth of the way."""
+    x, p = symbols("x p")
+    e = 1e-4
+    points = _from_below(OdeModel("cusp", x, p - x**3 + e * x, p), [-1.0], "p", -1.0, 1.0)
+    assert [point.kind for point in points] == ["fold", "fold"]
+    exact = 2.0 * (e / 3.0) ** 1.5
+    np.testing.assert_allclose([point.parameters["p"] for point in points], [exact, -exact], rtol=1e-7)
+
+
+def test_a_pitchfork_met_on_the_branch_that_leaves_it_is_a_branch_point() -> None:
+    x, p = symbols("x p")
+    points = _from_below(OdeModel("pitchfork", x, p * x - x**3, p), [2.0], "p", 4.0, -1.0)
+    assert [point.kind for point in points] == ["branch point"]
+    assert abs(points[0].parameters["p"]) < 1e-10
+
+
+def test_an_imperfect_branch_point_is_none() -> None:
+    x, p = symbols("x p")
+    assert _from_below(OdeModel("near", x, p * x - x**3 + 1e-6, p), [-1e-6], "p", -1.0, -0.5) == ()
+    points = _from_below(OdeModel("near", x, p * x - x**3 + 1e-6, p), [1e-6], "p", -1.0, 2.0)
+    assert points == ()
+
+
+def _from_below(model: OdeModel, guess: object, name: str, start: float, to: float) -> tuple:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", category=RuntimeWarning)
+        branch = find_equilibrium(model, guess, parameters={name: start}).follow(name, to)
+    return branch.special_points

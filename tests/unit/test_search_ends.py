@@ -1,0 +1,107 @@
+"""How searches end: flat directions, units that are far apart, and a parent that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin import Chain, OdeModel, search_orbit
+
+PARENT = """
+import os, sys, time
+from dataclasses import dataclass
+from casadi_skin.optimise.processes import Runner
+
+@dataclass(frozen=True)
+class Job:
+    number: int
+    name: str = ""
+
+def work(job, monitor):
+    print(os.getpid(), flush=True)
+    while True:  # busy, as a solver is
+        monitor(0, 0.0, 0.0)
+
+if __name__ == "__main__":
+    list(Runner(workers=2).run(work, [Job(1), Job(2)]))
+"""
+
+
+def is_running(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def children(process: int) -> list[int]:
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text(encoding="utf-8").rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == process:
+            found.append(int(path.parent.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_parent_that_is_killed_leaves_no_process_running(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT, encoding="utf-8")
+    paths = f"{Path(__file__).parents[2]}:{os.environ.get('PYTHONPATH', '')}"
+    environment = {**os.environ, "PYTHONPATH": paths}
+    command = [sys.executable, str(script)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        assert parent.stdout is not None
+        workers = [int(parent.stdout.readline()) for _ in range(2)]
+        started = children(parent.pid)  # those that share the queue and the resources of Python among them
+        assert set(workers) <= set(started)
+        parent.send_signal(signal.SIGKILL)
+    until = time.monotonic() + 20.0
+    while any(map(is_running, started)) and time.monotonic() < until:
+        time.sleep(0.1)
+    left = [process for process in started if is_running(process)]
+    for process in left:
+        os.kill(process, signal.SIGKILL)
+    assert left == []
+
+
+def test_a_flat_direction_is_told() -> None:
+    """One site has no neighbour, so that its frequency does not depend on gamma; at two sites it does."""
+    options = {"objective": "Omega", "free": ["gamma"], "S": 1.0, "starts": 2, "bounds": {"gamma": (0.1, 0.6)}}
+    flat = search_orbit(Chain(1, 1.0, 0.25, -1.0), **options)
+    assert "it is flat: neighbours along some direction of the free numbers do as well" in flat.reason
+    assert "flat" not in search_orbit(Chain(2, 1.0, 0.25, -1.0), **options).reason
+
+
+def in_units(size: float) -> tuple[OdeModel, object]:
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    rate = size * (mu * (1 - x**2) * y / size - x)
+    return OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y / size, rate), mu), (
+        lambda t: [2 * np.cos(t), -2 * size * np.sin(t)]
+    )
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e9, 1e12])
+def test_units_that_are_too_far_apart_are_refused(size: float) -> None:
+    model, guess = in_units(size)
+    with pytest.raises(ValueError, match=r"guess: given .* up to .* and .* up to .*; accepted: units in which states"):
+        search_orbit(model, objective="period", free=["mu"], guess=guess, period=6.6, parameters={"mu": 1.0})
+
+
+@pytest.mark.slow
+def test_uneven_units_are_named_where_nothing_is_found() -> None:
+    model, guess = in_units(1e6)
+    options = {"bounds": {"mu": (0.5, 2.0)}, "starts": 1, "period": 6.6, "parameters": {"mu": 1.0}}
+    found = search_orbit(model, objective="period", free=["mu"], guess=guess, **options)
+    assert found.optima or "units are uneven, x up to 2 and y up to 2e+06: try others" in found.reason
