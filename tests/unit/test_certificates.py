@@ -3,12 +3,13 @@
 import sys
 from dataclasses import replace
 
+import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
 from small_models import fput, limit_cycle, pendulums, two_wells
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
@@ -106,6 +107,53 @@ def test_lattice_with_nonlinear_bonds_is_proved_at_any_number_of_harmonics():
     assert max(one.Omega[0], other.Omega[0]) <= min(one.Omega[1], other.Omega[1])
     assert max(one.energy[0], other.energy[0]) <= min(one.energy[1], other.energy[1])
     assert abs(orbit.energy - one.energy[0]) < 1e-9 * orbit.energy
+
+
+def quintic(with_normalisation=False):
+    """y'' = -k y - c y^3/3 - y^5, with S = 2 y^2 by a normalisation of its own or not."""
+    y, v, k, c, S = (ca.SX.sym(name) for name in ("y", "v", "k", "c", "S"))
+    own = {"normalisation": 2 * y**2 - S} if with_normalisation else {}
+    parameters, nominal = (
+        (ca.vertcat(k, c, S), (1.3, 0.7, 1.0)) if with_normalisation else (ca.vertcat(k, c), (1.3, 0.7))
+    )
+    return OdeModel(
+        "quintic", y, -k * y - c / 3 * y**3 - y**5, parameters, 2, v, reversal=(1, -1), half_period=(-1, -1),
+        nominal=nominal, hamiltonian=v**2 / 2 + k * y**2 / 2 + c * y**4 / 12 + y**6 / 6, **own,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_period_of_a_quintic_oscillator_by_quadrature_is_inside(own):
+    certificate = orbit_of(quintic(own), 1.6).certify()
+    with mp.workdps(30):
+        k, c = mp.mpf(1.3), mp.mpf(0.7)
+        a = mp.sqrt(mp.mpf(1.6) / (2 if own else 1))
+        # energy(a) - energy(a sin u) over a^2 cos(u)^2 is a polynomial of sin(u)^2
+        rate = lambda u: mp.sqrt(  # noqa: E731
+            k + c * a**2 / 6 * (1 + mp.sin(u) ** 2) + a**4 / 3 * (1 + mp.sin(u) ** 2 + mp.sin(u) ** 4)
+        )
+        period = 4 * mp.quad(lambda u: 1 / rate(u), [0, mp.pi / 4, mp.pi / 2])
+        assert inside(period, certificate.period)
+        assert inside(k * a**2 / 2 + c * a**4 / 12 + a**6 / 6, certificate.energy)
+        assert inside(a, np.sort(np.abs(certificate.profile[:, 0])))
+
+
+def test_amplitude_with_products_of_positions_is_that_of_the_model():
+    """S = x^2 + x y + y^2 of two coupled oscillators: the proved displacements give it back."""
+    x, y, u, w, S = (ca.SX.sym(name) for name in ("x", "y", "u", "w", "S"))
+    force = ca.vertcat(-2 * x + 0.5 * y - x**3, -2.2 * y + 0.5 * x - 2 * y**3)
+    model = OdeModel(
+        "pair", ca.vertcat(x, y), force, S, 2, ca.vertcat(u, w), reversal=(1, 1, -1, -1), half_period=(-1,) * 4,
+        normalisation=x**2 + x * y + y**2 - S,
+    )  # fmt: skip
+    certificate = orbit_of(model, 0.8, mode=2).certify()
+    assert certificate.proved
+    with flint.ctx.workprec(balls.PRECISION):
+        one, two = (flint.arb(a).union(flint.arb(b)) for a, b in certificate.profile.T.tolist())
+        square = one**2 + one * two + two**2
+    assert square.overlaps(flint.arb(0.8))
+    assert float(square.rad()) < 1e-14
+    assert certificate.energy is None
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-3])
