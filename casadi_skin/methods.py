@@ -77,6 +77,7 @@ TASKS = _registry(  # what an object's method does where the object stands below
     to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
     chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
+    certify=("a proof that an orbit exists", "certify.certify:certify"),
     threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")

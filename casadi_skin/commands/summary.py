@@ -12,7 +12,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.special_points import HOPF
-from casadi_skin.results.quantities import places_of
+from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def print_summary(run: Run) -> None:
         Console().print(_families(run))
         _print_thresholds(run.branches)
         _print_stability(branches)
+        _print_proofs(branches)
     elif isinstance(branches[0].solutions[0] if branches else None, Equilibrium):
         Console().print(_diagram(run, branches))
     elif branches:
@@ -133,6 +134,17 @@ def _print_stability(branches: list[Branch]) -> None:
         for stretch in branch.unresolved:
             where = f"from S = {stretch.S_start:.6g} to {stretch.S_end:.6g}"
             print(f"mode {mode_of(branch)}: changes of stability are not known {where}: {stretch.reason}")
+
+
+def _print_proofs(branches: list[Branch]) -> None:
+    """How many orbits are proved to exist, and how well Omega is known by that."""
+    for branch in branches:
+        asked = certified(branch)
+        proved = [orbit.certificate for orbit in asked if orbit.certificate.proved]
+        if asked:
+            width = max((c.Omega[1] - c.Omega[0] for c in proved), default=0.0)
+            words = f"; Omega enclosed to {width:.1e}, orbits to {max(c.radius for c in proved):.1e}" if proved else ""
+            print(f"mode {mode_of(branch)}: {len(proved)} of {len(asked)} orbits proved to exist{words}")
 
 
 def _points(run: Run, branch: Branch) -> Table:

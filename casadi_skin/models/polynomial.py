@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from fractions import Fraction
+from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-_Terms = dict[tuple[int, ...], float]  # coefficient of each product of variables, named by ascending indices
+_Terms = dict[tuple[int, ...], Any]  # coefficient of each product of variables, named by ascending indices
 _Parts = dict[int, ca.SX]  # homogeneous part by degree
 _Element = TypeVar("_Element")
 
@@ -60,6 +61,34 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
         shaped: Indices = np.array(factors, dtype=np.int64).reshape(len(rows), degree).T.copy()
         result.append(Monomials(power, np.array(rows, dtype=np.int64), np.array(coefficients), shaped))
     return tuple(result)
+
+
+def exact_terms(
+    expression: ca.SX, variables: ca.SX, fixed: ca.SX, values: Sequence[float]
+) -> list[dict[tuple[int, ...], Fraction]]:
+    """Terms of a column of polynomials with exact coefficients: a double is a fraction, and nothing is rounded.
+
+    Arguments:
+        expression: column of expressions in `variables` and `fixed`.
+        variables: symbols of the polynomials.
+        fixed: symbols that have `values`.
+        values: one a symbol.
+
+    Returns:
+        For each component the coefficient of each product of variables, named by ascending indices.
+
+    Raises:
+        NotPolynomialError: an operation is not one of a polynomial; the message names it.
+    """
+    last = variables.numel()
+    ring: _Ring[_Terms] = _Ring(
+        _sum, _product, lambda value: {(): Fraction(value)}, lambda a: a.get((), 0) if set(a) <= {()} else None, _add
+    )
+    numbers = [Fraction(value) for value in values]
+    expanded = _evaluate(
+        expression, [variables, fixed], ring, lambda k: {(k,): Fraction(1)} if k < last else {(): numbers[k - last]}
+    )
+    return [{v: c for v, c in terms.items() if c != 0} for terms in expanded]
 
 
 def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
@@ -119,15 +148,15 @@ def _expand(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> list[_Terms]:
     return [{v: c for v, c in terms.items() if c != 0.0} for terms in expanded]
 
 
-def _sum(a: _Terms, b: _Terms, factor: float) -> _Terms:
+def _sum(a: _Terms, b: _Terms, factor: Any) -> _Terms:
     total = dict(a)
     _add(total, b, factor)
     return total
 
 
-def _add(total: _Terms, terms: _Terms, factor: float) -> None:
+def _add(total: _Terms, terms: _Terms, factor: Any) -> None:
     for variables, coefficient in list(terms.items()):
-        total[variables] = total.get(variables, 0.0) + factor * coefficient
+        total[variables] = total.get(variables, 0) + factor * coefficient
 
 
 def _product(a: _Terms, b: _Terms) -> _Terms:
@@ -135,7 +164,7 @@ def _product(a: _Terms, b: _Terms) -> _Terms:
     for left, c in a.items():
         for right, d in b.items():
             variables = tuple(sorted(left + right))
-            total[variables] = total.get(variables, 0.0) + c * d
+            total[variables] = total.get(variables, 0) + c * d
     if len(total) > MAX_TERMS:
         raise NotPolynomialError(f"a product has more than {MAX_TERMS} terms when multiplied out")
     return total
@@ -146,13 +175,16 @@ def _product(a: _Terms, b: _Terms) -> _Terms:
 
 @dataclass(frozen=True)
 class _Ring(Generic[_Element]):
-    """Arithmetic of polynomials in some form: a + factor b, a b, a constant, and the value of one that is constant."""
+    """Arithmetic of polynomials in some form: a + factor b, a b, a constant, and the value of one that is constant.
 
-    add: Callable[[_Element, _Element, float], _Element]
+    Factors and values are floats, or fractions where nothing may be rounded.
+    """
+
+    add: Callable[[_Element, _Element, Any], _Element]
     multiply: Callable[[_Element, _Element], _Element]
-    of_constant: Callable[[float], _Element]
-    constant: Callable[[_Element], float | None]
-    add_in_place: Callable[[_Element, _Element, float], None] | None = None
+    of_constant: Callable[[Any], _Element]
+    constant: Callable[[_Element], Any]
+    add_in_place: Callable[[_Element, _Element, Any], None] | None = None
 
 
 def _evaluate(
@@ -174,10 +206,10 @@ def _evaluate(
         elif operation == ca.OP_CONST:
             work[out[0]] = ring.of_constant(float(function.instruction_constant(k)))
         elif operation == ca.OP_OUTPUT:
-            result[out[1]] = ring.add(ring.of_constant(0.0), work[into[0]], 1.0)  # a copy: sums grow in place
+            result[out[1]] = ring.add(ring.of_constant(0.0), work[into[0]], 1)  # a copy: sums grow in place
         elif operation == ca.OP_ADD and out[0] == into[0] and ring.add_in_place is not None:
             # A running sum grows in place, or N terms cost N^2.
-            ring.add_in_place(work[out[0]], work[into[1]], 1.0)
+            ring.add_in_place(work[out[0]], work[into[1]], 1)
         else:
             work[out[0]] = _apply(ring, operation, [work[i] for i in into])
     return result
@@ -187,22 +219,25 @@ def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> 
     """The result of one instruction."""
     a, b, zero = arguments[0], arguments[-1], ring.of_constant(0.0)
     if operation in (ca.OP_ADD, ca.OP_SUB):
-        return ring.add(a, b, -1.0 if operation == ca.OP_SUB else 1.0)
+        return ring.add(a, b, -1 if operation == ca.OP_SUB else 1)
     if operation == ca.OP_MUL:
         return ring.multiply(a, b)
     if operation == ca.OP_SQ:
         return ring.multiply(a, a)
     if operation in (ca.OP_NEG, ca.OP_TWICE):
-        return ring.add(zero, a, -1.0 if operation == ca.OP_NEG else 2.0)
+        return ring.add(zero, a, -1 if operation == ca.OP_NEG else 2)
     if operation == ca.OP_ASSIGN:
-        return ring.add(zero, a, 1.0)
+        return ring.add(zero, a, 1)
     value = ring.constant(b)
     if operation == ca.OP_DIV and value:
-        return ring.add(zero, a, 1.0 / value)
+        return ring.add(zero, a, 1 / value)
+    if operation == ca.OP_INV and value:
+        return ring.of_constant(1 / value)
     if operation in (ca.OP_POW, ca.OP_CONSTPOW) and value is not None and value == int(value) and 0 <= value <= 16:
         power = ring.of_constant(1.0)
         for _ in range(int(value)):
             power = ring.multiply(power, a)
         return power
-    names = {ca.OP_DIV: "a division by a variable", ca.OP_POW: "a power", ca.OP_CONSTPOW: "a power"}
+    division = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable")
+    names = {**division, **dict.fromkeys((ca.OP_POW, ca.OP_CONSTPOW), "a power")}
     raise NotPolynomialError(f"{names.get(operation, f'operation {operation} of CasADi')} is in the expression")

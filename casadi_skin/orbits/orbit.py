@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin import methods
 from casadi_skin.arguments import whole
 from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.problem import Array, Indices
@@ -21,6 +23,9 @@ from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from casadi_skin.certify.certificate import Certificate
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
@@ -214,6 +219,16 @@ class Orbit(Solution):
         sums over the nonlinear terms, with no cancellation.
         """
         return self._family().coordinates.Omega_shift(self.point.problem, self.point.z)
+
+    def certify(self, **options: Any) -> Certificate:
+        """A proof that the orbit exists, with enclosures, by `casadi_skin.certify.certify`, which tells of options."""
+        certificate: Certificate = methods.TASKS["certify"].load()(self, **options)
+        return certificate
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The proof that `certify` makes without options, kept."""
+        return self.certify()
 
     # Stability ------------------------------------------------------------------------------------------------------
 

@@ -44,6 +44,7 @@ class FamilyRequest:
         tolerance: relative error of Omega, profile and multipliers.
         method: how; what it leaves open is chosen for the model.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
+        certify: whose existence tables prove: True for orbits asked for, "all" for every one.
 
     Raises ValueError and TypeError, naming the argument, what was given and what is accepted.
     """
@@ -55,6 +56,7 @@ class FamilyRequest:
     tolerance: float = 1e-8
     method: Method = field(default_factory=Method)
     parameters: Mapping[str, float] | None = None
+    certify: bool | str = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, FamilyModel | OdeModel):

@@ -30,6 +30,8 @@ from casadi_skin.stability.result import ReversibleFloquet
 if TYPE_CHECKING:
     import xarray
 
+    from casadi_skin.certify.certificate import Certificate
+
 PHASES = 401  # of the common grid of profiles of solutions
 
 # Families -------------------------------------------------------------------------------------------------------------
@@ -96,6 +98,49 @@ REDUCED: tuple[Quantity, ...] = (
 )
 
 
+def _certificate(place: Place) -> Certificate | None:
+    """The proof of an orbit that one is asked for, else None."""
+    space = place.orbit.space
+    assert isinstance(space, Family)
+    return place.orbit.certificate if space.request.certify == "all" or place.requested else None
+
+
+def _of_proof(value: Callable[[Certificate], float]) -> Callable[[Place], float]:
+    def of(place: Place) -> float:
+        certificate = _certificate(place)
+        return math.nan if certificate is None else value(certificate)
+
+    return of
+
+
+def certified(branch: Branch) -> list[Orbit]:
+    """The orbits of a branch that a proof was asked for."""
+    asked = isinstance(branch.space, Family) and branch.space.request.certify
+    return [o for o in branch.orbits if asked == "all" or o.point.requested] if asked else []
+
+
+FAMILY_PROOFS: tuple[Quantity, ...] = (
+    Quantity(
+        "proved", "1 where the orbit is proved to exist, 0 where it is not; empty where no proof was asked for",
+        _of_proof(lambda c: float(c.proved)), may_be_empty=True,
+    ),
+    Quantity(
+        "Omega_lower", "proved lower bound of Omega", _of_proof(lambda c: c.Omega[0]), may_be_empty=True
+    ),
+    Quantity(
+        "Omega_upper", "proved upper bound of Omega", _of_proof(lambda c: c.Omega[1]), may_be_empty=True
+    ),
+    Quantity(
+        "proved_Omega_error", "proved bound of the error of Omega", _of_proof(lambda c: c.Omega_error),
+        may_be_empty=True,
+    ),
+    Quantity(
+        "proved_radius", "proved distance of the orbit from the computed one, in the norm of the certificate",
+        _of_proof(lambda c: c.radius), may_be_empty=True,
+    ),
+)  # fmt: skip
+
+
 def energy_of(orbit: Orbit) -> float:
     """The energy; NaN for a model without a conserved quantity, infinite where an infinite tail moves along."""
     try:
@@ -113,6 +158,7 @@ def family_quantities(branch: Branch) -> list[Quantity]:
         words = "; ".join(f"{i}: {regime.value}" for i, regime in enumerate(type(first)))
         quantities.append(Quantity("regime", words, lambda p: _regime(p).name.lower(), where=CSV))
         quantities.append(Quantity("regime", words, lambda p: list(type(_regime(p))).index(_regime(p)), where=NETCDF))
+    quantities += FAMILY_PROOFS if branch.space.request.certify else ()
     quantities += FAMILY_ARRAYS
     harmonics = max((orbit.harmonics for orbit in branch.orbits), default=0)
     if branch.space.symmetry.value == 0.25:

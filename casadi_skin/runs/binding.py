@@ -32,7 +32,7 @@ PLACES = {
     "amplitude_max": "family", "at": "family", "at_Omega": "family", "at_period": "family", "period_max": "family",
     "max_points": "family", "mode": "family", "transcription": "method", "degree": "method", "corrector": "method",
     "walker": "method", "flow": "method", "tail": "method", "intervals": "method", "parameters": "model",
-    "sites": "chain", "alpha": "chain", "gamma": "chain", "g": "chain", "tolerance": "accuracy",
+    "sites": "chain", "alpha": "chain", "gamma": "chain", "g": "chain", "tolerance": "accuracy", "certify": "accuracy",
 }  # fmt: skip
 
 
@@ -102,12 +102,26 @@ def _check_families(request: Request) -> None:
         modes = [family.mode for family in request.families]
     except (TypeError, ValueError) as error:
         raise SceneError(_placed(str(error))) from None
+    if scene.accuracy.certify:
+        _check_provable(request)
     for i, mode in enumerate(modes):
         if mode in modes[:i]:
             raise refusal("[family] mode", f"mode {mode} more than once", "each mode once")
     for name, table in (("dynamics", scene.dynamics), ("export", scene.export)):
         if table is not None and table.mode is not None and table.mode not in modes:
             raise refusal(f"[{name}] mode", str(table.mode), f"one of the modes of [family], {modes}")
+
+
+def _check_provable(request: Request) -> None:
+    """Refuse proofs of orbits that the theorem is not about, and all without python-flint."""
+    from casadi_skin.certify.certify import provable
+    from casadi_skin.orbits.family import Family
+
+    try:
+        for family in request.families:
+            provable(Family(family))
+    except (ValueError, ImportError) as error:
+        raise SceneError(_placed(str(error))) from None
 
 
 def _check_perturbation(request: Request) -> None:

@@ -155,6 +155,9 @@ def _family_lines(request: Request) -> Lines:
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
+    if first.certify:
+        which = "every orbit" if first.certify == "all" else "the orbits asked for"
+        lines.append(("proofs", f"of {which}, in balls"))
     lines.append(("expected cost", _cost(request, family, problem, building)))
     return lines
 

@@ -79,8 +79,9 @@ class Request:
         found = []
         for mode in self.scene.modes():
             request = FamilyRequest(
-                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters
-            )
+                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
+                self.scene.accuracy.certify,
+            )  # fmt: skip
             found.append(for_stability(request, self.scene.method.walker) if whole else request)
         return tuple(found)
 

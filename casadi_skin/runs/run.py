@@ -33,11 +33,11 @@ from casadi_skin.results.branch_records import (
 )
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.journal import Journal
-from casadi_skin.results.quantities import csv_row, quantities_of
+from casadi_skin.results.quantities import certified, csv_row, quantities_of
 from casadi_skin.results.quantity import Place
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.writing import origin, write_branches, write_spectrum
+from casadi_skin.runs.writing import mode_of, origin, write_branches, write_spectrum
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 
@@ -341,6 +341,7 @@ class Run:
         except ArithmeticError as error:  # a value that is not finite
             self.failures.append(str(error))
         self._tell_drift(branches)
+        self._tell_unproved(branches)
 
     def _write_branches(self, branches: Sequence[Branch]) -> None:
         """The table of points, and what is made of whole branches."""
@@ -353,6 +354,16 @@ class Run:
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
             return
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
+
+    def _tell_unproved(self, branches: Sequence[Branch]) -> None:
+        """Say which orbits no proof was found for."""
+        for branch in branches:
+            proofs = certified(branch)
+            missing = [orbit for orbit in proofs if not orbit.certificate.proved]
+            if missing:
+                count = f"mode {mode_of(branch)}: {len(missing)} of {len(proofs)} orbits are not proved"
+                first = f"the first at S = {missing[0].S:.6g}: {missing[0].certificate.reason}"
+                self.failures.append(f"[accuracy] certify: {count}, {first}")
 
     def _tell_drift(self, branches: Sequence[Branch]) -> None:
         """Say where trivial multipliers are farther from their value than errors allow."""

@@ -16,6 +16,8 @@ LOWEST_DEGREE = 2  # of families; the same as in orbits.request, which loads num
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
     _check_accuracy(scene.accuracy)
+    if scene.accuracy.certify and scene.family is None:
+        raise refusal("[accuracy] certify", toml_repr(scene.accuracy.certify), "with a [family], else false")
     if scene.model is not None:
         _check_file(scene.model)
     _check_method(scene)

@@ -136,6 +136,14 @@ class AccuracyTable(Table, frozen=True):
         Tolerance | None, Meta(title="Relative tolerance", description="a number >= 1e-13 and <= 1e-2")
     ] = None
 
+    certify: Annotated[
+        bool | Literal["all"],
+        Meta(
+            title="Proofs that orbits exist: of those asked for, or of all",
+            description='true, false or "all"; with [family], needs the extra certify',
+        ),
+    ] = False
+
     @property
     def relative_tolerance(self) -> float:
         """The tolerance that holds: the number, else that of the preset, else that of "standard"."""

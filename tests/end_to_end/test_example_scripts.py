@@ -66,6 +66,15 @@ def test_floquet_vectors(tmp_path: Path) -> None:
     np.testing.assert_allclose(image, vectors[:, chosen] * multipliers[chosen], rtol=0, atol=1e-6)
 
 
+def test_proved_orbits(tmp_path: Path) -> None:
+    pytest.importorskip("flint")
+    found = load("proved_orbits").main(tmp_path / "picture.png", chains=12)
+    assert drawn(tmp_path / "picture.png")
+    assert len(found) == 12
+    assert np.all(found[:, 1] <= found[:, 0])  # every estimate is honest
+    assert np.all((found[:, 2] > 0) & (found[:, 2] < 2e-15))
+
+
 def test_kick_from_the_far_end(tmp_path: Path) -> None:
     example = load("kick_from_the_far_end")
     orbit, growth = example.main(tmp_path / "picture.png")

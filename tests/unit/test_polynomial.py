@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Chain
-from casadi_skin.models.polynomial import Monomials, NotPolynomialError, homogeneous_parts, polynomial_terms
+from casadi_skin.models.polynomial import (
+    Monomials,
+    NotPolynomialError,
+    exact_terms,
+    homogeneous_parts,
+    polynomial_terms,
+)
 
 
 def value(terms: tuple[Monomials, ...], x: NDArray[np.float64], p: float, size: int) -> NDArray[np.float64]:
@@ -109,3 +117,14 @@ def test_what_has_no_homogeneous_parts_is_refused(make) -> None:  # type: ignore
     x = ca.SX.sym("x", 2)
     with pytest.raises(NotPolynomialError, match=r"is in the expression$"):
         homogeneous_parts(make(x), x)
+
+
+def test_exact_terms_round_nothing() -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+    expression = ca.vertcat((1 + p[0]) * x[0] / p[1] - 0.1 * x[1] ** 3, x[0] * (1 / p[1]) * (x[1] - x[0]) ** 2 * 2)
+    a, b = Fraction(0.1), Fraction(3.0)
+    first, second = exact_terms(expression, x, p, [0.1, 3.0])
+    assert first == {(0,): (1 + a) / b, (1, 1, 1): -a}
+    assert second == {(0, 0, 0): 2 / b, (0, 0, 1): -4 / b, (0, 1, 1): 2 / b}
+    with pytest.raises(NotPolynomialError, match="division by a variable"):
+        exact_terms(1 / x[0], x, p, [0.1, 3.0])

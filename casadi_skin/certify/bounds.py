@@ -1,0 +1,279 @@
+"""The bounds Y, Z and W of the theorem for one set of coefficients, and the radius that they prove.
+
+The names are those of the page "Orbits that are proved", which derives each bound. Rows and columns of the finite part
+are lambda (as a residual: the amplitude), then the harmonics 1, 3, ..., 2H - 1 of each position in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
+from casadi_skin.certify.odd_system import OddSeries
+
+if TYPE_CHECKING:
+    from flint import arb
+
+LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the second derivative is bounded
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the theorem needs: |A F| <= Y, |I - A DF| <= Z, and W a Lipschitz constant of A DF within `reach`."""
+
+    Y: float
+    Z: float
+    W: float
+    reach: float
+
+
+class FiniteInverse:
+    """The matrix A_f, any matrix of doubles, with what bounds of it cost once; and the exact numbers of the tail."""
+
+    def __init__(self, series: OddSeries, nu: arb, matrix: Array | None = None) -> None:
+        from flint import arb
+
+        H, n = series.harmonics, series.system.positions
+        self.series, self.nu = series, nu
+        self.odd = 2.0 * np.arange(H) + 1.0
+        self.tail = 2 * H + 1  # the first harmonic beyond the finite part
+        powers = [nu ** int(k) for k in range(1, 2 * series.system.degree * H + 2, 2)]
+        self.weights_above = np.array([above(p) for p in powers])
+        self.weights_below = np.nextafter(np.array([float(p.lower()) for p in powers]), 0.0)
+        self.rows_above = np.concatenate([[1.0], np.tile(self.weights_above[:H], n)])
+        self.columns_below = np.concatenate([[1.0], np.tile(self.weights_below[:H], n)])
+        self.slope = Enclosed.of(series.amplitude_slope())
+        self.blocks = [
+            {m: Enclosed.of(g) for m, g in series.derivatives(row).items()} for row in range(n)
+        ]  # blocks[row][column]
+        self.matrix: Array = np.asarray(np.linalg.inv(self._jacobian()), dtype=float) if matrix is None else matrix
+        # the numbers c_n of the amplitude's row in A, exact
+        self.exact_slope = [arb(c) for c in self.slope.middle.tolist()]
+
+    @property
+    def inner(self) -> int:
+        """Number of finite unknowns."""
+        return int(self.matrix.shape[0])
+
+    # Columns of the derivative ----------------------------------------------------------------------------------------
+
+    def _toeplitz(self, values: Array, columns: int) -> Array:
+        """Entries g_|k-j| + g_(k+j) for k = 1, 3, ..., 2H - 1 and j = 1, 3, ... (columns of them); g = 0 beyond."""
+        k, j = np.arange(self.odd.size)[:, None], np.arange(columns)[None, :]
+        padded = np.concatenate([values, np.zeros(columns + self.odd.size + 1)])
+        return np.asarray(padded[np.abs(k - j)] + padded[k + j + 1])
+
+    def _column(self, n: int, columns: int) -> tuple[Indices, Enclosed]:
+        """Rows of the finite part and their entries in the columns of q_n's harmonics 1, 3, ...; others are 0."""
+        H = self.odd.size
+        rows, middle, radius = [np.array([0])], [], []
+        amplitude = np.zeros((2, 1, columns))
+        amplitude[0, 0, :H] = self.slope.middle[n]  # beyond, A's own row of the amplitude takes it away
+        amplitude[1] = self.slope.radius[n]
+        middle.append(amplitude[0])
+        radius.append(amplitude[1])
+        square = Enclosed.of([self.series.square * int(k) ** 2 for k in self.odd])
+        for m in sorted({m for m, row in enumerate(self.blocks) if n in row} | {n}):
+            g = self.blocks[m].get(n, Enclosed(np.zeros(1), np.zeros(1)))
+            block = self._toeplitz(g.middle, columns)
+            error = np.abs(block) * ROUNDING + 2.0 * self._toeplitz(g.radius, columns)
+            if m == n:
+                diagonal = np.arange(H)
+                block[diagonal, diagonal] += square.middle
+                error[diagonal, diagonal] += 2.0 * square.radius + np.abs(block[diagonal, diagonal]) * ROUNDING
+            rows.append(1 + m * H + np.arange(H))
+            middle.append(block)
+            radius.append(error)
+        return np.concatenate(rows), Enclosed(np.vstack(middle), np.vstack(radius))
+
+    def _frequency_column(self) -> Enclosed:
+        """Derivative of the equations with respect to lambda: k^2 a_nk; the amplitude's is 0."""
+        from flint import arb
+
+        entries = [(2 * i + 1) ** 2 * a for row in self.series.coefficients for i, a in enumerate(row)]
+        return Enclosed.of([arb(0), *entries])
+
+    def _jacobian(self) -> Array:
+        """Midpoints of the finite part of DF."""
+        H, n = self.odd.size, self.series.system.positions
+        J = np.zeros((1 + n * H, 1 + n * H))
+        J[:, 0] = self._frequency_column().middle
+        for q in range(n):
+            rows, block = self._column(q, H)
+            J[rows, 1 + q * H : 1 + (q + 1) * H] = block.middle
+        return J
+
+    # Norms ------------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def norms(self) -> Array:
+        """Upper bounds of the weighted norms of the columns of A_f."""
+        return rounded_up(self.rows_above @ np.abs(self.matrix), self.inner)
+
+    def _image(self, rows: Indices, block: Enclosed, identity: Array | None = None) -> Array:
+        """Upper bounds of the weighted norms of the columns of (identity -) A_f times a block given by its rows."""
+        product = self.matrix[:, rows] @ block.middle
+        if identity is not None:
+            product = identity - product
+        count = rows.size + 2
+        lost = self.norms[rows] @ (count * ROUNDING * np.abs(block.middle) + block.radius)
+        exact = self.rows_above @ (np.abs(product) * (1.0 + ROUNDING))
+        return rounded_up(exact + rounded_up(lost, count), self.inner)
+
+    def _derivative_norm(self, n: int) -> arb:
+        """Upper bound of the sum over m of the norms of d force_m / d q_n, which are even cosine series."""
+        from flint import arb
+
+        total = arb(0)
+        for row in self.blocks:
+            if n in row:
+                for i, g in enumerate(row[n].largest.tolist()):
+                    total += (1 if i == 0 else 2) * arb(g) * self.nu ** (2 * i)
+        return total
+
+    @cached_property
+    def beyond(self) -> arb:
+        """1 + the norm that a unit of the tail's rows passes to the finite part through the amplitude's row of A."""
+        from flint import arb
+
+        largest = arb(float(np.max(np.abs(self.slope.middle))))
+        return 1 + arb(float(self.norms[0])) * largest / self.nu**self.tail
+
+    @cached_property
+    def tail_factor(self) -> arb:
+        """1 / (lambda (2H + 1)^2): what A makes of the tail's rows at most."""
+        return 1 / (self.series.square * self.tail**2)
+
+    # The bounds -------------------------------------------------------------------------------------------------------
+
+    def residual(self, series: OddSeries) -> tuple[list[arb], arb]:
+        """Finite residual with the amplitude's row as A sees it, and the norm of what A makes of the tail's."""
+        from flint import arb
+
+        H = self.odd.size
+        finite, first, norm = list[arb](), series.amplitude_residual(), arb(0)
+        for n in range(series.system.positions):
+            values = series.residual(n)
+            finite += values[:H]
+            for i in range(H, len(values)):
+                scaled = values[i] / (self.series.square * (2 * i + 1) ** 2)
+                first -= self.exact_slope[n] * scaled
+                norm += abs(scaled) * self.nu ** (2 * i + 1)
+        return [first, *finite], norm
+
+    def Y(self) -> float:
+        """Upper bound of |A F|."""
+        finite, tail = self.residual(self.series)
+        values = Enclosed.of(finite)
+        image = self._image(np.arange(self.inner), Enclosed(values.middle[:, None], values.radius[:, None]))
+        return float(np.nextafter(image[0] + size(tail), np.inf))
+
+    def finite_columns(self) -> float:
+        """Upper bound of the finite rows of I - A_f DF, over the columns that reach them."""
+        H, series = self.odd.size, self.series
+        columns = series.system.degree * H
+        unit = np.zeros((self.inner, 1))
+        unit[0] = 1.0
+        frequency = self._frequency_column()
+        column = Enclosed(frequency.middle[:, None], frequency.radius[:, None])
+        largest = float(self._image(np.arange(self.inner), column, unit)[0])
+        for n in range(series.system.positions):
+            identity = np.zeros((self.inner, columns))
+            identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
+            rows, block = self._column(n, columns)
+            image = self._image(rows, block, identity) / self.weights_below[:columns]
+            largest = max(largest, float(np.max(image)) * (1.0 + ROUNDING)) if np.all(np.isfinite(image)) else np.inf
+        return largest
+
+    def Z(self) -> float:
+        """Upper bound of |I - A DF|: the finite rows, the tail's rows, and what these pass through the amplitude."""
+        from flint import arb
+
+        tail = arb(0)
+        for n in range(self.series.system.positions):
+            tail = tail.max(self._derivative_norm(n))
+        slope = arb(float(self.norms[0])) * arb(float(np.max(self.slope.radius))) / self.nu**self.tail
+        return above(arb(self.finite_columns()) + tail * self.tail_factor * self.beyond + slope)
+
+    def W(self, reach: float) -> float:
+        """Lipschitz constant of A DF within `reach` of the coefficients."""
+        from flint import arb
+
+        series = self.series
+        n = series.system.positions
+        columns = self.norms / self.columns_below * (1.0 + ROUNDING)
+        whole = arb(float(np.max(columns[1:]))).max(self.tail_factor * self.beyond)
+        squares = np.concatenate([[0.0], np.tile(self.odd**2, n)])
+        through_square = arb(float(np.max(columns * squares) * (1.0 + ROUNDING))).max(self.beyond / series.square)
+        amplitude = arb(0)
+        curvature = dict[tuple[int, int], arb]()
+        for (i, j), coefficient in series.system.scaled(None):
+            for pair in ((i, j), (j, i)):
+                curvature[pair] = curvature.get(pair, arb(0)) + coefficient
+        for value in curvature.values():
+            amplitude = amplitude.max(abs(value))
+        through_amplitude = arb(float(self.norms[0])) * amplitude / self.nu**2
+        return above(through_square + through_amplitude + whole * self._curvature(reach))
+
+    def _curvature(self, reach: float) -> arb:
+        """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
+        from flint import arb
+
+        series = self.series
+        norms = [
+            sum((abs(a) * self.nu ** (2 * i + 1) for i, a in enumerate(row)), arb(reach)) for row in series.coefficients
+        ]
+        second = dict[tuple[int, int], arb]()
+        for row in range(series.system.positions):
+            for factors, coefficient in series.system.scaled(row):
+                for a in range(len(factors)):
+                    for b in range(len(factors)):
+                        if a == b:
+                            continue
+                        value = abs(coefficient)
+                        for place, n in enumerate(factors):
+                            value = value * norms[n] if place not in (a, b) else value
+                        pair = factors[a], factors[b]
+                        second[pair] = second.get(pair, arb(0)) + value
+        largest = arb(0)
+        for value in second.values():
+            largest = largest.max(value)
+        return largest
+
+    def constants(self) -> Constants:
+        """The three bounds."""
+        largest = max(sum(size(a) for a in row) for row in self.series.coefficients)
+        reach = LARGEST_RADIUS * largest
+        return Constants(self.Y(), self.Z(), self.W(reach), reach)
+
+
+def proved_radius(constants: Constants) -> float | None:
+    """A radius r with Y + Z r + W r^2 / 2 <= r, Z + W r < 1 and r <= reach, checked in balls; None without one."""
+    guess = _smallest_root(constants)
+    return next((r for r in (guess * (1.0 + 1e-9), guess * 1.01, guess * 1.5) if holds(constants, r)), None)
+
+
+def uniqueness_radius(constants: Constants, radius: float) -> float:
+    """The largest radius found within which the orbit is the only one."""
+    trials = [constants.reach * 2.0**-i for i in range(60)]
+    return next((r for r in trials if r > radius and holds(constants, r)), radius)
+
+
+def holds(constants: Constants, r: float) -> bool:
+    """Whether a radius satisfies the theorem's conditions, in balls."""
+    from flint import arb
+
+    Y, Z, W, reach = (arb(x) for x in (constants.Y, constants.Z, constants.W, constants.reach))
+    ball = arb(r)
+    return bool(ball > 0 and Y + Z * ball + W * ball**2 / 2 <= ball and Z + W * ball < 1 and ball <= reach)
+
+
+def _smallest_root(constants: Constants) -> float:
+    gap = 1.0 - constants.Z
+    root = gap**2 - 2.0 * constants.Y * constants.W
+    return float(2.0 * constants.Y / (gap + np.sqrt(root))) if gap > 0 and root > 0 else float("nan")

@@ -1,0 +1,138 @@
+"""Equations of odd cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls.
+
+Positions are y_n = d_n q_n with fixed numbers d_n, q_n = sum over odd k of a_nk cos(k theta), theta = Omega t, and
+lambda = Omega^2. Products of cosine series are products of polynomials: with z = exp(i theta) each series is z^-K times
+a polynomial in z^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flint import arb, arb_poly
+
+Factors = tuple[int, ...]
+Terms = Mapping[Factors, Fraction]
+
+
+@dataclass(frozen=True, eq=False)
+class OddSystem:
+    """Polynomial forces and amplitude of one model at fixed parameters, in scaled positions.
+
+    Attributes:
+        forces: of each position the terms of its acceleration in the model's positions, of odd degrees.
+        amplitude: terms of the quadratic form h that S is the value of.
+        scale: the factors d_n, each an exact number.
+        S: value of the amplitude, exact.
+    """
+
+    forces: Sequence[Terms]
+    amplitude: Terms
+    scale: Sequence[arb]
+    S: arb
+
+    @property
+    def positions(self) -> int:
+        return len(self.forces)
+
+    @property
+    def degree(self) -> int:
+        """Highest degree of the forces, odd."""
+        return max((len(factors) for terms in self.forces for factors in terms), default=1)
+
+    def scaled(self, row: int | None) -> list[tuple[Factors, arb]]:
+        """Terms of the acceleration of q_row, or of the amplitude, with coefficients for scaled positions."""
+        from flint import arb, fmpq
+
+        terms = self.amplitude if row is None else self.forces[row]
+        result = []
+        for factors, coefficient in terms.items():
+            value = arb(fmpq(coefficient.numerator, coefficient.denominator))
+            for n in factors:
+                value *= self.scale[n]
+            result.append((factors, value if row is None else value / self.scale[row]))
+        return result
+
+
+class OddSeries:
+    """The equations and their derivatives at one lambda and one set of coefficients a_nk, k = 1, 3, ..., 2H - 1."""
+
+    def __init__(self, system: OddSystem, square: arb, coefficients: Sequence[Sequence[arb]]) -> None:
+        from flint import arb_poly
+
+        self.system, self.square, self.coefficients = system, square, coefficients
+        self.harmonics = len(coefficients[0])
+        self.highest = 2 * self.harmonics - 1
+        halves = [[a / 2 for a in series] for series in coefficients]
+        self._products: dict[Factors, arb_poly] = {(): arb_poly([1])}
+        for n, half in enumerate(halves):
+            self._products[n,] = arb_poly([*reversed(half), *half])
+        self._terms = [system.scaled(n) for n in range(system.positions)]
+
+    def _product(self, factors: Factors) -> arb_poly:
+        """z^(pK) times a product of p series, a polynomial in z^2."""
+        if factors not in self._products:
+            self._products[factors] = self._product(factors[:-1]) * self._products[factors[-1:]]
+        return self._products[factors]
+
+    def _sum(self, terms: Sequence[tuple[Factors, arb]], last: int) -> list[arb]:
+        """Coefficients of z^k of a sum of products, k = last, last - 2, ... down to 0 or 1, in ascending order."""
+        from flint import arb, arb_poly
+
+        by_degree: dict[int, arb_poly] = {}
+        for factors, coefficient in terms:
+            part = self._product(factors) * coefficient
+            by_degree[len(factors)] = by_degree.get(len(factors), arb_poly()) + part
+        total = [arb(0) for _ in range(last // 2 + 1)]
+        for degree, part in by_degree.items():
+            for i, k in enumerate(range(last % 2, min(last, degree * self.highest) + 1, 2)):
+                total[i] += part[(degree * self.highest + k) // 2]
+        return total
+
+    # The equations ----------------------------------------------------------------------------------------------------
+
+    @property
+    def start(self) -> list[arb]:
+        """Positions q_n at theta = 0."""
+        from flint import arb
+
+        return [sum(series, arb(0)) for series in self.coefficients]
+
+    def amplitude_residual(self) -> arb:
+        """h(q(0)) - S."""
+        from flint import arb
+
+        q, total = self.start, arb(0)
+        for (i, j), coefficient in self.system.scaled(None):
+            total += coefficient * q[i] * q[j]
+        return total - self.system.S
+
+    def amplitude_slope(self) -> list[arb]:
+        """Derivatives of h(q(0)) with respect to q_n(0), shape (positions,)."""
+        from flint import arb
+
+        q, slope = self.start, [arb(0) for _ in range(self.system.positions)]
+        for (i, j), coefficient in self.system.scaled(None):
+            slope[i] += coefficient * q[j]
+            slope[j] += coefficient * q[i]
+        return slope
+
+    def residual(self, n: int) -> list[arb]:
+        """Coefficients of cos(k theta) in the equation of q_n, for every odd k that occurs."""
+        values = [2 * value for value in self._sum(self._terms[n], self.system.degree * self.highest)]
+        for i, a in enumerate(self.coefficients[n]):
+            values[i] += self.square * (2 * i + 1) ** 2 * a
+        return values
+
+    def derivatives(self, m: int) -> dict[int, list[arb]]:
+        """For each q_n that force m depends on, the coefficients g_p of z^p, p = 0, 2, ..., of d force_m / d q_n."""
+        parts: dict[int, list[tuple[Factors, arb]]] = {}
+        for factors, coefficient in self._terms[m]:
+            for place, n in enumerate(factors):
+                parts.setdefault(n, []).append((factors[:place] + factors[place + 1 :], coefficient))
+        last = (self.system.degree - 1) * self.highest
+        return {n: self._sum(terms, last) for n, terms in parts.items()}

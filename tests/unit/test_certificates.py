@@ -1,0 +1,391 @@
+"""Proofs of orbits: what is known otherwise is inside the enclosures, and no bound is too small."""
+
+import sys
+from dataclasses import replace
+
+import casadi as ca
+import mpmath as mp
+import numpy as np
+import pytest
+from small_models import fput, limit_cycle, pendulums, two_wells
+
+from casadi_skin import Chain, OdeModel, follow_family
+
+flint = pytest.importorskip("flint")
+
+from casadi_skin.certify import balls  # noqa: E402
+from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius  # noqa: E402
+from casadi_skin.certify.certify import _attempt, _distance  # noqa: E402
+from casadi_skin.certify.model_terms import system_of  # noqa: E402
+from casadi_skin.certify.odd_system import OddSeries  # noqa: E402
+
+
+def orbit_of(model, S, mode=1, tolerance=1e-10, **options):
+    return follow_family(model, mode=mode, amplitude_max=S, tolerance=tolerance, **options).at(S=S)
+
+
+def inside(value, interval):
+    return interval[0] <= value <= interval[1]
+
+
+@pytest.mark.parametrize(("g", "S"), [(1.0, 2.0), (-1.0, 1.5), (1.0, 40.0), (-1.0, 1e-8)])
+def test_exact_duffing_oscillator_is_inside_its_enclosures(g, S):
+    certificate = orbit_of(Chain(1, 1.0, 0.0, g), S).certify()
+    with mp.workdps(40):
+        square = 3 + mp.mpf(g) * mp.mpf(S)
+        Omega = mp.pi * mp.sqrt(square) / (2 * mp.ellipk(mp.mpf(g) * mp.mpf(S) / (2 * square)))
+        assert certificate.proved
+        assert certificate.least_period
+        assert inside(Omega, certificate.Omega)
+        assert certificate.Omega[1] - certificate.Omega[0] < 2e-15 * Omega
+        assert inside(2 * mp.pi / Omega, certificate.period)
+        assert inside(mp.sqrt(mp.mpf(S)), certificate.profile[:, 0])
+        assert inside(3 * mp.mpf(S) / 2 + g * mp.mpf(S) ** 2 / 4, certificate.energy)
+        middle, radius = (mp.mpf(x) for x in certificate.Omega_digits.strip("[]").split("+/-"))
+        assert abs(middle - Omega) <= radius
+
+
+def test_newton_with_forty_digits_is_inside_the_enclosures():
+    """Collocation at other nodes and with twice the harmonics, in mpmath."""
+    chain, S, H = Chain(2, 1.0, 0.25, -1.0), 1.25, 22
+    certificate = orbit_of(chain, S).certify()
+    orbit = orbit_of(chain, S)
+    with mp.workdps(40):
+        nodes = [(i + mp.mpf(1) / 3) * mp.pi / (2 * H) for i in range(H)]
+        basis = mp.matrix(H, H)
+        for i, node in enumerate(nodes):
+            for k in range(H):
+                basis[i, k] = mp.cos((2 * k + 1) * node)
+        x = mp.matrix([*orbit.coefficients(H).T.ravel().tolist(), orbit.Omega**2])
+        for _ in range(5):
+            a, square = [x[:H], x[H : 2 * H]], x[2 * H]
+            q = [basis * mp.matrix(series) for series in a]
+            residual, J = mp.matrix(2 * H + 1, 1), mp.matrix(2 * H + 1, 2 * H + 1)
+            for n in range(2):
+                coupling = (1 + mp.mpf("0.25")) if n == 1 else (1 - mp.mpf("0.25"))
+                for i in range(H):
+                    row, here, other = n * H + i, q[n][i], q[1 - n][i]
+                    inertia = [basis[i, k] * (2 * k + 1) ** 2 for k in range(H)]
+                    bend = mp.fdot(inertia, a[n])
+                    residual[row] = square * bend - 3 * here + coupling * other + here**3
+                    J[row, 2 * H] = bend
+                    for k in range(H):
+                        J[row, n * H + k] = square * inertia[k] + (-3 + 3 * here**2) * basis[i, k]
+                        J[row, (1 - n) * H + k] = coupling * basis[i, k]
+            start = [mp.fsum(series) for series in a]
+            residual[2 * H] = mp.fdot(start, start) - mp.mpf(S)
+            for n in range(2):
+                for k in range(H):
+                    J[2 * H, n * H + k] = 2 * start[n]
+            x -= mp.lu_solve(J, residual)
+        assert mp.norm(residual) < mp.mpf(10) ** -30
+        assert inside(mp.sqrt(x[2 * H]), certificate.Omega)
+        for n in range(2):
+            assert inside(mp.fsum(x[n * H : (n + 1) * H]), certificate.profile[:, n])
+        middle, radius = (mp.mpf(s) for s in certificate.Omega_digits.strip("[]").split("+/-"))
+        assert abs(middle - mp.sqrt(x[2 * H])) <= radius + mp.mpf(10) ** -24
+
+
+def test_mirrored_chains_have_the_same_enclosures():
+    one, other = (orbit_of(Chain(5, 0.8, gamma, 1.0), 1.5, mode=5).certify() for gamma in (0.4, -0.4))
+    assert one.proved
+    assert other.proved
+    for name in ("Omega", "period", "energy"):
+        (a, b), (c, d) = getattr(one, name), getattr(other, name)
+        assert max(a, c) <= min(b, d)
+    signs = np.sign(one.profile[0] @ other.profile[0, ::-1])
+    mirrored = np.sort(signs * other.profile[:, ::-1], axis=0)
+    assert np.all(np.maximum(one.profile[0], mirrored[0]) <= np.minimum(one.profile[1], mirrored[1]))
+
+
+def test_lattice_with_nonlinear_bonds_is_proved_at_any_number_of_harmonics():
+    orbit = orbit_of(fput(6), 0.7, mode=6)
+    one, other = orbit.certify(), orbit.certify(harmonics=30, weight=1.05)
+    assert one.proved
+    assert other.proved
+    assert inside(orbit.Omega, (one.Omega[0] - orbit.Omega_error, one.Omega[1] + orbit.Omega_error))
+    assert max(one.Omega[0], other.Omega[0]) <= min(one.Omega[1], other.Omega[1])
+    assert max(one.energy[0], other.energy[0]) <= min(one.energy[1], other.energy[1])
+    assert abs(orbit.energy - one.energy[0]) < 1e-9 * orbit.energy
+
+
+def quintic(with_normalisation=False):
+    """y'' = -k y - c y^3/3 - y^5, with S = 2 y^2 by a normalisation of its own or not."""
+    y, v, k, c, S = (ca.SX.sym(name) for name in ("y", "v", "k", "c", "S"))
+    own = {"normalisation": 2 * y**2 - S} if with_normalisation else {}
+    parameters, nominal = (
+        (ca.vertcat(k, c, S), (1.3, 0.7, 1.0)) if with_normalisation else (ca.vertcat(k, c), (1.3, 0.7))
+    )
+    return OdeModel(
+        "quintic", y, -k * y - c / 3 * y**3 - y**5, parameters, 2, v, reversal=(1, -1), half_period=(-1, -1),
+        nominal=nominal, hamiltonian=v**2 / 2 + k * y**2 / 2 + c * y**4 / 12 + y**6 / 6, **own,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_period_of_a_quintic_oscillator_by_quadrature_is_inside(own):
+    certificate = orbit_of(quintic(own), 1.6).certify()
+    with mp.workdps(30):
+        k, c = mp.mpf(1.3), mp.mpf(0.7)
+        a = mp.sqrt(mp.mpf(1.6) / (2 if own else 1))
+        # energy(a) - energy(a sin u) over a^2 cos(u)^2 is a polynomial of sin(u)^2
+        rate = lambda u: mp.sqrt(  # noqa: E731
+            k + c * a**2 / 6 * (1 + mp.sin(u) ** 2) + a**4 / 3 * (1 + mp.sin(u) ** 2 + mp.sin(u) ** 4)
+        )
+        period = 4 * mp.quad(lambda u: 1 / rate(u), [0, mp.pi / 4, mp.pi / 2])
+        assert inside(period, certificate.period)
+        assert inside(k * a**2 / 2 + c * a**4 / 12 + a**6 / 6, certificate.energy)
+        assert inside(a, np.sort(np.abs(certificate.profile[:, 0])))
+
+
+def test_amplitude_with_products_of_positions_is_that_of_the_model():
+    """S = x^2 + x y + y^2 of two coupled oscillators: the proved displacements give it back."""
+    x, y, u, w, S = (ca.SX.sym(name) for name in ("x", "y", "u", "w", "S"))
+    force = ca.vertcat(-2 * x + 0.5 * y - x**3, -2.2 * y + 0.5 * x - 2 * y**3)
+    model = OdeModel(
+        "pair", ca.vertcat(x, y), force, S, 2, ca.vertcat(u, w), reversal=(1, 1, -1, -1), half_period=(-1,) * 4,
+        normalisation=x**2 + x * y + y**2 - S,
+    )  # fmt: skip
+    certificate = orbit_of(model, 0.8, mode=2).certify()
+    assert certificate.proved
+    with flint.ctx.workprec(balls.PRECISION):
+        one, two = (flint.arb(a).union(flint.arb(b)) for a, b in certificate.profile.T.tolist())
+        square = one**2 + one * two + two**2
+    assert square.overlaps(flint.arb(0.8))
+    assert float(square.rad()) < 1e-14
+    assert certificate.energy is None
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3])
+def test_disturbed_orbit_is_not_certified_to_less_than_the_disturbance(size):
+    orbit = orbit_of(Chain(6, 1.0, 0.25, -1.0), 1.0)
+    z = orbit.point.z.copy()
+    z[: orbit.point.problem.states] *= 1.0 + size * np.random.default_rng(1).normal(size=orbit.point.problem.states)
+    wrong = replace(orbit, point=replace(orbit.point, z=z))
+    right, certificate = orbit.certify(), wrong.certify()
+    assert right.radius < 1e-9
+    scaled = (wrong.coefficients(12) - orbit.coefficients(12)) / right.scale
+    distance = np.sum(np.abs(scaled) * 1.02 ** (2.0 * np.arange(12) + 1.0)[:, None])
+    assert distance > size
+    assert not certificate.proved or certificate.radius >= 0.999 * distance
+    if certificate.proved:  # then the true orbit is inside
+        assert max(right.Omega[0], certificate.Omega[0]) <= min(right.Omega[1], certificate.Omega[1])
+
+
+# Bounds that are large enough, and not twice as large -----------------------------------------------------------------
+
+
+def unrefined(orbit, harmonics, weight=1.02):
+    """Bounds about the coefficients as the orbit has them, cut to a few harmonics."""
+    system = system_of(orbit.space.whole.coordinates, orbit.S)
+    sites = np.arange(1, system.positions + 1)
+    columns = orbit.coefficients(40, sites)[:harmonics].T.tolist()
+    exact = [[(flint.arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
+    series = OddSeries(system, flint.arb(orbit.Omega**2), exact)
+    return FiniteInverse(series, flint.arb(weight))
+
+
+def padded(series, harmonics):
+    rows = [[*row, *[flint.arb(0)] * (harmonics - len(row))] for row in series.coefficients]
+    return OddSeries(series.system, series.square, rows)
+
+
+def test_radius_is_the_distance_of_the_true_orbit_but_for_a_little():
+    """The radius of coarse coefficients against the true distance: Y lowered by half would not hold it."""
+    orbit = orbit_of(Chain(3, 1.0, 0.25, -1.0), 1.0)
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, 6)
+        constants = bounds.constants()
+        radius = proved_radius(constants)
+        true = _attempt(orbit, bounds.series.system, 24, 1.02).series
+        distance = _distance(padded(bounds.series, 24), true, bounds.nu)
+    assert 0.9 * constants.Y <= distance <= radius
+    assert distance > 0.55 * radius
+    assert proved_radius(replace(constants, Y=constants.Y / 2)) < distance
+
+
+def explicit(bounds, harmonics, shift=None):
+    """A DF on many harmonics in doubles, with products by quadrature: independent of the blocks of the bounds.
+
+    `shift` is added to the coefficients, shape (1 + positions * harmonics,).
+    """
+    series, chain = bounds.series, bounds.series.system
+    n, H, J = chain.positions, series.harmonics, harmonics
+    odd, theta = 2.0 * np.arange(J) + 1.0, (np.arange(8 * J) + 0.5) * np.pi / (16 * J)
+    cosines = np.cos(np.outer(theta, odd))
+    a = np.zeros((n, J))
+    a[:, :H] = [[float(x) for x in row] for row in series.coefficients]
+    square, scale = float(series.square), np.array([float(d) for d in chain.scale])
+    c0 = 2.0 * scale**2 * a.sum(axis=1)
+    if shift is not None:
+        square, a = square + shift[0], a + shift[1:].reshape(n, J)
+    q = a @ cosines.T
+    DF = np.zeros((1 + n * J, 1 + n * J))
+    DF[0, 1:] = np.repeat(2.0 * scale**2 * a.sum(axis=1), J)
+    DF[1:, 0] = (odd**2 * a).ravel()
+    for m in range(n):
+        for k in range(n):
+            slope = np.zeros(theta.size)
+            for factors, coefficient in chain.scaled(m):
+                for place, index in enumerate(factors):
+                    if index == k:
+                        others = [q[i] for i in factors[:place] + factors[place + 1 :]]
+                        slope += float(coefficient) * np.prod([np.ones(theta.size), *others], axis=0)
+            block = (2.0 / theta.size) * cosines.T @ (slope[:, None] * cosines)
+            DF[1 + m * J : 1 + (m + 1) * J, 1 + k * J : 1 + (k + 1) * J] += block
+    DF[np.arange(1, 1 + n * J), np.arange(1, 1 + n * J)] += square * np.tile(odd**2, n)
+    finite = np.concatenate([[0], *(1 + m * J + np.arange(H) for m in range(n))])
+    tail = np.setdiff1d(np.arange(1 + n * J), finite)
+    A = np.zeros_like(DF)
+    A[np.ix_(finite, finite)] = bounds.matrix
+    inertia = float(series.square) * np.tile(odd**2, n)[tail - 1]
+    A[tail, tail] = 1.0 / inertia
+    A[np.ix_(finite, tail)] = -np.outer(bounds.matrix[:, 0], np.repeat(c0, J)[tail - 1] / inertia)
+    weights = np.concatenate([[1.0], np.tile(float(bounds.nu) ** odd, n)])
+    return A, DF, weights
+
+
+def norm(matrix, weights):
+    return float(np.max(weights @ np.abs(matrix) / weights))
+
+
+@pytest.mark.parametrize(
+    ("chain", "S", "harmonics", "sharp"),
+    [
+        (Chain(1, 1.0, 0.0, 5.0), 3.0, 4, 0.5),
+        (Chain(4, 0.2, -0.5, 2.0), 1.0, 6, 0.5),
+        (Chain(3, 1.0, 0.25, -1.0), 2.0, 5, 0.4),
+    ],
+)
+def test_z_bounds_the_operator_on_many_harmonics_and_not_by_much_more(chain, S, harmonics, sharp):
+    orbit = orbit_of(chain, S)
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, harmonics, 1.05)
+        Z = bounds.Z()
+    A, DF, weights = explicit(bounds, 60)
+    assert sharp * Z < norm(np.eye(len(DF)) - A @ DF, weights) <= Z
+
+
+def test_finite_rows_of_z_are_those_of_the_operator():
+    """A third harmonic near the other mode makes columns beyond the finite part reach far into it."""
+    orbit = orbit_of(Chain(2, -0.7, 0.0, -0.3), 0.4)
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, 2, 2.0)
+        finite, beyond = bounds.finite_columns(), float(bounds.beyond)
+        through_amplitude = (bounds.Z() - finite) * (1.0 - 1.0 / beyond)
+    A, DF, weights = explicit(bounds, 60)
+    rows = np.array([0, 1, 2, 61, 62])
+    off = weights[rows] @ np.abs((np.eye(len(DF)) - A @ DF)[rows]) / weights
+    assert 0.9 * finite < np.max(off) <= finite + through_amplitude
+
+
+@pytest.mark.parametrize(
+    ("chain", "S", "sharp"),
+    [
+        (Chain(1, -1.9, 0.0, 0.01), 1.0, 0.9),  # a soft oscillator: what Omega^2 does
+        (Chain(1, 0.1, 0.0, 40.0), 1.0, 0.3),  # a hard one: what the forces do
+        (Chain(3, 1.0, 0.25, -1.0), 2.0, 0.1),
+    ],
+)
+def test_w_bounds_differences_of_the_operator(chain, S, sharp):
+    orbit, reach = orbit_of(chain, S), 1e-3
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, 5, 1.05)
+        W = bounds.W(reach)
+    A, DF, weights = explicit(bounds, 40)
+    largest = 0.0
+    for direction in range(5):
+        shift = np.zeros(len(DF))
+        shift[direction] = reach / weights[direction]
+        largest = max(largest, norm(A @ (explicit(bounds, 40, shift)[1] - DF), weights) / reach)
+    assert sharp * W < largest <= W
+
+
+def test_w_is_its_formula():
+    """For one cubic oscillator each part of W by hand, from the explicit inverse."""
+    S, g = 1.7, 3.0
+    orbit, reach = orbit_of(Chain(1, 0.5, 0.0, g), S), 1e-3
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, 6, 1.05)
+        W = bounds.W(reach)
+    A, _, weights = explicit(bounds, 40)
+    unit, odd = float(bounds.series.system.scale[0]), 2.0 * np.arange(40) + 1.0
+    columns = weights @ np.abs(A) / weights
+    size = sum(abs(float(a)) * w for a, w in zip(bounds.series.coefficients[0], weights[1:], strict=False))
+    forces = np.max(columns[1:]) * 6.0 * g * unit**2 * (size + reach)
+    by_hand = np.max(columns[1:] * odd**2) + columns[0] * 2.0 * unit**2 / 1.05**2 + forces
+    assert by_hand * (1.0 - 1e-9) <= W <= 1.02 * by_hand
+
+
+def test_rounding_of_matrix_products_is_enclosed():
+    """Each column of I - A_f J in balls, where it is nothing but rounding, against its bound by doubles."""
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit_of(Chain(6, 1.0, 0.25, -1.0), 2.0), 12)
+        H, size = 12, bounds.inner
+        for n in range(6):
+            rows, block = bounds._column(n, H)
+            identity = np.zeros((size, H))
+            identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
+            found = bounds._image(rows, block, identity)
+            exact = flint.arb_mat(bounds.matrix[:, rows].tolist()) * flint.arb_mat(block.middle.tolist())
+            for j in range(H):
+                column = [abs(flint.arb(identity[i, j]) - exact[i, j]) for i in range(size)]
+                norm_ = sum(w * v for w, v in zip(bounds.rows_above.tolist(), column, strict=True))
+                assert norm_ < found[j] < 1e-8
+
+
+def test_conditions_of_the_theorem():
+    assert holds(Constants(1e-10, 0.1, 10.0, 1e-3), 1.2e-10)
+    assert not holds(Constants(1e-10, 0.1, 10.0, 1e-3), 1.1e-10)  # maps beyond the ball
+    assert not holds(Constants(1e-10, 1.0, 10.0, 1e-3), 1.2e-10)
+    assert not holds(Constants(1e-10, 0.1, 10.0, 1e-3), 0.1)  # no contraction
+    assert not holds(Constants(1e-10, 0.1, 1.0, 1e-3), 2e-3)  # beyond what W is a bound for
+    assert not holds(Constants(float("nan"), 0.1, 1.0, 1e-3), 1e-4)
+
+
+# What is not proved, and refused --------------------------------------------------------------------------------------
+
+
+def test_too_few_harmonics_prove_nothing_and_say_what_helps():
+    certificate = orbit_of(Chain(4, 1.0, 0.25, -1.0), 2.5).certify(harmonics=1)
+    assert not certificate.proved
+    assert np.isnan(certificate.Omega).all()
+    assert np.isnan(certificate.radius)
+    for words in ("with 1 odd harmonics", "more harmonics", "no proof that there is no orbit"):
+        assert words in repr(certificate)
+    assert "\n" not in certificate.reason
+
+
+def refusal(orbit, **options):
+    with pytest.raises(ValueError, match=r"given .*; ") as error:
+        orbit.certify(**options)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_forces_that_are_no_polynomials_are_refused():
+    assert "odd polynomials" in refusal(orbit_of(pendulums(3), 0.1))
+
+
+def test_orbits_without_half_period_symmetry_are_refused():
+    assert "odd cosines" in refusal(orbit_of(two_wells(), 0.01))
+    assert "odd cosines" in refusal(limit_cycle())
+
+
+def test_chains_that_act_one_way_or_have_no_end_are_refused():
+    assert "|gamma| < 1" in refusal(orbit_of(Chain(4, 1.0, 1.0, 1.0), 0.5, mode=4))
+    infinite = follow_family(Chain(float("inf"), 1.0, 0.25, -1.0), mode="first", amplitude_max=1.0).orbits[-1]
+    assert "sites" in refusal(infinite)
+
+
+def test_arguments_that_make_no_sense_are_refused():
+    orbit = orbit_of(Chain(1, 1.0, 0.0, 1.0), 1.0)
+    assert "weight" in refusal(orbit, weight=1.0)
+    assert "harmonics" in refusal(orbit, harmonics=0)
+
+
+def test_missing_library_is_named_with_its_extra(monkeypatch):
+    orbit = orbit_of(Chain(1, 1.0, 0.0, 1.0), 1.0)
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(ImportError, match=r'extra "certify"'):
+        orbit.certify()
