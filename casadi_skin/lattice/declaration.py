@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,7 @@ class Uniform:
         return np.random.default_rng(self.seed).uniform(self.low, self.high, cells)
 
 
+Kind = TypeVar("Kind")
 Value: TypeAlias = float | str | Sequence[float] | Sequence[Sequence[float]] | Uniform
 
 
@@ -147,6 +148,9 @@ class Declaration:
 
     def _check_bond(self, place: str, bond: Bond) -> None:
         names = [site.name for site in self.sites]
+        listed(f"{place} offset", bond.offset, int, "whole numbers, one along each direction")
+        if not isinstance(bond.gain, list | tuple):
+            raise TypeError(f"{place} gain: given {short_repr(bond.gain)}; accepted: two formulas")
         check_name(f"{place} from", bond.start, names)
         check_name(f"{place} to", bond.end, names)
         if len(bond.offset) != len(self.cells) or not all(isinstance(k, int) for k in bond.offset):
@@ -185,6 +189,8 @@ class Declaration:
                 for field in fields(value):
                     number(f"{place} {field.name}", getattr(value, field.name))
                 whole(f"{place} seed", value.seed, 0)
+                if not math.isfinite(float(value.high) - float(value.low)):
+                    raise ValueError(f"{place}: given {value}; accepted: a finite distance from low to high")
                 found[name] = value.values(self.cells)
             elif name not in self.scalars and not isinstance(value, str):
                 found[name] = self._array(place, value)
@@ -254,6 +260,14 @@ class Declaration:
                 wall = True
             found.append(there)
         return () if wall else tuple(found)
+
+
+def listed(name: str, given: object, kind: type[Kind], accepted: str) -> tuple[Kind, ...]:
+    """The entries of a list, all of one kind; raises TypeError for anything else."""
+    entries = tuple(given) if isinstance(given, list | tuple) else None
+    if entries is None or not all(isinstance(entry, kind) and not isinstance(entry, bool) for entry in entries):
+        raise TypeError(f"{name}: given {short_repr(given)}; accepted: {accepted}")
+    return entries
 
 
 def read_formula(place: str, text: object, known: Sequence[str]) -> Formula:

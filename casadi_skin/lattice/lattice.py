@@ -7,7 +7,8 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value
+from casadi_skin.arguments import short_repr
+from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.driving import forcing_period_of
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.structure import Structure, structure_of
@@ -53,9 +54,16 @@ class Lattice(OdeModel):
         name: str = "lattice",
         forcing_period: str | None = None,
     ) -> None:
-        along = (cells,) if isinstance(cells, int) else tuple(cells)
-        walls = (boundary,) * len(along) if isinstance(boundary, str) else tuple(boundary)
-        declaration = Declaration(along, tuple(sites), tuple(bonds), walls, dict(parameters or {}))
+        along = (cells,) if isinstance(cells, int) else listed("cells", cells, int, "a whole number, or one or two")
+        walls = (boundary,) * len(along) if isinstance(boundary, str) else listed("boundary", boundary, str, "words")
+        if not isinstance(parameters, Mapping | None):
+            raise TypeError(f"parameters: given {short_repr(parameters)}; accepted: values by name")
+        if not isinstance(name, str):
+            raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
+        declaration = Declaration(
+            along, listed("sites", sites, Site, "a list of sites"), listed("bonds", bonds, Bond, "a list of bonds"),
+            walls, dict(parameters or {}),
+        )  # fmt: skip
         equations = Equations(declaration)
         object.__setattr__(self, "declaration", declaration)
         object.__setattr__(self, "equations", equations)

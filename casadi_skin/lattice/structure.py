@@ -88,6 +88,7 @@ class Structure:
         return ", ".join([*found, *(["momentum"] if self.momentum else [])]) or "nothing that is known"
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not finite holds nowhere
 def structure_of(equations: Equations) -> Structure:
     """What holds of a lattice, checked at random positions and parameters near the declared ones."""
     trials = list(_trials(equations))

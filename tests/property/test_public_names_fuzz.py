@@ -17,12 +17,16 @@ import pytest
 
 import casadi_skin
 from casadi_skin import (
+    Bond,
     BoundaryValueProblem,
     Branch,
     Chain,
+    Lattice,
     OdeModel,
     Orbit,
+    Site,
     SymmetryClass,
+    Uniform,
     export_c,
     export_fmu,
     find_equilibria,
@@ -55,6 +59,7 @@ PROBLEM: dict[str, Any] = {
     "model": LINE, "conditions": [LINE.start(X), LINE.end(X) - 1], "integrals": (), "interval": (0.0, 1.0),
     "parameters": {"mu": 1.0}, "free": (), "bounds": {}, "objective": None, "running": None,
 }  # fmt: skip
+SITE, BOND = Site("a", "k*s*y + y^3"), Bond("a", "a", (1, 0))
 CHAIN = Chain(2, 1.0, 0.25, 1.0)
 
 
@@ -82,6 +87,17 @@ def solution() -> Any:
 # Each public name with arguments that are right and soon done; of classes also the methods.
 CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     "Chain": (lambda: Chain, {"sites": 2, "alpha": 1.0, "gamma": 0.25, "g": 1.0}),
+    "Lattice": (
+        lambda: Lattice,
+        {"cells": (2, 2), "sites": [SITE], "bonds": [BOND], "boundary": "free", "parameters": {"k": 1.0, "s": "n"},
+         "name": "lattice", "forcing_period": None},
+    ),
+    "Site": (
+        lambda: Site,
+        {"name": "a", "onsite": "y", "mass": "1", "damping": "0", "drive": "0"},
+    ),
+    "Bond": (lambda: Bond, {"start": "a", "end": "a", "offset": (1,), "force": "d", "gain": ("1", "1")}),
+    "Uniform": (lambda: Uniform, {"low": 0.0, "high": 1.0, "seed": 1}),
     "OdeModel": (
         lambda: OdeModel,
         {
