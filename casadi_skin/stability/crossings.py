@@ -26,6 +26,7 @@ from casadi_skin.stability.zeros import Function
 SHORTEST = 1e-9  # of the series that an interval belongs to: what is shorter is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
 SHORT = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
+OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 ACCURATE = 1e-9  # of a block's entries: what its series may leave out
 FINE = 2 * DEGREE  # degree of the series of a block that needs more than the others of its interval
@@ -80,8 +81,8 @@ class Crossings:
 
     @property
     def work(self) -> float:
-        """Sum of m^3 over the eigenvalue problems."""
-        return float(sum(count * size**3 for size, count in self.intervals.items()))
+        """Sum of m^3, and of what small ones cost as well, over the eigenvalue problems."""
+        return float(sum(count * (size**3 + OVERHEAD) for size, count in self.intervals.items()))
 
 
 def find_crossings(

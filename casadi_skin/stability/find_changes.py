@@ -11,7 +11,7 @@ from casadi_skin.stability.rotation import TWO_PI, Tracks, follow_angles
 from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
 
 INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
-WORK = 4e9  # sum of m^3 over eigenvalue problems of m multipliers
+WORK = 2e9  # see `Crossings.work`: a minute or two
 SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
 POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
 
@@ -30,8 +30,8 @@ def find_changes(
         modes: frequencies of the linear modes, by number, at its start of zero amplitude, but for that mode which it
             begins as; tongues are named by them.
         tolerance: of the interpolation of the matrices along the branch, relative to their largest entries.
-        work: limit of the sum of m^3 over the eigenvalue problems of m multipliers; the rest of the branch is then
-            unresolved. The default is some minutes.
+        work: limit of `Crossings.work`, the sum of m^3 and more over the problems of m multipliers; the rest of the
+            branch is then unresolved. The default is a minute or two.
         progress: called with the coordinate up to which everything is looked at.
 
     Returns:

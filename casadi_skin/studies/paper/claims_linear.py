@@ -157,7 +157,7 @@ def _matrices(chain: Chain) -> Iterator[Claim]:
     V = -J @ W  # W = J V
     defect = float(np.max(np.abs(V.T @ J @ V - J)))
     yield claim(
-        "App. A", "V = J^-1 W is Hermitian and symplectic", "both",
+        "App. A", "V, of W = J V, is Hermitian and symplectic", "both",
         f"largest entry of V - V^T: {np.max(np.abs(V - V.T)):.0e}; of V^T J V - J: {defect:.2f}",
         Verdict.MISPRINT if defect > 1e-6 else Verdict.AGREES, "V is symmetric, which is all that is needed", ROUND_OFF,
     )  # fmt: skip
