@@ -54,6 +54,7 @@ def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFi
     assert "subcrit" in printed
 
 
+@pytest.mark.slow
 def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
     """Closed forms: predators enter at K = 1; the balance is lost at K = 3, at x = 1 and with frequency 1/sqrt(3)."""
     out = tmp_path / "out"
@@ -78,6 +79,7 @@ def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
     assert [row["special"] for row in other].count("hopf") == 1
 
 
+@pytest.mark.slow
 def test_an_interrupted_diagram_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from casadi_skin.progress import Progress
 

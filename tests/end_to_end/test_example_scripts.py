@@ -66,6 +66,7 @@ def test_floquet_vectors(tmp_path: Path) -> None:
     np.testing.assert_allclose(image, vectors[:, chosen] * multipliers[chosen], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_proved_orbits(tmp_path: Path) -> None:
     pytest.importorskip("flint")
     found = load("proved_orbits").main(tmp_path / "picture.png", chains=12)

@@ -49,6 +49,7 @@ def test_every_case_has_a_name_of_its_own() -> None:
     assert {case.theme for case in cases} == {case.theme for case in cases if case.quick}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"

@@ -85,6 +85,7 @@ def test_a_full_standard_output_is_a_failure(words: list[str], scene: Path, tmp_
         assert (tmp_path / "out" / "family.nc").exists()
 
 
+@pytest.mark.slow
 def test_a_closed_standard_output_is_a_failure_unless_nothing_is_printed(scene: Path, tmp_path: Path) -> None:
     done = run("spectrum", scene, stdout=None, preexec_fn=closed(1))
     assert done.returncode == 1
@@ -94,6 +95,7 @@ def test_a_closed_standard_output_is_a_failure_unless_nothing_is_printed(scene: 
     assert (out / "family.nc").exists()
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_gone_is_told_in_one_line(scene: Path) -> None:
     reading, writing_end = os.pipe()
     os.close(reading)
@@ -103,6 +105,7 @@ def test_a_reader_that_has_gone_is_told_in_one_line(scene: Path) -> None:
     one_line(done.stderr, "standard output: Broken pipe")
 
 
+@pytest.mark.slow
 @needs_full
 def test_the_exit_status_does_not_depend_on_standard_error(scene: Path, tmp_path: Path) -> None:
     with FULL.open("w", encoding="utf-8") as full:
@@ -170,6 +173,7 @@ def test_a_full_disk_keeps_what_was_computed(small_disk: Path, scene: Path) -> N
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
 
 
+@pytest.mark.slow
 def test_a_directory_that_is_removed_during_a_run_is_made_again_with_what_was_computed(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

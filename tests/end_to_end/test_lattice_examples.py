@@ -100,6 +100,7 @@ def test_the_modes_of_the_disordered_chain_are_localised() -> None:
     assert np.median(modes.participation) < 8.0
 
 
+@pytest.mark.slow
 def test_the_resonance_curve_of_the_driven_chain_has_a_fold_where_its_stability_is_lost() -> None:
     lattice = example("driven_chain")
     branch = find_orbit(lattice, np.zeros(12), tolerance=1e-8).follow("omega", 1.3, stability=True)

@@ -289,6 +289,7 @@ def test_a_point_that_does_not_solve_the_equations_is_not_believed(
     the_same(out, scene.parent / "whole")
 
 
+@pytest.mark.slow
 def test_points_of_a_model_that_has_changed_elsewhere_are_not_believed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

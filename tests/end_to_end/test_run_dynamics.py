@@ -137,6 +137,7 @@ def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "dynamics" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_without_a_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     loaded = modules_of_a_run(write_scene(tmp_path / "plain.toml", ""), tmp_path / "out")
     assert not loaded & {"casadi_skin.dynamics", "casadi_skin.runs.dynamics", "casadi_skin.figures.spacetime"}

@@ -61,6 +61,7 @@ def test_an_active_bound_on_a_parameter_is_named_and_exact() -> None:
     assert solution.status == "a local optimum on the bounds a <= 2"
 
 
+@pytest.mark.slow
 def test_a_bound_on_a_state_holds_and_tells_its_error() -> None:
     """v = a t + b t^2/2 of mean 1 may reach 1.4 at -a/b: one equation for the ratio, solved apart."""
     solution = solved(cart(bounds={"v": (0.0, 1.4)}))

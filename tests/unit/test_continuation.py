@@ -316,6 +316,7 @@ def test_a_family_that_cannot_reach_the_amplitude_says_so(tolerance: float) -> N
         branch.at(4.0)
 
 
+@pytest.mark.slow
 def test_points_before_the_end_are_kept_and_those_beyond_are_not_invented() -> None:
     branch = followed(Chain(1, 1.0, 0.0, -1.0), 1, 5.0, 1e-6, (1.0, 2.5, 4.0))
     assert not branch.complete

@@ -48,6 +48,7 @@ def test_forcing_period_of_ones_own() -> None:
     assert lattice.forcing_period_at([2.0]) == pytest.approx(np.pi)
 
 
+@pytest.mark.slow
 def test_weak_damping_and_drive_approach_the_conservative_family() -> None:
     conservative = Lattice(SITES, [Site("a", "y + y^3")], [Bond("a", "a", (1,))])
     orbit = follow_family(conservative, mode=1, amplitude_max=1.0, at=(1.0,), tolerance=1e-11).at(S=1.0)

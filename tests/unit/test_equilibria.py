@@ -24,7 +24,7 @@ def damped(rest: float = 0.0) -> OdeModel:
 
 @pytest.mark.parametrize("corrector", ["newton", "ipopt"])
 @pytest.mark.parametrize("period", [3.0, 6.3])
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-8])
+@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-8, marks=pytest.mark.slow)])
 def test_an_orbit_that_shrinks_to_an_equilibrium_is_none(period: float, tolerance: float, corrector: str) -> None:
     turn = 2 * np.pi / period
     options = {"parameters": {"mu": 0.3}, "tolerance": tolerance, "corrector": corrector}

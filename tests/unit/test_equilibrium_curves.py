@@ -120,6 +120,7 @@ def test_the_bautin_normal_form_in_closed_form() -> None:
     assert abs(point.parameters["b2"]) < 1e-10
 
 
+@pytest.mark.slow
 def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
     p, q, x, u, v = symbols("p q x u v")
     both = hopf_pairs([p, p - q], ca.vertcat(p, q), [1.0, 1.7])

@@ -80,6 +80,7 @@ def test_carbon_monoxide_has_the_points_that_matcont_publishes() -> None:
         assert abs(abs(found) - coefficient) < 3e-4 * coefficient
 
 
+@pytest.mark.slow
 def test_every_hopf_point_of_a_large_model_is_found_once() -> None:
     """128 components: the Brusselator with diffusion, whose pairs cross one after the other."""
     problem = Brusselator(64)

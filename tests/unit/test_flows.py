@@ -276,6 +276,7 @@ def test_rk4_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest
         RungeKuttaFlow(orbit.space.coordinates.scaled, 1e-10).transition(orbit.point.problem, orbit.point.z)
 
 
+@pytest.mark.slow
 def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     request = family_request(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, at=(0.5, 2.0), tolerance=1e-8, corrector="newton")
     results = []

@@ -409,6 +409,7 @@ def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_fol
     assert refusal(path).endswith("no Model Exchange, Co-Simulation alone; accepted: an FMU with Model Exchange")
 
 
+@pytest.mark.slow
 def test_descriptions_that_say_nonsense_are_refused(
     chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path
 ) -> None:

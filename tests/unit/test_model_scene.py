@@ -454,6 +454,7 @@ def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
     assert fault_of(text, folder).startswith("[model] saved.json: not a model saved by casadi_skin")
 
 
+@pytest.mark.slow
 def test_a_solution_from_a_guess_in_the_file(folder: Path) -> None:
     request = bind(parsed(scene_of("bounded", "[solution]\nguess = 'guess'\n")), folder / "scene.toml")
     solution = first_solution(request)

@@ -121,6 +121,7 @@ def test_a_bound_on_a_quantity_is_active() -> None:
     assert np.max(result.best.orbit.states[:, 1]) <= 0.2 + 1e-9
 
 
+@pytest.mark.slow
 def test_starts_that_are_known_are_not_run_again(largest: SearchResult, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, kept = stated_search(DUFFING, **ASKED), list[Outcome]()
     result = run_search(problem, problem.starts(3, 0)[:2], keep=kept.append)

@@ -27,6 +27,7 @@ def cycles(epsilon: float, to: float) -> Branch:
     return branch
 
 
+@pytest.mark.slow
 def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont() -> None:
     """MatCont 7.6, testtorBPC1: fold -0.5844928424, torus -0.5957504, period doubling -0.6146817, with their periods.
 
@@ -45,6 +46,7 @@ def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont()
     assert np.min(np.abs(fold.floquet().others - 1.0)) < 1e-4
 
 
+@pytest.mark.slow
 def test_errors_of_a_period_doubling_shrink_with_the_tolerance_and_cover_the_difference() -> None:
     model = lorenz()
     start = _cycle(model, 240.0)
@@ -83,6 +85,7 @@ def test_lorenz_doubles_its_period_twice_where_auto_does() -> None:
     assert np.max(np.abs(last.evaluate(t) - last.evaluate(t + 0.5 * last.period))) > 1.0
 
 
+@pytest.mark.slow
 def test_a_symmetric_cycle_loses_its_symmetry_at_a_branch_point() -> None:
     """Without epsilon the circuit is odd: x(t + T/2) = -x(t) up to the branch point alone."""
     branch = cycles(0.0, -0.6)

@@ -283,6 +283,7 @@ def lyapunov() -> tuple[Any, float, float]:
     return lyapunov_by_shooting(L1 - 0.01)
 
 
+@pytest.mark.slow
 def test_a_lyapunov_orbit_both_ways(lyapunov: tuple[Any, float, float]) -> None:
     """Half of it by symmetry; all of it with unfolding, by section or phase, selected by x or energy: one period."""
     guess, period, speed = lyapunov
@@ -417,6 +418,7 @@ def van_der_pol_program() -> Program:
     return Program(ca.Function("field", [s, mu], [ca.vertcat(s[1], mu * (1 - s[0] ** 2) * s[1] - s[0])]))
 
 
+@pytest.mark.slow
 def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
     s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), van_der_pol_program()
     model = OdeModel("program", s, field(s, mu), mu)

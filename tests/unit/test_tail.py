@@ -148,6 +148,7 @@ def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) 
         np.testing.assert_array_equal(one.evaluate(t, sites=chosen), one.evaluate(t)[:, np.array(chosen) - 1])
 
 
+@pytest.mark.slow
 def test_multipliers_are_those_of_all_sites() -> None:
     tailed, whole = (family(70, 0.7, -1.0, tail, 2.0) for tail in ("eliminated", "full"))
     one, other = tailed.at(1.0), whole.at(1.0)
