@@ -30,6 +30,7 @@ def end_of(folder: Path) -> dict[str, str]:
         return list(csv.DictReader(file))[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rest",
     ["", "[stability]\n", *(pytest.param(f"[method]\n{m}\n", marks=pytest.mark.slow) for m in (

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 
+@pytest.mark.slow
 def test_bratu_fold(tmp_path: Path) -> None:
     branch = load("bratu_fold").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -50,6 +51,7 @@ def test_forced_duffing(tmp_path: Path) -> None:
         np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0)[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_lyapunov_orbit(tmp_path: Path) -> None:
     example = load("lyapunov_orbit")
     branch = example.main(tmp_path / "picture.png")

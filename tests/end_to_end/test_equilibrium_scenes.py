@@ -165,6 +165,7 @@ def test_what_is_not_found_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "does not settle" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_page_give_the_numbers_that_it_tells() -> None:
     text = (ROOT / "docs" / "equilibria.md").read_text(encoding="utf-8")
     block = text.split("```python\n")[1].split("```")[0]

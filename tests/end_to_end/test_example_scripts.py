@@ -55,6 +55,7 @@ def test_stability_boundary(tmp_path: Path) -> None:
     assert np.all(found[:, 0, 1] < 1e-9)
 
 
+@pytest.mark.slow
 def test_floquet_vectors(tmp_path: Path) -> None:
     orbit, multipliers, vectors = load("floquet_vectors").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

@@ -84,6 +84,7 @@ def pendulum_forces(y: np.ndarray) -> np.ndarray:
     return np.asarray(-np.sin(y) + 0.2 * np.diff(np.diff(y, prepend=0.0, append=0.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 @pytest.mark.parametrize("fewer", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["fewer", "all"])
 @pytest.mark.parametrize(

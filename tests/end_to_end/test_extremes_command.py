@@ -85,6 +85,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert read_rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("fewest")
 def test_an_interruption_keeps_what_was_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

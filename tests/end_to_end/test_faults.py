@@ -114,6 +114,7 @@ def test_the_exit_status_does_not_depend_on_standard_error(scene: Path, tmp_path
     assert (done.returncode, done.stdout) == (2, "")
 
 
+@pytest.mark.slow
 def test_warnings_of_other_packages_do_not_reach_the_terminal(
     scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,6 +138,7 @@ def limited(size: int) -> Callable[[], None]:
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [9_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (512, 25_000))])
 def test_a_limit_on_the_size_of_files_keeps_what_was_computed(size: int, scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -26,6 +26,7 @@ def scene_file(folder: Path, *tables: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_orbit_of_a_run_as_an_fmu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = scene_file(tmp_path, FAMILY, '[export]\nfmu = "orbit.fmu"\nS = 0.4\nmode = 2\n'), tmp_path / "out"
     assert main(["check", str(scene)]) == 0

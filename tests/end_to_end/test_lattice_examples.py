@@ -64,6 +64,7 @@ def corner(y: np.ndarray) -> np.ndarray:
     return np.asarray((neighbours - 5 * grid + grid**3).ravel())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "force", "mode", "S"),
     [

@@ -38,6 +38,7 @@ def written(path: Path, **values: object) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "rest", "regime"),
     [

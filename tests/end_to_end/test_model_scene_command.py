@@ -162,6 +162,7 @@ def test_the_resonance_of_duffing(tmp_path: Path) -> None:
         assert np.array_equal(np.isfinite(edges).sum(axis=1) - 1, data.intervals.values)
 
 
+@pytest.mark.slow
 def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 1.4\nat = [1.2]\n[stability]\n"
@@ -182,6 +183,7 @@ def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
 # Files and status -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) -> None:
     rest = "[solution]\nguess = { x = 0.0 }\n[continuation]\nparameter = 'mu'\nto = 4\nat = [2.0]\nmax_points = 40\n"
     out = tmp_path / "out"

@@ -47,6 +47,7 @@ def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
         assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_sensitivity_figure_on_a_few_chains(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (
         ("SIZES", (8, 16, 24)),

@@ -143,6 +143,7 @@ def the_same(out: Path, whole: Path, beside: Set[str] = frozenset()) -> None:
 # What is lost -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.0, 0.45, *(pytest.param(n, marks=pytest.mark.slow) for n in (0.2, 0.7, 0.95))])
 def test_a_killed_run_loses_nothing(
     part: float, scene: Path, records: list[Any], resume: Resume, capsys: pytest.CaptureFixture[str]
@@ -181,6 +182,7 @@ def test_an_orbit_is_not_simulated_again(
     the_same(resume(written(records[:1]))[0], scene.parent / "whole")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flag", ["--resume", "--overwrite", ""])
 def test_what_a_killed_run_leaves_beside_its_files_is_swept(flag: str, scene: Path, tmp_path: Path) -> None:
     out, mine = tmp_path / "out", ".mine.csv.abcd1234.csv"
@@ -194,6 +196,7 @@ def test_what_a_killed_run_leaves_beside_its_files_is_swept(flag: str, scene: Pa
     assert {path.name for path in out.glob(".*")} == ({mine} if flag else set())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["write_csv", "write_netcdf"])
 def test_a_run_that_is_interrupted_while_it_writes_has_written_all_files(
     name: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -245,6 +248,7 @@ TAILS: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TAILS)
 def test_a_tail_that_is_damaged_is_dropped_in_one_line(
     kind: str, scene: Path, records: list[Any], resume: Resume, capsys: pytest.CaptureFixture[str]
@@ -274,6 +278,7 @@ FAULTS: dict[str, Callable[[PointRecord], dict[str, Any]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FAULTS)
 def test_a_point_that_does_not_solve_the_equations_is_not_believed(
     kind: str, scene: Path, records: list[Any], resume: Resume, capsys: pytest.CaptureFixture[str]

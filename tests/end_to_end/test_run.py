@@ -132,6 +132,7 @@ METHODS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("methods", [METHODS[:3], pytest.param(METHODS, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_the_methods_of_a_scene_agree(tmp_path: Path, methods: tuple[str, ...]) -> None:
     found = []
@@ -146,6 +147,7 @@ def test_the_methods_of_a_scene_agree(tmp_path: Path, methods: tuple[str, ...]) 
         np.testing.assert_allclose(other, found[0], rtol=0, atol=2e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "limit"),  # omega^2/|g| = 3 is where the period diverges; a mesh follows it to where S is 3 but for 1e-4
     [('transcription = "gauss"\ncorrector = "newton"\n', 3.0003), pytest.param("", 3.0, marks=pytest.mark.slow)],
@@ -194,6 +196,7 @@ def killed_from_outside(scene: Path, out: Path) -> int:
     return process.returncode
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("chain", "kill"),
     [(SHORT, partial(killed, 12)), pytest.param(LONG, killed_from_outside, marks=pytest.mark.slow)],

@@ -99,6 +99,7 @@ def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.
     assert not (tmp_path / "out" / "dynamics.csv").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize(
     ("method", "number"),

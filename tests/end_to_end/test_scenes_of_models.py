@@ -259,6 +259,7 @@ def test_time_evolution_of_a_limit_cycle(tmp_path: Path, capsys: pytest.CaptureF
     np.testing.assert_allclose(states, flow.y.T, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -318,6 +319,7 @@ def the_same_bytes(directory: Path, whole: Path) -> None:
             assert (directory / name).read_bytes() == (whole / name).read_bytes(), name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures", "interruptible")
 @pytest.mark.parametrize(
     ("long_run", "stop"),
@@ -354,6 +356,7 @@ def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
         assert any(row.items() <= other.items() for other in final)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -375,6 +378,7 @@ def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures", "interruptible")
 def test_a_journal_of_another_version_is_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out"

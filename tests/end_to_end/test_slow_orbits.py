@@ -59,6 +59,7 @@ def errors(orbit: Orbit, omega_squared: float) -> tuple[float, float]:
         return float(abs(mp.mpf(orbit.S) - S)), float(largest / mp.sqrt(S))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "walker", "tolerance"),
     [

@@ -28,6 +28,7 @@ def error(
     return Quantity(name, true, estimate, 1.0, tolerance, true, estimate, excused)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, pytest.param(CASES, marks=pytest.mark.slow)])
 def test_estimates_of_random_cases_are_honest(tmp_path: Path, count: int) -> None:
     study = ErrorCalibration(tmp_path, count, SEED)

@@ -322,6 +322,7 @@ def test_every_public_name_is_called() -> None:
     assert called == set(casadi_skin.__all__) - {"__version__"}
 
 
+@pytest.mark.slow
 def test_the_calls_to_mutate_are_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in (name for name in CALLS if name not in ("import_fmu", "smallest_kick")):

@@ -324,6 +324,7 @@ def test_other_values_of_parameters_leave_the_statement_alone() -> None:
 # Other kinds of models ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opaque", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bool) -> None:
     x, lam = ca.MX.sym("x", 2), ca.MX.sym("lam")

@@ -102,6 +102,7 @@ def test_followed_towards_smaller_values(cubic: Solution) -> None:
     assert abs(x**3 - 3 * x + 4.5) < 1e-9
 
 
+@pytest.mark.slow
 def test_branches_follow_branches(cubic: Solution) -> None:
     middle = cubic.follow("a", -3.0).solutions[-1]
     assert middle.follow("a", 4.0).solutions[-1].states[0, 0] == pytest.approx(2.195823345445647, abs=1e-9)  # x^3-3x=4
@@ -142,6 +143,7 @@ def van_der_pol() -> Orbit:
     return find_orbit(model, guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "beside", [1e-3, 1e-12, *(pytest.param(n, marks=pytest.mark.slow) for n in (1e-6, 1e-8, 1e-10))]
 )
@@ -161,6 +163,7 @@ def test_values_next_to_a_fold_are_found_on_both_sides_of_it(beside: float, cubi
     assert sum(s.point.requested for s in beyond.solutions) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 4, 5))])
 def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Solution) -> None:
     def space() -> BoundarySpace:
@@ -174,6 +177,7 @@ def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Soluti
     np.testing.assert_array_equal(again.branch().values, whole.branch().values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [pytest.param("solutions", marks=pytest.mark.slow), "orbits"])
 def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
     """Folds, values asked for and multipliers among it."""

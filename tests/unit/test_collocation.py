@@ -244,6 +244,7 @@ def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken(S: float) -
     assert found.error.relative(found.Omega) <= 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("S", [2.99, pytest.param(2.9999, marks=pytest.mark.slow)])
 def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S: float) -> None:
     request = family_request(

@@ -47,6 +47,7 @@ def test_the_bogdanov_takens_point_of_ab_has_trace_and_determinant_zero() -> Non
     assert abs(found.solution["x"] - x) < 1e-10
 
 
+@pytest.mark.slow
 def test_carbon_monoxide_has_its_cusp_its_bogdanov_takens_and_its_bautin_points() -> None:
     """The two-parameter diagram of CO oxidation; each point against its conditions, solved by another method."""
     points = find_equilibrium(carbon_monoxide(), [0.001137, 0.891483, 0.062345]).follow("q2", 0.5).special_points

@@ -40,6 +40,7 @@ def test_cycles_grow_as_the_first_lyapunov_coefficient_says() -> None:
     np.testing.assert_allclose(high - low, 4.0 * size * np.abs(hopf.vector), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_cycles_of_abc_end_at_the_hopf_points_of_auto_by_name() -> None:
     """AUTO-07p's demo `abc`: Hopf points at 0.204185, 0.229839, 0.259958; a branch with a fold joins the last two."""
     points = find_equilibrium(abc(), [0, 0, 0]).follow("p1", 0.4).special_points

@@ -326,6 +326,7 @@ def test_an_orbit_whose_tail_was_eliminated(tmp_path: Path) -> None:
     np.testing.assert_allclose(y, orbit.evaluate(0.4)[0], atol=1e-13)
 
 
+@pytest.mark.slow
 def test_an_orbit_of_any_model(tmp_path: Path) -> None:
     """Van der Pol's cycle as a Fourier series, and its return and the trace of its monodromy matrix in C."""
     x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
@@ -582,6 +583,7 @@ def test_what_is_no_c_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFi
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_building_needs_a_compiler_and_an_export(tmp_path: Path) -> None:
     export_c(Chain(2, 1.0, 0.25, -1.0), tmp_path / "c")
     with pytest.raises(CompilerError, match="compiler: 'no-such-cc' not found; accepted: a C99 compiler"):

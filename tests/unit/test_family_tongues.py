@@ -167,6 +167,7 @@ HARD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("chain", "mode", "S_max"), HARD)
 def test_small_long_and_lopsided_chains_are_known_from_start_to_end(chain: Chain, mode: int, S_max: float) -> None:
     """Between changes orbits are as stable as their own multipliers say, of which the flow is another one."""

@@ -127,6 +127,7 @@ def test_a_tongue_shallower_than_the_flows_error_is_not_decided(coupling: float,
     assert (len(diagram.changes), len(diagram.undecided)) == ((2, 0) if decided else (0, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-8, 1e-10, 1e-12])
 def test_noise_of_the_flow_moves_edges_by_no_more_than_their_errors(noise: float) -> None:
     blocks = [collision(cubic(-0.6, 2.0), 0.01), real(cubic(-0.7, 1.0), cubic(-0.71, 1.0)), FAR]
@@ -180,6 +181,7 @@ def test_a_second_conserved_quantity_makes_no_changes(swapped: bool) -> None:
     assert len(diagram.tongues) == 1
 
 
+@pytest.mark.slow
 def test_a_cluster_of_three_has_the_changes_of_its_characteristic_polynomial() -> None:
     couplings = np.array([[0.0, 0.01, 0.002], [0.01, 0.0, 0.02], [0.002, 0.02, 0.0]])
     blocks = cluster([cubic(1.5, 0.2), cubic(1.6, -0.1), cubic(1.7, -0.3)], [1, -1, 1], couplings)

@@ -159,6 +159,7 @@ def test_error_estimates_know_the_noise_of_the_fmu(tmp_path: Path) -> None:
     assert 1e-9 < error < solution.error < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain_fmu", ["3.0", pytest.param("2.0", marks=pytest.mark.slow)], indirect=True)
 def test_derivatives_and_dependencies_that_are_wrong_are_not_used(chain_fmu: Path, tmp_path: Path) -> None:
     fmi = "2.0" if "fmi2.c" in zipfile.ZipFile(chain_fmu).read("sources/config.h").decode() else "3.0"
@@ -184,6 +185,7 @@ def test_values_that_the_fmu_cannot_compute_are_not_numbers(chain_fmu: Path) -> 
     assert np.all(np.isfinite(np.array(model.vector_field(0, x, [1.0, 0.2, 1.0]))))
 
 
+@pytest.mark.slow
 def test_forced_model_needs_its_period(tmp_path: Path) -> None:
     x, t, w = ca.SX.sym("x", 2), ca.SX.sym("t"), ca.SX.sym("w")
     rhs = ca.vertcat(x[1], -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.4 * ca.cos(w * t))
@@ -354,6 +356,7 @@ def test_hostile_archives_are_refused(chain_fmu: Path, own_temporary_folder: Pat
     assert not (tmp_path / "evil.txt").exists()
 
 
+@pytest.mark.slow
 def test_bombs_are_refused(
     chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -366,6 +369,7 @@ def test_bombs_are_refused(
         assert f"accepted: up to {most}" in refusal(path)
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused(chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path) -> None:
     assert "cannot be read as an FMU" in refusal(tmp_path / "missing.fmu")
     (tmp_path / "text.fmu").write_text("no archive")

@@ -160,6 +160,7 @@ def states(count: int) -> str:
     return f"<ModelStructure><Derivatives>{unknowns}</Derivatives></ModelStructure>"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -232,6 +233,7 @@ def test_a_good_binary_is_tried_once_for_each_file_and_question(good: Path, monk
     assert started.count(sys.executable) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 @pytest.mark.parametrize("when", ["imported", "tried"])
 def test_nothing_is_left_after_a_kill(good: Path, number: int, when: str, tmp_path: Path) -> None:

@@ -78,6 +78,7 @@ def test_one_site_is_a_distance_between_curves_of_constant_energy() -> None:
     assert kick.norm == pytest.approx(nearest, rel=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("periods", "others"), [(2.0, 1), pytest.param(3.0, 5, marks=pytest.mark.slow)])
 def test_the_kick_escapes_by_another_integrator_and_its_parts_do_not(periods: float, others: int) -> None:
     kick, orbit = found(periods), breather()
@@ -132,6 +133,7 @@ def test_mirrored_chain_has_the_mirrored_kick() -> None:
     assert kick.far_end_norm == pytest.approx(found().far_end_norm, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_far_end_alone_needs_more() -> None:
     time, all_sites = 2.0 * breather().period, found(2.0)
     one = smallest_kick(breather(), time, at=1, starts=2)

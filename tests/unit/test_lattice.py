@@ -37,6 +37,7 @@ def by_hand(name: str) -> OdeModel:
 # The same numbers -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sites", "gamma", "mode", "g"), [(24, 0.25, 1, -1.0), (24, -0.25, 24, 1.0), (48, 0.6, 1, -1.0)]
 )
@@ -179,6 +180,7 @@ def test_momentum_and_mirrors() -> None:
     assert Lattice((3, 2), [Site("a", "n*y")], [Bond("a", "a", (1, 0))]).structure.mirrors == (2,)
 
 
+@pytest.mark.slow
 def test_a_gauge_that_overflows_leaves_the_energy_out() -> None:
     assert chain(400, 1.0, 0.9, 1.0).hamiltonian is None
     assert chain(400, 1.0, 0.25, 1.0).hamiltonian is not None

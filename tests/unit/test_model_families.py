@@ -624,6 +624,7 @@ def test_a_fold_is_where_the_family_leaves_at_right_angles() -> None:
     assert abs(along @ start[:4]) / np.linalg.norm(along) / np.linalg.norm(start) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "mode", "name", "to"),
     [

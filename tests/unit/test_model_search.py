@@ -136,6 +136,7 @@ def test_starts_that_are_known_are_not_run_again(largest: SearchResult, monkeypa
     assert complete.best.objective == again.best.objective
 
 
+@pytest.mark.slow
 def test_deflation_uses_repeated_starts_once_more(largest: SearchResult) -> None:
     result = search(deflate=True)
     assert [(o.start.number, o.deflated) for o in result.outcomes] == [(1, False), (2, False), (3, False), (2, True),
@@ -234,6 +235,7 @@ def frequency(S: float, w: float = 1.0) -> float:
     return float(np.pi * np.sqrt(w) / (2.0 * ellipk(np.sin(0.5 * np.sqrt(S)) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_chain_as_a_model_in_physical_coordinates_has_the_optimum_of_the_chain() -> None:
     asked: dict[str, Any] = {"objective": "Omega_slope", "free": ("gamma",), "bounds": {"gamma": (0.2, 0.8)}}
     own = search_orbit(CHAIN, starts=2, **asked).best

@@ -100,6 +100,7 @@ def test_a_symmetric_cycle_loses_its_symmetry_at_a_branch_point() -> None:
     assert [special.kind for special in other.special_points] == ["torus"]
 
 
+@pytest.mark.slow
 def test_a_forced_oscillator_doubles_its_period() -> None:
     """Duffing's two wells: the orbit of twice the forcing's period is one of the simulation beyond the doubling."""
     x, y, F, t = symbols("x y F t")

@@ -207,6 +207,7 @@ def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
 # Forced ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_forced_duffing_through_both_folds() -> None:
     """Folds are where a multiplier is 1; between them three orbits, each closed by DOP853 and the middle unstable."""
     first = find_orbit(

@@ -48,6 +48,7 @@ def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method:
     assert down_and_up <= 1
 
 
+@pytest.mark.slow
 def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8)

@@ -214,6 +214,7 @@ def test_expressions_that_casadi_cannot_print_are_refused() -> None:
         dumps(OdeModel("deep", x, -rhs))
 
 
+@pytest.mark.slow
 def test_many_states_and_many_outputs_end_soon() -> None:
     count = 9_000
     begun = time.perf_counter()

@@ -191,6 +191,7 @@ def test_uneven_chain_meets_its_target() -> None:
         assert np.max(np.abs(acceleration - force)) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_pareto_front_has_no_dominated_point(points: int) -> None:
     front = pareto_front(

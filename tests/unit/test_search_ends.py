@@ -54,6 +54,7 @@ def children(process: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_a_parent_that_is_killed_leaves_no_process_running(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
@@ -76,6 +77,7 @@ def test_a_parent_that_is_killed_leaves_no_process_running(tmp_path: Path) -> No
     assert left == []
 
 
+@pytest.mark.slow
 def test_a_flat_direction_is_told() -> None:
     """One site has no neighbour, so that its frequency does not depend on gamma; at two sites it does."""
     options = {"objective": "Omega", "free": ["gamma"], "S": 1.0, "starts": 2, "bounds": {"gamma": (0.1, 0.6)}}

@@ -406,6 +406,7 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     assert folds[0][0] > 3.9 > 2.3 > folds[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("S", [0.2, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_stability_along_shot_orbits_is_that_of_the_others(S: float) -> None:
     chain = Chain(3, 1.0, 0.25, -1.0)
@@ -439,6 +440,7 @@ def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     assert corrector.tolerance == pytest.approx(1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("S", [0.2, pytest.param(1.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("symmetry", [HALF, pytest.param(FULL, marks=pytest.mark.slow)])
 def test_a_larger_part_of_the_period_gives_the_same_family(symmetry: SymmetryClass, S: float) -> None:

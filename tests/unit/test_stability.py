@@ -549,6 +549,7 @@ def test_points_are_stable_where_the_changes_say_so() -> None:
     np.testing.assert_array_equal(branch.stable, branch.changes[0].value > branch.S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("end", "count"), [(2.5, 12), pytest.param(3.0, 47, marks=pytest.mark.slow)])
 def test_complex_instabilities_are_born_where_two_mu_meet(end: float, count: int) -> None:
     """Beyond S = 2.37 the softening end breather gains and loses stability by Krein collisions."""

@@ -166,6 +166,7 @@ def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
     assert [regimes[0], regimes[len(regimes) // 2], regimes[-1]] == [Regime.PINNED, Regime.BOUND, Regime.THIRD]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("g", "known"), [(1.0, 2.3200364277694), pytest.param(-1.0, 0.7659589000207, marks=pytest.mark.slow)]
 )

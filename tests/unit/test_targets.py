@@ -302,6 +302,7 @@ def test_points_before_an_interruption_count(walker: str) -> None:
     assert again.branch().S[-1] == pytest.approx(whole[-1].S, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walker", [pytest.param("arclength", marks=pytest.mark.slow), "series"])
 def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:
     period = 2 * np.pi / 0.13

@@ -285,6 +285,7 @@ def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
     assert isnan(reference.errors_of(reference.orbits, none).mu)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("harmonics")
 def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> None:
     quick = measure(orbit_settings(FAMILY, (1e-4,))[0], reference, 1, with_memory=False)
@@ -300,6 +301,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert isnan(failed.seconds)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_another_process() -> None:
     held = np.ones(15_000_000)
     ours, started = peak_memory(), memory_of(None)
