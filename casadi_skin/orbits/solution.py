@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,7 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.space import SolutionSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ from casadi_skin.files import replacing
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following, following_space
+from casadi_skin.orbits.follow import following_space
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution

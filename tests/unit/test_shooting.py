@@ -33,7 +33,8 @@ from casadi_skin.continuation.points import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.family import DIGITS, Family
-from casadi_skin.orbits.follow import Following, follow_family
+from casadi_skin.orbits.follow import follow_family
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import SingularError

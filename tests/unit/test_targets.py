@@ -21,7 +21,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
 from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
 from casadi_skin.solvers.bordered import Solve
