@@ -11,11 +11,12 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.equilibria.codimension_two import TAKENS, special_on_curve
+from casadi_skin.equilibria.codimension_two import TAKENS, Followed, special_on_curve
+from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import FOLD, HOPF, SYSTEMS, jacobian_of
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
-from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace, corrector_of
+from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import following_settings
@@ -59,7 +60,7 @@ class CurveSpace(EquilibriumSpace):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Points of codimension two on the stretch between two points, in order."""
-        yield from special_on_curve(self, before, after)
+        yield from special_on_curve(Followed(self, self.kind), before, after)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""
@@ -124,7 +125,7 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     second = Course(point.parameter, p0, p0 + (course.to - course.start))
     rate = point.frequency if point.kind == HOPF else 1.0
     space = CurveSpace(
-        statics, old.tolerance, old.corrector, sizes, parameter, to, at, kind=point.kind, second=second, rate=rate
+        statics, old.tolerance, old.corrector, sizes, parameter, to, at=at, kind=point.kind, second=second, rate=rate
     )
     try:
         _ = space.problem.function

@@ -149,7 +149,7 @@ def other_branch(
     tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
     z = np.append(solution.positions / sizes, 0.0)
     leaving = EquilibriumSpace(
-        statics, space.tolerance, space.corrector, sizes, parameter, to, at, None, settings, leaves=True
+        statics, space.tolerance, space.corrector, sizes, parameter, to, settings, at, leaves=True
     )
     weights = leaving.point_solver.metric(leaving.problem, z)
     tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
@@ -177,7 +177,7 @@ def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
 def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
     problem, z = space.problem, point.z
-    left, _, right = np.linalg.svd(_unscaled(problem, z))
+    left, _, right = np.linalg.svd(problem.jacobian(z))
     first, second, psi = right[-1], right[-2], left[:, -1]
     quadratic = _second_derivatives(problem)
 
@@ -195,14 +195,6 @@ def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     along = point.tangent / np.linalg.norm(point.tangent)
     unit = [direction / np.linalg.norm(direction) for direction in directions]
     return min(unit, key=lambda direction: abs(float(direction @ along)))
-
-
-def _unscaled(problem: AlgebraicProblem, z: Array) -> Array:
-    """The Jacobian of the equations as they are written, shape (n, n + 1)."""
-    rows, columns = problem.pattern
-    matrix = np.zeros((problem.size - 1, problem.size))
-    matrix[rows, columns] = problem._buffers.evaluate(z, problem.constants)[1]
-    return matrix
 
 
 def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:

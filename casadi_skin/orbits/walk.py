@@ -96,27 +96,27 @@ class Walk:
                 return
 
     def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points between two points; round a fold that is alone the points asked for beside it."""
+        """Special points between two points, and the points asked for so near to folds that they were passed by."""
         found = list(self.space.special_between(before, after))
-        if len(found) == 1 and found[0].special == FOLD:
-            yield from self._round_fold(before, after, found[0])
-            return
-        yield from (replace(special, located=True) for special in found)
+        last = before
+        for special in (*found, after):
+            if any(one.special == FOLD for one in found):
+                yield from self._asked_between(last, special)
+            if special is not after:
+                yield replace(special, located=True)
+            last = special
 
-    def _round_fold(self, before: Point, after: Point, fold: Point) -> Iterator[Point]:
-        """A fold between two points, and the points asked for so near to it that the continuation passes them by."""
+    def _asked_between(self, one: Point, other: Point) -> Iterator[Point]:
+        """The points asked for between two points of which one is a fold, or beside one."""
         solver = self.space.point_solver
-        for one, other in ((before, fold), (fold, after)):
-            low, high = sorted((one.parameter, other.parameter))
-            wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
-            inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
-            found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
-            for point in found.values():
-                yield replace(point, requested=True, located=True)
-            assert self._continuation is not None
-            self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
-            if other is fold:
-                yield replace(fold, located=True)
+        low, high = sorted((one.parameter, other.parameter))
+        wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
+        inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
+        found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
+        for point in found.values():
+            yield replace(point, requested=True, located=True)
+        assert self._continuation is not None
+        self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""
