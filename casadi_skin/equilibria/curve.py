@@ -75,6 +75,7 @@ def curve(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
@@ -84,7 +85,7 @@ def curve(
         point: the fold or Hopf point.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
-        at, max_points, max_step, until, progress: as in `follow`.
+        at, max_points, max_step, back_to, until, progress: as in `follow`.
 
     Returns:
         The curve as a branch of equilibria; its special points are those of codimension two: "cusp", "bogdanov-takens",
@@ -95,12 +96,19 @@ def curve(
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError: the curve cannot be started.
     """
-    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
 
 
 def curve_space(
-    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float],
+    max_points: int,
+    max_step: float,
+    back_to: float | None = None,
 ) -> CurveSpace:
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     solution = point.solution
@@ -109,7 +117,9 @@ def curve_space(
     if parameter == point.parameter:
         others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
     return replace(_started(point, parameter, float(to), tuple(float(value) for value in at)), settings=settings)
 
 

@@ -91,17 +91,18 @@ def leaving_space(
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
     settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    values = tuple(float(value) for value in at)
+    values, both = tuple(float(value) for value in at), replace(settings, parameter_min=-1.0, closing=False)
     if isinstance(solution, Orbit):
-        turns, both = (2 if point.kind == DOUBLING else 1), replace(settings, parameter_min=-1.0)
+        turns = 2 if point.kind == DOUBLING else 1
         return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
     if point.kind == HOPF and isinstance(solution, Equilibrium):
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
-        cycles = replace(settings, parameter_min=-1.0)
-        return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
+        return born_at(statics, solution.positions, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
-        return _other_solutions(solution, parameter, float(to), values, replace(settings, parameter_min=-1.0), side)
+        return _other_solutions(
+            solution, parameter, float(to), values, replace(settings, parameter_min=-1.0, closing=False), side
+        )
     return other_branch(point, parameter, float(to), values, settings, side)
 
 

@@ -229,7 +229,7 @@ class Branch:
     @property
     def complete(self) -> bool:
         """Whether the branch reached what was asked and no requested point is missing."""
-        return (self.stopped or self.end is End.REACHED) and not any(self.misses.values())
+        return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
 
     @property
     def reason(self) -> str:

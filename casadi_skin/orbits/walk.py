@@ -12,6 +12,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD, NotLocatedError
 
+CLOSED = 1e-3  # of a step: distance from the start of a branch that has come back to it
+
 
 class Walk:
     """Iterates over the points of a branch that are not known yet, without their stability.
@@ -60,6 +62,26 @@ class Walk:
         self._end, self._detail = end, detail
 
     def __iter__(self) -> Iterator[Point]:
+        held = list[Point]() if self._known and self._beyond_start(self._known[-1]) else None
+        for point in self._all():
+            if held is not None:
+                held.append(point)
+                continue
+            yield point
+            held = [] if self._beyond_start(point) else None
+        if self._end is End.CLOSED:
+            yield from held or ()
+        elif held is not None:
+            self._end, self._detail = End.RETURNED, ""
+
+    def _beyond_start(self, point: Point) -> bool:
+        """Whether a branch has come back, so that points are kept only if it closes."""
+        settings = self.space.point_solver.settings
+        beyond = point.parameter * settings.parameter_max <= 0.0 and point is not self.space.start
+        return settings.closing and point.walked and beyond
+
+    def _all(self) -> Iterator[Point]:
+        """The points of the branch, and of what is beyond its start where it may close."""
         known = [point for point in self._known if not point.located]
         last = known[-1] if known else None
         reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
@@ -79,6 +101,8 @@ class Walk:
             if words:
                 self._end, self._detail = end, words
                 return
+            closed = last is not None and not self.space.start_is_limit and self._closes(last, point)
+            point = replace(self.space.start, walked=False, requested=False) if closed else point
             if self.space.locates_folds and last is not None:
                 try:
                     for special in itertools.islice(self._special_between(last, point), reported, None):
@@ -91,9 +115,28 @@ class Walk:
                     return
             yield point
             last, reported = point, 0
+            if closed:
+                self._end = End.CLOSED
+                return
             if end is not None:
                 self._end = end
                 return
+
+    def _closes(self, before: Point, after: Point) -> bool:
+        """Whether the start of the branch lies between two points of it, passed in the same direction."""
+        start, solver = self.space.start, self.space.point_solver
+        at = start.parameter
+        if before is start or (before.parameter - at) * (after.parameter - at) > 0.0:
+            return False
+        problem = after.problem
+        z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
+        curve, length = solver.curve(before, after)
+        row = solver.metric(problem, curve.z0) * curve.t0
+        sigma = float(row @ (z - curve.z0)) / float(row @ curve.t0)
+        if not CLOSED * length < sigma <= (1.0 + CLOSED) * length or float(row @ t) <= 0.0:
+            return False
+        found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
+        return found is not None and solver.distance(problem, z, found.z) <= CLOSED * length
 
     def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Special points between two points, and the points asked for so near to folds that they were passed by."""
@@ -129,7 +172,7 @@ class Walk:
 
         Where a condition stopped the branch, those that it had passed before.
         """
-        misses, whole = {}, end is End.REACHED and not stopped
+        misses, whole = {}, end in (End.REACHED, End.CLOSED) and not stopped
         for name, values in self._asked().items():
             had = {self._value(name, s) for s in solutions}
             found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}
