@@ -13,7 +13,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.progress import Progress
-from casadi_skin.results.quantities import certified
+from casadi_skin.results.family_quantities import certified
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.request import Request
