@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.bvp.problem import EPSILON, Array, SingularError
 from casadi_skin.equilibria.equations import EquilibriumEquations, corrector_of
 from casadi_skin.equilibria.problem import AlgebraicProblem, ExactLevels
 from casadi_skin.equilibria.systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem
-from casadi_skin.solvers.bordered import SingularError
 
 FOLD, BRANCH_POINT, HOPF = "fold", "branch point", "hopf"
 SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}

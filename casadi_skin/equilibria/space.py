@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Indices, Scalar
+from casadi_skin.bvp.problem import Indices, Scalar, SingularError
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.equilibria.detection import special_between
@@ -18,7 +18,6 @@ from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.statics import Spectrum, Statics
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.stability.result import Floquet
