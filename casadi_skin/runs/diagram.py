@@ -26,6 +26,7 @@ from casadi_skin.scene.model_tables import ContinuationTable
 NATURAL = (
     End.HOPF,
     End.TAKENS,
+    End.CLOSED,
     End.RETURNED,
     End.AWAY,
 )  # ends of what leaves a branch, or is followed in two parameters

@@ -144,6 +144,13 @@ class ContinuationTable(Table, frozen=True):
         tuple[Finite, ...],
         Meta(title="Points exactly at these values", description="a list of finite numbers, each once"),
     ] = ()
+    back_to: Annotated[
+        Finite | None,
+        Meta(
+            title="Value at which a branch ends that comes back beyond its start",
+            description="a finite number on the other side of the start (left out: it ends at the value of its start)",
+        ),
+    ] = None
     max_points: Annotated[
         Annotated[int, Meta(ge=1, le=_MAX_POINTS)],
         Meta(
