@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import cast
 
@@ -46,7 +47,7 @@ class Sample:
 
 def sample_of(point: Point, weights: Array) -> Sample:
     """What is known at a point; derivatives along the branch by differences of the Jacobian."""
-    from scipy.linalg import lu_factor, lu_solve
+    from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
     problem, z, t = cast(AlgebraicProblem, point.problem), point.z, point.tangent
     n, rounding = problem.statics.size, max(EPSILON, problem.statics.model.rounding)
@@ -62,7 +63,9 @@ def sample_of(point: Point, weights: Array) -> Sample:
     bent = np.append(-change @ t, 0.0)
     full = np.vstack([problem.jacobian(z), row])
     scale = np.maximum(np.max(np.abs(full), axis=1), 1e-300)
-    factors, pivots = lu_factor(full / scale[:, None], check_finite=False)
+    with warnings.catch_warnings():  # a branch point is singular
+        warnings.simplefilter("ignore", LinAlgWarning)
+        factors, pivots = lu_factor(full / scale[:, None], check_finite=False)
     swaps = np.sum(pivots != np.arange(pivots.size))
     orientation = np.prod(np.sign(np.diag(factors))) * (-1.0) ** swaps
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

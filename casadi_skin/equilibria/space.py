@@ -97,11 +97,12 @@ class EquilibriumSpace(EquilibriumEquations):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Special points on the stretch between two points, in order; raises NotLocatedError."""
-        if self.leaves and not np.any(before.z != self.start.z):  # a special point itself, which is known
-            beside = self.point_solver.along(before, after, BESIDE)
-            if beside is None:
-                return
-            before = beside
+        for place, point in ((BESIDE, before), (1.0 - BESIDE, after)):
+            if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
+                beside = self.point_solver.along(before, after, place)
+                if beside is None:
+                    return
+                before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after)
 
     def target(self, name: str, value: float) -> Target:

@@ -41,6 +41,7 @@ def switch(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -60,6 +61,7 @@ def switch(
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
             component that changes most grows is 1.
         at, max_points, max_step, until, events, progress: as in `follow`.
+        back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
         stability: whether multipliers are computed for each cycle.
         tolerance: of cycles, as in `find_orbit`.
 
@@ -72,14 +74,15 @@ def switch(
         BoundaryError, EquilibriumError: the branch cannot be started.
     """
     space = leaving_space(
-        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance
-    )
+        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
+        back_to=back_to,
+    )  # fmt: skip
     return run_following(Following(space, stability, events, until=until), progress)
 
 
 def leaving_space(
     point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
-    max_step: float, tolerance: float,
+    max_step: float, tolerance: float, back_to: float | None = None,
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
@@ -90,8 +93,11 @@ def leaving_space(
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    values, both = tuple(float(value) for value in at), replace(settings, parameter_min=-1.0, closing=False)
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
+    values = tuple(float(value) for value in at)
+    both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
     if isinstance(solution, Orbit):
         turns = 2 if point.kind == DOUBLING else 1
         return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
@@ -100,9 +106,7 @@ def leaving_space(
         statics = Statics(space.model, solution.parameters)
         return born_at(statics, solution.positions, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
-        return _other_solutions(
-            solution, parameter, float(to), values, replace(settings, parameter_min=-1.0, closing=False), side
-        )
+        return _other_solutions(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
 
 

@@ -199,6 +199,10 @@ class Branch:
         error = self.space.parameter_error(solution.point)
         return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
 
+    def follow_all(self, **options: Any) -> Any:
+        """All that leaves this, and what leaves that: a `Diagram`, by `casadi_skin.equilibria.diagram.follow_all`."""
+        return methods.TASKS["follow_all"].load()(self, **options)
+
     @property
     def folds(self) -> tuple[Solution, ...]:
         """Solutions at which the quantity that is followed turns back."""

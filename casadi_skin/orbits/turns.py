@@ -32,7 +32,7 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
 
 
 def _turning(point_solver: PointSolver, before: Point, after: Point, depth: int) -> Iterator[tuple[Point, Point]]:
-    turns = rate(before) * rate(after) < 0.0
+    turns = rate(before) * rate(after) < 0.0 and max(abs(rate(before)), abs(rate(after))) > STILL
     ends = _through(point_solver, [before, after])
     known = depth >= DEEPEST or (not turns and _steady(ends))
     middle = None if known else _between(point_solver, before, after, WITHIN)

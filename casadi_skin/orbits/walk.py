@@ -125,8 +125,9 @@ class Walk:
     def _closes(self, before: Point, after: Point) -> bool:
         """Whether the start of the branch lies between two points of it, passed in the same direction."""
         start, solver = self.space.start, self.space.point_solver
-        at = start.parameter
-        if before is start or (before.parameter - at) * (after.parameter - at) > 0.0:
+        low, high = sorted((before.parameter, after.parameter))
+        beside = start.parameter < 1.5 * low - 0.5 * high or start.parameter > 1.5 * high - 0.5 * low
+        if before is start or (beside and not self.space.knows_stability):  # equilibria cost nothing to compare
             return False
         problem = after.problem
         z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
