@@ -1,9 +1,10 @@
-"""Points of codimension two on curves of folds and of Hopf points: where one condition more holds.
+"""Points of codimension two on curves of folds, branch points and Hopf points: where one condition more holds.
 
 On a curve of folds: a cusp, where the quadratic coefficient is zero; a Bogdanov-Takens point, where a second real
-eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of Hopf points: a
-Bogdanov-Takens point, where the frequency is zero; a zero-Hopf point; a Hopf-Hopf point, where a second pair is on the
-axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is zero (Kuznetsov 2004, chapter 8).
+eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of branch points the last two.
+On a curve of Hopf points: a Bogdanov-Takens point, where the frequency is zero; a zero-Hopf point; a Hopf-Hopf point,
+where a second pair is on the axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is zero
+(Kuznetsov 2004, chapter 8).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
-from casadi_skin.equilibria.location import HOPF, jacobian_of
+from casadi_skin.equilibria.location import FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.statics import ComplexArray
 from casadi_skin.equilibria.stretch import Stretch, crossings, height
@@ -33,7 +34,7 @@ Test = Callable[[Point], float]
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Folds or Hopf points (`kind`) that are followed, by their equations."""
+    """Folds, Hopf points or branch points (`kind`) that are followed, by their equations."""
 
     equations: EquilibriumEquations
     kind: str
@@ -61,7 +62,7 @@ def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, 
     if hopf and _kappa(before) * _kappa(after) < 0.0:
         yield TAKENS, _kappa
         return
-    if not hopf:
+    if space.kind == FOLD:
         quadratic = _quadratic(space, before)
         if quadratic(before) * quadratic(after) < 0.0:
             yield CUSP, quadratic

@@ -72,7 +72,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
 
 
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
-    """Curves of folds and Hopf points in the plane of two parameters, with their points of codimension two.
+    """Curves of special points in the plane of two parameters, with their points of codimension two.
 
     Arguments:
         curves: what `point.curve` gives, all in the same two parameters.
@@ -88,20 +88,20 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     if len(planes) != 1 or len(next(iter(planes))) != 2:
         raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
     second, first = next(iter(planes))
-    kinds = {"fold": ("-", 1.8), "hopf": ((0, (4.0, 1.4)), 1.8)}
+    kinds = {"fold": "-", "hopf": (0, (4.0, 1.4)), "branch point": ":"}
+    names = {"fold": "folds", "hopf": "Hopf points", "branch point": "branch points"}
     with style():
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
         for curve in curves:
             kind = str(getattr(curve.space, "kind", ""))
-            dashes, width = kinds[kind]
             path = np.column_stack([curve[first], curve[second]])
             axes.plot(
                 *path.T,
-                ls=dashes,
-                lw=width,
-                color=colours(2)[int(kind == "hopf")],
-                label=f"{kind}s" if kind == "fold" else "Hopf points",
+                ls=kinds[kind],
+                lw=1.8,
+                color=colours(3)[list(kinds).index(kind)],
+                label=names[kind],
             )
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))

@@ -10,9 +10,9 @@ import numpy as np
 
 import casadi_skin.figures as figures
 from casadi_skin.continuation.points import End
-from casadi_skin.equilibria.curve import curve_space
+from casadi_skin.equilibria.curve import UnfoldingError, curve_space
 from casadi_skin.equilibria.diagram import LEAVING, Further
-from casadi_skin.equilibria.location import FOLD, HOPF
+from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
@@ -58,10 +58,12 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        if table.curve is not None and point.kind in (FOLD, HOPF) and not passed:
+        if table.curve is not None and point.kind in (FOLD, HOPF, BRANCH_POINT) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
+            except UnfoldingError:  # it is one at these values alone
+                continue
             except (ValueError, ArithmeticError) as error:
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
             else:
