@@ -13,6 +13,7 @@ from casadi_skin.continuation.points import End
 from casadi_skin.equilibria.curve import UnfoldingError, curve_space
 from casadi_skin.equilibria.diagram import LEAVING, Further
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
+from casadi_skin.figures.portrait import chosen_solutions
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
@@ -111,6 +112,9 @@ def write_diagram(
     write_csv(directory / "special_points.csv", columns, rows)
     in_one = [branch for branch in branches if not branch.space.free or isinstance(branch.solutions[0], Orbit)]
     figures.save(figures.bifurcation_figure(in_one, title), directory / "branch")
+    chosen = chosen_solutions(in_one)
+    if chosen:
+        figures.save(figures.portrait_figure(chosen, title), directory / "portrait")
     curves = [branch for branch in branches if branch not in in_one]
     if curves:
         figures.save(figures.curves_figure(curves, title), directory / "curves")

@@ -22,7 +22,18 @@ MADE = "# The scene of a run of casadi-skin, whose results are beside this file.
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit", "curves")
+PICTURES = (
+    "frequency",
+    "profile",
+    "spectrum",
+    "multipliers_j*",
+    "dynamics",
+    "search",
+    "branch",
+    "orbit",
+    "curves",
+    "portrait",
+)
 
 
 class DirectoryError(ValueError):

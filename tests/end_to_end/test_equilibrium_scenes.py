@@ -71,6 +71,7 @@ def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
     assert abs(float(lost["K"]) - 3.0) < 1e-12
     assert abs(float(lost["frequency"]) - 3.0**-0.5) < 1e-12
     assert lost["criticality"] == "supercritical"
+    assert (out / "portrait.svg").exists()
     cycles = rows(out / "cycles_1_1.csv")
     assert float(cycles[0]["period"]) == pytest.approx(2.0 * np.pi * 3.0**0.5, rel=1e-10)
     assert float(cycles[-1]["K"]) == 5.0
