@@ -45,14 +45,15 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
 
     Warns with UnresolvedWarning where several lie too near to each other to be told apart.
     """
-    yield from _Search(equations).between(before, after)
+    yield from _Search(equations, before, after).between(before, after)
 
 
 class _Search(Search):
     """Folds, branch points and Hopf points on one stretch of a branch."""
 
-    def __init__(self, equations: EquilibriumEquations) -> None:
-        self.free = equations.statics.oscillates  # whether pairs may cross the axis one by one
+    def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:
+        conserves = equations.model.order == 1 and all(equations.sample(end).symmetric for end in (before, after))
+        self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
         signs: Signs = "real parts" if self.free else "real" if equations.model.order == 2 else "squares"
         super().__init__(equations, signs)
 
@@ -98,8 +99,8 @@ def _differ(found: list[Found]) -> bool:
 def _located(equations: EquilibriumEquations, stretch: Stretch, kind: str, place: int) -> Found | None:
     """The special point of a kind at which an eigenvalue crosses, with its place along; None where it is not found."""
     guess = stretch.curve.at(stretch.root(None if kind == BRANCH_POINT else 0 if kind == FOLD else place + 1))
-    first, last = stretch.first.values[place], stretch.last.values[stretch.order[place]]
-    near = 1j * abs(height(first, last)) if kind == HOPF else None
+    ends = stretch.first.values[place], stretch.last.values[stretch.order[place]]
+    near = 1j * abs(height(*ends)) if kind == HOPF else None
     found = locate(equations, kind, guess[:-1], float(guess[-1]), near)
     if found is None:
         point = _by_bisection(equations, stretch, kind) if not equations.systems.get(kind, True) else None

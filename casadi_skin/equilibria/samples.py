@@ -40,6 +40,12 @@ class Sample:
     orientation: float
     leading: tuple[tuple[float, float], ...] | None = None
 
+    @property
+    def symmetric(self) -> bool:
+        """Whether with each eigenvalue its opposite is one, as where an energy is conserved, declared or not."""
+        apart = np.min(np.abs(self.values[:, None] + self.values), axis=1)
+        return bool(np.all(apart <= self.noise) and np.any(self.values))
+
     def along(self, row: Array) -> tuple[float, float, float]:
         """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""
         rate, bend = float(row @ self.point.tangent), float(row @ self.bend)
