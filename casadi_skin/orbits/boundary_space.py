@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
@@ -179,7 +180,11 @@ class BoundarySpace:
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
             crossed = branch_point_between(self.point_solver, before, after)
         if crossed is not None:
+            left = self.point_solver.along(before, crossed, 1.0 - BESIDE)
+            right = self.point_solver.along(crossed, after, BESIDE)
+            yield from () if left is None else self.special_between(before, left)
             yield crossed
+            yield from () if right is None else self.special_between(right, after)
             return
         parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
