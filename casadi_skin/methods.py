@@ -73,6 +73,7 @@ TASKS = _registry(  # what an object's method does where the object stands below
     critical=("what decides at a special point", "equilibria.normal_forms:critical"),
     hopf_end=("the Hopf point at which a branch of orbits ends", "equilibria.cycles:hopf_end"),
     switch=("the branch that leaves at a special point", "equilibria.switch:switch"),
+    follow_all=("all that leaves a branch", "equilibria.diagram:follow_all"),
     curve=("a special point followed in a second parameter", "equilibria.curve:curve"),
     to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),

@@ -200,6 +200,10 @@ class Branch:
         error = self.space.parameter_error(solution.point)
         return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
 
+    def follow_all(self, **options: Any) -> Any:
+        """All that leaves this, and what leaves that: a `Diagram`, by `casadi_skin.equilibria.diagram.follow_all`."""
+        return methods.TASKS["follow_all"].load()(self, **options)
+
     @property
     def folds(self) -> tuple[Solution, ...]:
         """Solutions at which the quantity that is followed turns back."""
@@ -222,7 +226,7 @@ class Branch:
     @property
     def complete(self) -> bool:
         """Whether the branch reached what was asked and no requested point is missing."""
-        return (self.stopped or self.end is End.REACHED) and not any(self.misses.values())
+        return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
 
     @property
     def reason(self) -> str:

@@ -178,6 +178,10 @@ class Solution:
         """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
         return methods.TASKS["follow"].load()(self, parameter, to, **options)
 
+    def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
+        """The branch through this solution, with all that leaves it; options are those of `follow`."""
+        return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
+
 
 def as_times(t: ArrayLike) -> Array:
     """Times as an array of one dimension; raises TypeError and ValueError for what is no number."""

@@ -118,7 +118,13 @@ class Branches:
             yield (
                 "branch",
                 following_space(
-                    first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
+                    first,
+                    table.parameter,
+                    table.to,
+                    at=table.at,
+                    max_points=table.max_points,
+                    max_step=table.max_step,
+                    back_to=table.back_to,
                 ),
             )
             if scene.equilibrium is not None:
