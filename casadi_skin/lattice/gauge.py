@@ -1,0 +1,156 @@
+"""The gauge of a lattice: weights with which the forces are a gradient, and the energy that these give."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.lattice.declaration import Array, Link
+from casadi_skin.lattice.equations import Equations
+from casadi_skin.lattice.expressions import antiderivative
+from casadi_skin.lattice.trials import SAME, Trial, trials_of
+
+LARGEST = 600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
+
+
+def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | None, list[ca.SX]]:
+    """Logarithms of the weights at the declared values, and the weights as expressions; None where loops disagree."""
+    size, inner = equations.y.numel(), [k for k, link in enumerate(equations.links) if _inner(link)]
+    logs = []
+    for trial in trials:
+        ratios = trial.gains[:, 0] / trial.gains[:, 1]  # c_end / c_start
+        if np.any(ratios[inner] <= 0) or not np.all(np.isfinite(ratios[inner])):
+            return None, []
+        found = logs_of(equations, trial)
+        for k in inner:
+            i, j = _ends(equations.links[k])
+            if abs(found[j] - found[i] - np.log(ratios[k])) > SAME * size:
+                return None, []
+        logs.append(found)
+    firsts, expressions = _least_of_parts(equations, logs[0]), [ca.SX(1)] * size
+    for k, forwards in _walk(equations, firsts):
+        i, j = _ends(equations.links[k])
+        first, second = equations.gains(equations.links[k])
+        ratio = ca.SX(1) if ca.is_equal(first, second, 4) else first / second
+        if forwards:
+            expressions[j] = expressions[i] * ratio
+        else:
+            expressions[i] = expressions[j] / ratio
+    (values,) = equations.at_nominal([ca.log(c) for c in expressions])
+    return values, expressions
+
+
+def logs_of(equations: Equations, trial: Trial) -> Array:
+    """Logarithms of the weights along a tree of bonds, 0 where it begins."""
+    logs = np.zeros(equations.y.numel())
+    for k, forwards in _walk(equations, range(logs.size)):
+        i, j = _ends(equations.links[k])
+        rate = float(np.log(trial.gains[k, 0] / trial.gains[k, 1]))
+        logs[j if forwards else i] = logs[i] + rate if forwards else logs[j] - rate
+    return logs
+
+
+def _inner(link: Link) -> bool:
+    return link.start is not None and link.end is not None
+
+
+def _ends(link: Link) -> tuple[int, int]:
+    assert link.start is not None
+    assert link.end is not None
+    return link.start, link.end
+
+
+def _walk(equations: Equations, firsts: Iterable[int]) -> Iterator[tuple[int, bool]]:
+    """Bonds of a tree through each connected part, and whether they are gone along from start to end."""
+    touching: dict[int, list[int]] = {}
+    for k, link in enumerate(equations.links):
+        if _inner(link):
+            for i in _ends(link):
+                touching.setdefault(i, []).append(k)
+    seen: set[int] = set()
+    for first in firsts:
+        if first in seen:
+            continue
+        queue = deque([first])
+        seen.add(first)
+        while queue:
+            here = queue.popleft()
+            for k in touching.get(here, ()):
+                i, j = _ends(equations.links[k])
+                there = j if i == here else i
+                if there not in seen:
+                    seen.add(there)
+                    queue.append(there)
+                    yield k, i == here
+
+
+def _least_of_parts(equations: Equations, logs: Array) -> list[int]:
+    """Sites in the order of their weights, so that the first of each connected part has the least."""
+    return [int(i) for i in np.argsort(logs, kind="stable")]
+
+
+def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
+    """Whether c_i mass_i times the derivative of the acceleration of i by y_j is that of j by y_i."""
+    arguments = [equations.y, equations.parameters]
+    derivative = ca.Function("J", arguments, [ca.jacobian(equations.accelerations, equations.y)])
+    for trial in trials:
+        logs = logs_of(equations, trial)
+        J = derivative(trial.y, trial.parameters).sparse()
+        half = 0.5 * (logs + np.log(trial.masses))
+        i, j = J.nonzero()
+        entries = np.asarray(J[i, j]).ravel() * np.exp(half[i] - half[j])
+        opposite = np.asarray(J[j, i]).ravel() * np.exp(half[j] - half[i])
+        if not np.all(np.abs(entries - opposite) <= SAME * half.size * np.max(np.abs(entries), initial=0.0)):
+            return False
+    return True
+
+
+def energy_of(equations: Equations, log_weights: Array | None, weights: list[ca.SX]) -> ca.SX | None:
+    """The energy in the symbols of the model; None where it is not conserved, too large, or not known."""
+    if log_weights is None or not equations.autonomous or np.max(log_weights, initial=0.0) > LARGEST:
+        return None
+    declaration, total = equations.declaration, ca.SX(0)
+    y, v = ca.vertsplit(equations.y), ca.vertsplit(equations.v)
+    kinds = {"onsite": "y", "force": "d"}
+    potentials: dict[tuple[str, int, str], ca.Function] = {}
+    for key, formula in declaration.formulas.items():
+        if key[2] in kinds:
+            potentials[key] = antiderivative(formula, kinds[key[2]])
+            if potentials[key] is None:
+                return None
+
+    def potential(key: tuple[str, int, str], cell: tuple[int, ...], at: ca.SX) -> ca.SX:
+        values, name = equations.values(cell), kinds[key[2]]
+        others = [values[other] for other in declaration.formulas[key].names if other != name]
+        return potentials[key](at, *others)
+
+    for cell in declaration.all_cells():
+        for s in range(len(declaration.sites)):
+            i = declaration.index(cell, s)
+            kinetic = equations.masses[i] * v[i] ** 2 / 2
+            total += weights[i] * (kinetic + potential(("site", s, "onsite"), cell, y[i]))
+    for link in equations.links:
+        first, second = equations.gains(link)
+        strength = ca.SX(0)
+        if link.start is not None:
+            strength = weights[link.start] * first
+        elif link.end is not None:
+            strength = weights[link.end] * second
+        total += strength * potential(("bond", link.bond, "force"), link.cell, equations.extension(link))
+    return total if _is_conserved(equations, total, log_weights) else None
+
+
+def _is_conserved(equations: Equations, energy: ca.SX, log_weights: Array) -> bool:
+    """Whether the energy keeps its value, at random states of the gauge, to rounding of its own terms."""
+    slope_y, slope_v = (ca.densify(ca.gradient(energy, x)) for x in (equations.y, equations.v))
+    change = ca.vertcat(slope_y * equations.v, slope_v * equations.accelerations)
+    rate = ca.Function("rate", [equations.y, equations.v, equations.parameters], [change])
+    for trial in trials_of(equations):
+        scale = np.exp(-0.5 * log_weights)
+        terms = np.array(rate(scale * trial.y, scale * trial.v, trial.parameters))
+        if not abs(terms.sum()) <= SAME * terms.size * np.sum(np.abs(terms)):
+            return False
+    return True
