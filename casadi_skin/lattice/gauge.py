@@ -33,13 +33,13 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
     firsts, expressions = _least_of_parts(equations, logs[0]), [ca.SX(1)] * size
     for k, forwards in _walk(equations, firsts):
         i, j = _ends(equations.links[k])
-        first, second = equations.gains(equations.links[k])
+        first, second = equations.gains[k]
         ratio = ca.SX(1) if ca.is_equal(first, second, 4) else first / second
         if forwards:
             expressions[j] = expressions[i] * ratio
         else:
             expressions[i] = expressions[j] / ratio
-    (values,) = equations.at_nominal([ca.log(c) for c in expressions])
+    (values,) = equations.at_nominal(ca.log(ca.vertcat(*expressions)))
     return values, expressions
 
 
@@ -113,7 +113,6 @@ def energy_of(equations: Equations, log_weights: Array | None, weights: list[ca.
     if log_weights is None or not equations.autonomous or np.max(log_weights, initial=0.0) > LARGEST:
         return None
     declaration, total = equations.declaration, ca.SX(0)
-    y, v = ca.vertsplit(equations.y), ca.vertsplit(equations.v)
     kinds = {"onsite": "y", "force": "d"}
     potentials: dict[tuple[str, int, str], ca.Function] = {}
     for key, formula in declaration.formulas.items():
@@ -122,24 +121,27 @@ def energy_of(equations: Equations, log_weights: Array | None, weights: list[ca.
             if potentials[key] is None:
                 return None
 
-    def potential(key: tuple[str, int, str], cell: tuple[int, ...], at: ca.SX) -> ca.SX:
-        values, name = equations.values(cell), kinds[key[2]]
+    def potential(key: tuple[str, int, str], cells: list[tuple[int, ...]], at: ca.SX) -> ca.SX:
+        values, name = equations.values(cells), kinds[key[2]]
         others = [values[other] for other in declaration.formulas[key].names if other != name]
-        return potentials[key](at, *others)
+        rows = [at.T, *(ca.repmat(other, 1, len(cells)) if other.numel() == 1 else other.T for other in others)]
+        return potentials[key](*rows).T
 
-    for cell in declaration.all_cells():
-        for s in range(len(declaration.sites)):
-            i = declaration.index(cell, s)
-            kinetic = equations.masses[i] * v[i] ** 2 / 2
-            total += weights[i] * (kinetic + potential(("site", s, "onsite"), cell, y[i]))
-    for link in equations.links:
-        first, second = equations.gains(link)
-        strength = ca.SX(0)
-        if link.start is not None:
-            strength = weights[link.start] * first
-        elif link.end is not None:
-            strength = weights[link.end] * second
-        total += strength * potential(("bond", link.bond, "force"), link.cell, equations.extension(link))
+    c, sites = ca.vertcat(*weights), len(declaration.sites)
+    total += ca.dot(c, equations.masses * equations.v**2) / 2
+    for s in range(sites):
+        total += ca.dot(c[s::sites], potential(("site", s, "onsite"), equations.cells, equations.y[s::sites]))
+    for b in range(len(declaration.bonds)):
+        links = equations.links_of(b)
+        gains = [equations.gains[k] for k, link in enumerate(equations.links) if link.bond == b]
+        strengths = []
+        for link, gain in zip(links, gains, strict=True):
+            if link.start is not None:
+                strengths.append(weights[link.start] * gain[0])
+            elif link.end is not None:
+                strengths.append(weights[link.end] * gain[1])
+        extended = potential(("bond", b, "force"), [link.cell for link in links], equations.extensions(links))
+        total += ca.dot(ca.vertcat(*strengths), extended)
     return total if _is_conserved(equations, total, log_weights) else None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.trials import SAME, Trial, field_of
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
@@ -53,10 +54,15 @@ def mirrors_of(equations: Equations, trials: list[Trial]) -> tuple[int, ...]:
 
 
 def is_polynomial(equations: Equations) -> bool:
-    at = ca.vertcat(equations.parameters, equations.t)
-    accelerations = ca.substitute(equations.accelerations, at, ca.vertcat(ca.DM(equations.nominal), 0.0))
-    try:
-        homogeneous_parts(accelerations, ca.vertcat(equations.y, equations.v))
-    except (NotPolynomialError, ValueError):
-        return False
+    """Whether all forces are polynomials of positions and velocities, formula by formula."""
+    declaration = equations.declaration
+    for (kind, number, field), formula in declaration.formulas.items():
+        varying = {*INDICES, *declaration.by_cell} & set(formula.names)
+        x = ca.SX.sym("x", 2 if field == "damping" else 1)
+        variables = {"y": x[0], "d": x[0], "v": x[-1], "t": ca.SX(0)}
+        found = equations.at(kind, number, field, equations.cells if varying else equations.cells[:1], **variables)
+        try:
+            homogeneous_parts(ca.substitute(found, equations.parameters, ca.DM(equations.nominal)), x)
+        except (NotPolynomialError, ValueError):
+            return False
     return True

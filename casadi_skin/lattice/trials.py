@@ -32,10 +32,8 @@ class Trial:
 def trials_of(equations: Equations) -> Iterator[Trial]:
     """The declared parameters, then others near them."""
     generator, nominal = np.random.default_rng(0), np.array(equations.nominal)
-    gains = [gain for link in equations.links for gain in equations.gains(link)]
-    evaluate = ca.Function(
-        "f", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *gains), ca.vertcat(*equations.masses)]
-    )
+    gains = [gain for pair in equations.gains for gain in pair]
+    evaluate = ca.Function("f", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *gains), equations.masses])
     accelerations = field_of(equations)
     for k in range(TRIALS):
         parameters = nominal * (1.0 + (SPREAD * generator.uniform(-1, 1, nominal.size) if k else 0.0))
