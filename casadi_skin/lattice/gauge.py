@@ -108,12 +108,14 @@ def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
     return True
 
 
-def energy_of(equations: Equations, log_weights: Array | None, weights: list[ca.SX]) -> ca.SX | None:
-    """The energy in the symbols of the model; None where it is not conserved, too large, or not known."""
-    if log_weights is None or not equations.autonomous or np.max(log_weights, initial=0.0) > LARGEST:
-        return None
-    declaration, total = equations.declaration, ca.SX(0)
-    kinds = {"onsite": "y", "force": "d"}
+def site_energies(equations: Equations, log_weights: Array | None, weights: list[ca.SX]) -> ca.SX | None:
+    """Kinetic and onsite energy of every site and half of that of its bonds, a column; None for unknown potentials.
+
+    A bond to a wall belongs to its one site. Weights are those of the gauge; without one, or where doubles do not hold
+    them, they are 1, and a bond has the mean of its gains.
+    """
+    in_gauge = log_weights is not None and np.max(log_weights, initial=0.0) <= LARGEST
+    declaration, kinds = equations.declaration, {"onsite": "y", "force": "d"}
     potentials: dict[tuple[str, int, str], ca.Function] = {}
     for key, formula in declaration.formulas.items():
         if key[2] in kinds:
@@ -127,25 +129,29 @@ def energy_of(equations: Equations, log_weights: Array | None, weights: list[ca.
         rows = [at.T, *(ca.repmat(other, 1, len(cells)) if other.numel() == 1 else other.T for other in others)]
         return potentials[key](*rows).T
 
-    c, sites = ca.vertcat(*weights), len(declaration.sites)
-    total += ca.dot(c, equations.masses * equations.v**2) / 2
+    sites = len(declaration.sites)
+    c = ca.vertcat(*weights) if in_gauge else ca.SX.ones(declaration.size)
+    energies = c * equations.masses * equations.v**2 / 2
     for s in range(sites):
-        total += ca.dot(c[s::sites], potential(("site", s, "onsite"), equations.cells, equations.y[s::sites]))
+        energies[s::sites] += c[s::sites] * potential(("site", s, "onsite"), equations.cells, equations.y[s::sites])
     for b in range(len(declaration.bonds)):
         links = equations.links_of(b)
         gains = [equations.gains[k] for k, link in enumerate(equations.links) if link.bond == b]
-        strengths = []
-        for link, gain in zip(links, gains, strict=True):
-            if link.start is not None:
-                strengths.append(weights[link.start] * gain[0])
-            elif link.end is not None:
-                strengths.append(weights[link.end] * gain[1])
-        extended = potential(("bond", b, "force"), [link.cell for link in links], equations.extensions(links))
-        total += ca.dot(ca.vertcat(*strengths), extended)
-    return total if _is_conserved(equations, total, log_weights) else None
+        energy = potential(("bond", b, "force"), [link.cell for link in links], equations.extensions(links))
+        for chosen, ends, share in (
+            ([k for k, link in enumerate(links) if link.end is None], (0,), 1.0),
+            ([k for k, link in enumerate(links) if link.start is None], (1,), 1.0),
+            ([k for k, link in enumerate(links) if _inner(link)], (0, 1), 0.5),
+        ):
+            at = [[(links[k].start, links[k].end)[side] for k in chosen] for side in ends]
+            strengths = [c[at[n]] * ca.vertcat(*(gains[k][side] for k in chosen)) for n, side in enumerate(ends)]
+            strength = strengths[0] if in_gauge or len(ends) == 1 else (strengths[0] + strengths[1]) / 2
+            for place in at if chosen else []:
+                energies[place] += share * strength * energy[chosen]
+    return energies
 
 
-def _is_conserved(equations: Equations, energy: ca.SX, log_weights: Array) -> bool:
+def is_conserved(equations: Equations, energy: ca.SX, log_weights: Array) -> bool:
     """Whether the energy keeps its value, at random states of the gauge, to rounding of its own terms."""
     slope_y, slope_v = (ca.densify(ca.gradient(energy, x)) for x in (equations.y, equations.v))
     change = ca.vertcat(slope_y * equations.v, slope_v * equations.accelerations)

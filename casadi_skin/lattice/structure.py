@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.equations import Equations
-from casadi_skin.lattice.gauge import energy_of, is_gradient, log_weights_of
+from casadi_skin.lattice.gauge import LARGEST, is_conserved, is_gradient, log_weights_of, site_energies
 from casadi_skin.lattice.symmetries import is_odd, is_polynomial, keeps_momentum, mirrors_of
 from casadi_skin.lattice.trials import trials_of
 
@@ -24,6 +24,8 @@ class Structure:
             where the gains of some loop do not agree.
         energy: sum of c (mass v^2/2 + onsite potential) + sum of c gain (potential of bonds), in the symbols of the
             model; None where there is none, or a force has no antiderivative that is known.
+        energies: of the sites, whose sum is the energy: half of a bond's belongs to each of its ends. Without a gauge
+            weights are 1 and gains their mean; None where a force has no antiderivative that is known.
         odd: whether the forces change sign with the positions.
         polynomial: whether the forces are polynomials of the positions.
         momentum: whether sum of c mass v is conserved.
@@ -33,6 +35,7 @@ class Structure:
 
     log_weights: Array | None
     energy: ca.SX | None
+    energies: ca.SX | None
     odd: bool
     polynomial: bool
     momentum: bool
@@ -88,9 +91,12 @@ def structure_of(equations: Equations) -> Structure:
     log_weights, scale = log_weights_of(equations, trials)
     if log_weights is not None and equations.autonomous and not is_gradient(equations, trials):
         log_weights = None
-    energy = energy_of(equations, log_weights, scale)
+    energies, energy = site_energies(equations, log_weights, scale), None
+    if energies is not None and log_weights is not None and equations.autonomous:
+        total = ca.sum1(energies)
+        energy = total if np.max(log_weights) <= LARGEST and is_conserved(equations, total, log_weights) else None
     return Structure(
-        log_weights, energy, is_odd(equations, trials), is_polynomial(equations),
+        log_weights, energy, energies, is_odd(equations, trials), is_polynomial(equations),
         log_weights is not None and equations.autonomous and keeps_momentum(equations, trials),
         mirrors_of(equations, trials), equations.damped, equations.driven,
     )  # fmt: skip
