@@ -38,8 +38,8 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
         numbers = np.arange(1, len(energies) + 1)
         least = largest * 10.0**-DECADES
         drawn = panels["a"].pcolormesh(
-            found.t[::step], numbers, np.maximum(energies, least), cmap="cividis", norm=LogNorm(least, largest), shading="nearest",
-            rasterized=True,
+            found.t[::step], numbers, np.maximum(energies, least), cmap="cividis", norm=LogNorm(least, largest),
+            shading="nearest", rasterized=True,
         )  # fmt: skip
         panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
         figure.colorbar(drawn, ax=panels["a"], label="energy of the site")
