@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
+    from casadi_skin.lattice.long_lattice import LongLattice
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
@@ -32,6 +33,7 @@ __all__ = [
     "Branch",
     "Chain",
     "Lattice",
+    "LongLattice",
     "OdeModel",
     "Orbit",
     "Site",
@@ -61,6 +63,7 @@ def __getattr__(name: str) -> Any:
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
         "Lattice": "lattice.lattice",
+        "LongLattice": "lattice.long_lattice",
         "OdeModel": "models.ode",
         "Orbit": "orbits.orbit",
         "Site": "lattice.lattice",

@@ -77,6 +77,10 @@ TASKS = _registry(  # what an object's method does where the object stands below
     curve=("a special point followed in a second parameter", "equilibria.curve:curve"),
     to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
+    long_lattice_coordinates=(
+        "the coordinates of a long lattice's family",
+        "lattice.cell_core:long_lattice_coordinates",
+    ),
     chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
     certify=("a proof that an orbit exists", "certify.certify:certify"),
     certify_stability=("a proof of an orbit's stability", "certify.stability:certify_stability"),

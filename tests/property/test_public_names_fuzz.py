@@ -22,6 +22,7 @@ from casadi_skin import (
     Branch,
     Chain,
     Lattice,
+    LongLattice,
     OdeModel,
     Orbit,
     Site,
@@ -91,6 +92,11 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
         lambda: Lattice,
         {"cells": (2, 2), "sites": [SITE], "bonds": [BOND], "boundary": "free", "parameters": {"k": 1.0, "s": "n"},
          "name": "lattice", "forcing_period": None},
+    ),
+    "LongLattice": (
+        lambda: LongLattice,
+        {"cells": 40, "sites": [SITE], "bonds": [Bond("a", "a", (1,))], "boundary": "free",
+         "parameters": {"k": 1.0, "s": 2.0}, "edge": "last", "name": "lattice"},
     ),
     "Site": (
         lambda: Site,
