@@ -26,7 +26,7 @@ from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -185,7 +185,13 @@ class BoundarySpace:
         hopf: Point | None = None
         if self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        yield hopf or fold_between(self.point_solver, before, after)
+        yield hopf or self._fold_between(before, after)
+
+    def _fold_between(self, before: Point, after: Point) -> Point:
+        """The fold between two points; of orbits as a solution of its extended equations."""
+        fold = fold_between(self.point_solver, before, after)
+        located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
+        return located or fold
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
@@ -293,7 +299,7 @@ class BoundarySpace:
         """States at phases, shape (len(theta), components)."""
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
-        states = signs * point.problem.sample(point.z, fractions)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
     def energy(self, point: Point) -> float:

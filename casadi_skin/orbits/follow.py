@@ -232,7 +232,7 @@ class Following:
         """What has been computed so far."""
         walked_end = None if self._continuation is None or self._waiting else self._continuation.end
         end, detail = self._end or walked_end, self._detail
-        if self._continuation is not None and not detail:
+        if self._continuation is not None and not detail and end is walked_end:
             detail = self._continuation.detail
         return self.finished(end, detail, self._misses(end))
 
