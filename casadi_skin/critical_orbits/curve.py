@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -20,7 +20,8 @@ from casadi_skin.critical_orbits.systems import KAPPA, Critical
 from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.follow import following_settings
+from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
@@ -41,6 +42,7 @@ class OrbitCurveSpace(BoundarySpace):
         orbits: the space of the branch on which the first was found.
     """
 
+    knows_stability: bool = field(default=True, init=False)
     kind: str = FOLD
     critical: Critical | None = None
     orbits: BoundarySpace | None = None

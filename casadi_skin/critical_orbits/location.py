@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, Scalar
+from casadi_skin.bvp.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.critical_orbits.linearised import Linearised, null_vectors
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
-from casadi_skin.solvers.bordered import SingularError
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be
 RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
