@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
@@ -31,7 +31,7 @@ ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another
     TORUS: ("fold-torus", "flip-torus", "torus-torus"),
 }
 FINE = 1e-11  # of a step, to which a root is found
-VANISHES = 1e-4  # of its terms: a coefficient where it has a root
+VANISHES = 1e-2  # of its values at both ends: a test where it has a root
 NEUTRAL = 1e-6  # imaginary part of a pair that is one
 Test = Callable[[Point], float]
 
@@ -44,7 +44,7 @@ def special_on_curve(space: OrbitCurveSpace, before: Point, after: Point) -> Ite
             yield end
             return
     found = [_root(space, before, after, kind, test) for kind, test in _tests(space, before, after)]
-    yield from (point for _, point in sorted(found, key=lambda entry: entry[0]) if _is_one(space, point))
+    yield from (point for _, point in sorted((one for one in found if one is not None), key=lambda entry: entry[0]))
 
 
 def _tests(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
@@ -110,34 +110,14 @@ def _coefficient(space: OrbitCurveSpace) -> Test:
     return lambda point: float(np.sum(_terms(space, point)))
 
 
-def _is_one(space: OrbitCurveSpace, point: Point) -> bool:
-    """Whether a root is a point of its kind, not a pole of its test nor two real multipliers with product 1."""
-    if point.special == DEGENERATE[space.kind]:
-        terms = _terms(space, point)
-        return bool(abs(np.sum(terms)) <= VANISHES * _size(space, point, terms))
-    if point.special == ANOTHER[space.kind][2]:
-        found = others(space, point)
-        i, j = np.triu_indices(found.size, 1)
-        nearest = np.argmin(np.abs(1.0 - found[i] * found[j]))
-        return bool(abs(found[i[nearest]].imag) > NEUTRAL)
-    return True
+def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+    """The point between two where a test vanishes, with its place; None where it has a pole in place of a root.
 
-
-def _size(space: OrbitCurveSpace, point: Point, terms: Array) -> float:
-    """What a coefficient would be without cancellation."""
-    if space.kind != FOLD:
-        return float(np.sum(np.abs(terms)))
-    linear = space.linearised(point)
-    v, adjoint = critical_functions(FOLD, linear, 0.0)
-    psi = adjoint[: linear.inner]
-    return float(np.abs(psi) @ np.abs(linear.derivative(v, v)) / abs(psi @ linear.velocity(v)))
-
-
-def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point]:
-    """The point between two where a test vanishes, with its place; raises NotLocatedError."""
+    Raises NotLocatedError.
+    """
     from scipy.optimize import brentq
 
-    known = {0.0: before, 1.0: after}
+    known, values = {0.0: before, 1.0: after}, dict[float, float]()
 
     def value(fraction: float) -> float:
         if fraction not in known:
@@ -145,17 +125,43 @@ def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: 
             if point is None:
                 raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
             known[fraction] = point
-        return test(known[fraction])
+        if fraction not in values:
+            values[fraction] = test(known[fraction])
+        return values[fraction]
 
     root = float(brentq(value, 0.0, 1.0, xtol=FINE))
-    value(root)
-    point = known[root]
-    _, length = space.point_solver.curve(before, after)
+    if abs(value(root)) > VANISHES * max(abs(value(0.0)), abs(value(1.0))) or not _is_pair(space, known[root], kind):
+        return None
     beside = min((f for f in known if f != root), key=lambda f: abs(f - root))
-    width = abs(known[beside].parameter - point.parameter) if abs(beside - root) < 1e-6 else FINE * length
-    moved = min(width, 10.0 * FINE * length) + point.error.relative(1.0)
-    error = replace(point.error, parameter=float(moved / point.problem.parameter_size(point.z)))
-    return root, replace(point, error=error, requested=False, walked=False, special=kind)
+    slope = (value(beside) - value(root)) / (beside - root)
+    error = replace(
+        known[root].error, parameter=_error(space, known[root], test, slope / _length(space, before, after))
+    )
+    return root, replace(known[root], error=error, requested=False, walked=False, special=kind)
+
+
+def _is_pair(space: OrbitCurveSpace, point: Point, kind: str) -> bool:
+    """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
+    if kind != ANOTHER[space.kind][2]:
+        return True
+    found = others(space, point)
+    i, j = np.triu_indices(found.size, 1)
+    nearest = np.argmin(np.abs(1.0 - found[i] * found[j]))
+    return bool(abs(found[i[nearest]].imag) > NEUTRAL)
+
+
+def _length(space: OrbitCurveSpace, before: Point, after: Point) -> float:
+    return space.point_solver.curve(before, after)[1]
+
+
+def _error(space: OrbitCurveSpace, point: Point, test: Test, slope: float) -> float:
+    """Estimated relative error of the parameter where a test vanishes, from its value on a finer level."""
+    better = point.better
+    assert better is not None
+    finer = replace(point, problem=better.problem, z=better.z, better=None)
+    along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
+    moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+    return float(moved / point.problem.parameter_size(point.z) + EPSILON)
 
 
 ENDS = {

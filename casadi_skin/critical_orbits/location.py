@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar, SingularError
-from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import Point
-from casadi_skin.critical_orbits.linearised import Linearised, null_vectors
+from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
@@ -72,11 +72,15 @@ def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float
         v = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n)
         v = v / np.sqrt(_mean(problem, v / critical.sizes))
         return np.concatenate([np.hstack([states, v]).ravel(), free, [0.0]])
-    q, normal = critical_plane(problem, z, angle, critical.sizes)
-    q = q * np.exp(-1j * np.angle(normal @ q[0]) + 0.5j * np.pi)  # its real part is orthogonal to the normal
-    v1, v2 = q.real, (q * np.exp(1j * angle)).real
+    q, shift, start = critical_plane(problem, z, angle, critical.sizes)
+    turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
+    along = np.real(turn * shift) * _velocities(problem, z) if critical.autonomous else 0.0
+    v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
     size = np.sqrt(_mean(problem, v1 / critical.sizes))
-    return np.concatenate([np.hstack([states, v1 / size, v2 / size]).ravel(), free, [np.cos(angle), 0.0]])
+    added = [np.cos(angle)]
+    if critical.autonomous:
+        added.append(float(np.real(turn * shift)) * 2.0 * (np.cos(angle) - 1.0) / size)
+    return np.concatenate([np.hstack([states, v1 / size, v2 / size]).ravel(), free, added, [0.0]])
 
 
 def component_sizes(values: Array) -> Array:
@@ -86,17 +90,37 @@ def component_sizes(values: Array) -> Array:
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))
 
 
-def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Array, Array]:
-    """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and a vector of its plane at 0.
+def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Vector, complex, Vector]:
+    """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and how it starts.
 
-    The vector is orthogonal there to the longest real part of a multiple of q.
+    Its start is a multiple of the velocity of an autonomous orbit, which is second, and what is across it, third.
     """
-    q = null_vectors(Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle))))[0].reshape(
-        problem.columns, -1
-    )
-    start = q[0] / sizes
-    turned = start * np.exp(-0.5j * np.angle(np.sum(start * start)))
-    return q, np.asarray(turned.imag / np.linalg.norm(turned.imag) / sizes)
+    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)))
+    q = null_vectors(twisted)[0].reshape(problem.columns, -1)
+    if PERIOD not in problem.statement.free:
+        return q, 0.0, q[0]
+    velocity = _velocities(problem, z)[0]
+    shift = complex((velocity / sizes) @ (q[0] / sizes) / np.sum((velocity / sizes) ** 2))
+    return q, shift, q[0] - shift * velocity
+
+
+def normal_of(start: Vector, sizes: Array) -> Array:
+    """A vector between the axes of the ellipse on which real parts of multiples of a complex one are.
+
+    What is orthogonal to it is no eigenvector where the ellipse becomes a line, as at the resonances 1:1 and 1:2.
+    """
+    scaled = start / sizes
+    turned = scaled * np.exp(-0.5j * np.angle(np.sum(scaled * scaled)))
+    longer, shorter = (part / np.linalg.norm(part) for part in (turned.real, turned.imag))
+    return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
+
+
+def _velocities(problem: BoundaryProblem, z: Array) -> Array:
+    """Derivatives of the state by the fraction of the period, shape (columns, components)."""
+    x = z[: problem.states].reshape(problem.columns, -1)
+    scalars = np.tile(z[problem.states :, None], problem.columns)
+    field = problem.formulation.field_function.map(problem.columns)(problem._fractions()[None], x.T, scalars)
+    return np.array(field[0]).T
 
 
 def _mean(problem: BoundaryProblem, v: Array) -> float:
@@ -113,7 +137,7 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     sizes = component_sizes(values)
     normal = np.zeros(values.shape[1])
     if kind == TORUS:
-        normal = critical_plane(problem, point.z, angle, sizes)[1]
+        normal = normal_of(critical_plane(problem, point.z, angle, sizes)[2], sizes)
     return Critical(kind, space.statement, first, sizes, normal)
 
 

@@ -4,25 +4,24 @@ The orbit's own problem on the unit interval is joined by its linearisation: of 
 which w changes the free parameters; of a period doubling along v with v(1) = -v(0); of a torus over two turns, along
 v1 and v2 with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, where kappa is the cosine of the angle of the
 multipliers. The last stays real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991;
-Govaerts 2000, chapter 8). One parameter more is free.
+Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the velocity, across which v1 starts, as the
+trivial multiplier is 1 as well. One parameter more is free.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
 
-KAPPA = "cosine of the angle"
+KAPPA, SHIFT = "cosine of the angle", "shift along the orbit"
 COPIES = {FOLD: 1, DOUBLING: 1, TORUS: 2}  # of the linearised state
 
 
@@ -63,7 +62,14 @@ class Critical:
     @property
     def added(self) -> tuple[str, ...]:
         """Names of parameters that the model of the orbit does not have."""
-        return (KAPPA,) if self.kind == TORUS else self.changes
+        if self.kind != TORUS:
+            return self.changes
+        return (KAPPA, SHIFT) if self.autonomous else (KAPPA,)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the velocity is a Floquet function with the multiplier 1."""
+        return PERIOD in self.orbit.free
 
     @property
     def states(self) -> int:
@@ -128,7 +134,12 @@ class Critical:
             conditions.append(v1 + v0)
         else:
             w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
-            conditions += [w0 - v1, w1 - 2 * kappa * w0 + v0, ca.dot(ca.DM(self.normal), v0)]
+            closing = w1 - 2 * kappa * w0 + v0
+            if self.autonomous:
+                velocity = self._field(0.0, first[:n], p[:count]) / self.sizes
+                closing = closing - p[count + 1] * velocity * self.sizes
+                conditions.append(ca.dot(velocity, v0 / self.sizes))
+            conditions += [w0 - v1, closing, ca.dot(ca.DM(self.normal), v0)]
         return conditions, integrals
 
     def _means(self, model: OdeModel) -> list[Expression]:
@@ -151,13 +162,3 @@ class Critical:
     def _size_of(self, name: str) -> float:
         value = abs(self.orbit.values[name])
         return value if value > 0.0 else 1.0
-
-    # Unknowns -------------------------------------------------------------------------------------------------------
-
-    def unknowns(self, states: Array, free: Sequence[float], u: float) -> Array:
-        """Unknowns from states (columns, all components), free parameters in their order, and u."""
-        return np.concatenate([states.ravel(), np.asarray(free, dtype=float), [u]])
-
-    def split(self, states: Array) -> tuple[Array, Any]:
-        """The orbit's states and the linearised ones, of states (columns, all components)."""
-        return states[:, : self.states], states[:, self.states :]
