@@ -17,7 +17,7 @@ from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
-from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS, NotLocatedError
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, NotLocatedError
 from casadi_skin.stability.reduction import ComplexArray
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ Test = Callable[[Point], float]
 
 def special_on_curve(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
+    if space.kind == EDGE:
+        return
     if space.shrinks(before, after):
         end = shrunk(space, before, after)
         if end is not None:

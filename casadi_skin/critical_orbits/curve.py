@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, cast
@@ -13,8 +13,9 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.critical_orbits.codimension_two import ENDS, special_on_curve
+from casadi_skin.critical_orbits.edges import located_edge
 from casadi_skin.critical_orbits.linearised import Linearised
-from casadi_skin.critical_orbits.location import extended_space, locate
+from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
 from casadi_skin.critical_orbits.normal_forms import on_circle
 from casadi_skin.critical_orbits.systems import KAPPA, Critical
 from casadi_skin.equilibria import curve as of_equilibria
@@ -26,7 +27,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, SpecialPoint
 from casadi_skin.stability.reduction import ComplexArray
 
 KINDS = (FOLD, DOUBLING, TORUS)
@@ -71,7 +72,7 @@ class OrbitCurveSpace(BoundarySpace):
 
     def interval(self, point: Point) -> tuple[float, float]:
         start, end = self._critical.orbit.span(np.array(list(self.parameters(point).values())))
-        return 0.0, end - start
+        return 0.0, (end - start) / self.symmetry.value
 
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
@@ -140,7 +141,8 @@ def curve(
     """A special point followed in a second parameter, with that in which it was found free.
 
     Arguments:
-        point: a fold or a Hopf point of equilibria; of orbits a fold, a period doubling or a torus.
+        point: a fold or a Hopf point of equilibria; of orbits a fold, a period doubling or a torus; of a family the
+            edge of a real tongue (`Branch.edge`), which is followed with S free.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
         at, max_points, max_step, until, progress: as in `follow`.
@@ -164,6 +166,11 @@ def curve_space(
     point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
 ) -> SolutionSpace:
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    if point.kind == EDGE:
+        orbit, edge = located_edge(point, parameter)
+        settings = following_settings(orbit, parameter, to, at=at, max_points=max_points, max_step=max_step)
+        unit = orbit.parameters[edge.critical.first]
+        return _space(cast(BoundarySpace, orbit.space), edge, unit, orbit.parameters, parameter, to, at, settings)
     solution = point.solution
     plain = isinstance(solution, Orbit) and type(solution.space) is BoundarySpace
     if not (plain and point.kind in KINDS):
@@ -182,8 +189,17 @@ def curve_space(
         why = "its extended equations are not solved, or the model has no second derivatives"
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
     unit = abs(orbits.to - orbits.statement.values[point.parameter])
-    held = {name: solution.parameters[name] for name in orbits.statement.model.parameter_names}
-    extended = extended_space(located.critical, orbits, {**held, point.parameter: located.value}, unit, parameter, to)
+    return _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+
+
+def _space(
+    orbits: BoundarySpace, located: LocatedOrbit, unit: float, parameters: Mapping[str, float], parameter: str,
+    to: float, at: Sequence[float], settings: ContinuationSettings,
+) -> OrbitCurveSpace:  # fmt: skip
+    """The space of the curve through a located orbit, at the parameters of the branch that it was found on."""
+    critical = located.critical
+    held = {name: parameters[name] for name in orbits.statement.model.parameter_names}
+    extended = extended_space(critical, orbits, {**held, critical.first: located.value}, unit, parameter, float(to))
     given = {f.name: getattr(extended, f.name) for f in fields(BoundarySpace) if f.init}
     given |= {"periodic": orbits.periodic, "at": tuple(map(float, at)), "first": located.point, "settings": settings}
-    return OrbitCurveSpace(**given, kind=point.kind, critical=located.critical, orbits=orbits)
+    return OrbitCurveSpace(**given, kind=critical.kind, critical=critical, orbits=orbits)

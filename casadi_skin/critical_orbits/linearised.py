@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
+from casadi_skin.critical_orbits.systems import Parity
 
 Vector = NDArray[Any]  # of real or complex numbers
 ROUNDS = 4  # of inverse iteration
@@ -74,6 +75,15 @@ class Linearised:
         number = factor.real if factor.imag == 0.0 else factor
         places = (np.tile(np.arange(n), 2), np.concatenate([np.arange(n), self.states - n + np.arange(n)]))
         closing = coo_matrix((np.repeat([-number, 1.0], n), places), shape=(n, self.states))
+        return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
+
+    def reflected(self, parity: Parity) -> Any:
+        """The derivative of the equations of the state alone, for components that vanish at the ends, sparse."""
+        from scipy.sparse import coo_matrix, vstack
+
+        n, first = self.components, self.states - self.components
+        columns = np.array([*parity[0], *(first + place for place in parity[1])])
+        closing = coo_matrix((np.ones(n), (np.arange(n), columns)), shape=(n, self.states))
         return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
 
     def _at_stages(self, v: Vector) -> tuple[Vector, Vector]:
@@ -137,6 +147,14 @@ class Linearised:
                 total += 1j ** sum(choice) * np.array(mapped(places, x, scalars, *given))
         found = self._increments(total)
         return found if any(np.iscomplexobj(v) for v in directions) else np.asarray(found.real)
+
+
+def velocities(problem: BoundaryProblem, z: Array) -> Array:
+    """Derivatives of the state by the fraction of the interval, shape (columns, components)."""
+    x = z[: problem.states].reshape(problem.columns, -1)
+    scalars = np.tile(z[problem.states :, None], problem.columns)
+    field = problem.formulation.field_function.map(problem.columns)(problem._fractions()[None], x.T, scalars)
+    return np.array(field[0]).T
 
 
 def _leading(size: int, whole: int, part: int) -> list[int]:

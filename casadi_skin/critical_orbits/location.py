@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, Scalar, SingularError
-from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.problem import EPSILON, Scalar
+from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.points import Point
-from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors
+from casadi_skin.critical_orbits.starting import component_sizes, critical_plane, normal_of, started
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be
-RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,80 +54,6 @@ def extended_space(
     return BoundarySpace(statement, old.tolerance, method, Sizes(states, scalars), None, parameter, to)
 
 
-def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float, angle: float = np.pi) -> Array:
-    """Unknowns of the extended problem, on the mesh of an orbit, from the orbit's and the parameter's value."""
-    n, count = critical.states, len(critical.orbit.free)
-    states = z[: problem.states].reshape(-1, n)
-    linear = Linearised(problem, z, critical.orbit)
-    free = [*z[problem.states : problem.states + count], value]
-    if critical.kind == FOLD:
-        null, _ = null_vectors(linear.jacobian)
-        v, w = null[: problem.states].reshape(-1, n), null[problem.states :]
-        size = np.sqrt(
-            _mean(problem, v / critical.sizes) + np.sum((w / [critical._size_of(f) for f in critical.orbit.free]) ** 2)
-        )
-        return np.concatenate([np.hstack([states, v / size]).ravel(), free, w / size, [0.0]])
-    if critical.kind == DOUBLING:
-        v = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n)
-        v = v / np.sqrt(_mean(problem, v / critical.sizes))
-        return np.concatenate([np.hstack([states, v]).ravel(), free, [0.0]])
-    q, shift, start = critical_plane(problem, z, angle, critical.sizes)
-    turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
-    along = np.real(turn * shift) * _velocities(problem, z) if critical.autonomous else 0.0
-    v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
-    size = np.sqrt(_mean(problem, v1 / critical.sizes))
-    added = [np.cos(angle)]
-    if critical.autonomous:
-        added.append(float(np.real(turn * shift)) * 2.0 * (np.cos(angle) - 1.0) / size)
-    return np.concatenate([np.hstack([states, v1 / size, v2 / size]).ravel(), free, added, [0.0]])
-
-
-def component_sizes(values: Array) -> Array:
-    """What each component of a Floquet function is measured by: the orbit's largest, or a usual one where it rests."""
-    largest = np.max(np.abs(values), axis=0)
-    moves = largest > RESTS * np.max(largest)
-    return np.asarray(np.where(moves, largest, np.median(largest[moves])))
-
-
-def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Vector, complex, Vector]:
-    """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and how it starts.
-
-    Its start is a multiple of the velocity of an autonomous orbit, which is second, and what is across it, third.
-    """
-    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)))
-    q = null_vectors(twisted)[0].reshape(problem.columns, -1)
-    if PERIOD not in problem.statement.free:
-        return q, 0.0, q[0]
-    velocity = _velocities(problem, z)[0]
-    shift = complex((velocity / sizes) @ (q[0] / sizes) / np.sum((velocity / sizes) ** 2))
-    return q, shift, q[0] - shift * velocity
-
-
-def normal_of(start: Vector, sizes: Array) -> Array:
-    """A vector between the axes of the ellipse on which real parts of multiples of a complex one are.
-
-    What is orthogonal to it is no eigenvector where the ellipse becomes a line, as at the resonances 1:1 and 1:2.
-    """
-    scaled = start / sizes
-    turned = scaled * np.exp(-0.5j * np.angle(np.sum(scaled * scaled)))
-    longer, shorter = (part / np.linalg.norm(part) for part in (turned.real, turned.imag))
-    return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
-
-
-def _velocities(problem: BoundaryProblem, z: Array) -> Array:
-    """Derivatives of the state by the fraction of the period, shape (columns, components)."""
-    x = z[: problem.states].reshape(problem.columns, -1)
-    scalars = np.tile(z[problem.states :, None], problem.columns)
-    field = problem.formulation.field_function.map(problem.columns)(problem._fractions()[None], x.T, scalars)
-    return np.array(field[0]).T
-
-
-def _mean(problem: BoundaryProblem, v: Array) -> float:
-    """The mean over the interval, and over the components, of the squares of v, shape (columns, components)."""
-    weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
-    return float(weights @ np.mean(v[problem.stages] ** 2, axis=1))
-
-
 def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, first: str) -> Critical:
     """What an orbit solves beside its own equations, seen from an orbit near it."""
     problem = point.problem
@@ -148,22 +73,27 @@ def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) 
     """
     if kind not in (FOLD, DOUBLING, TORUS):
         return None
-    name, value = space.parameter, space.parameters(point)[space.parameter]
-    problem = point.problem
-    assert isinstance(problem, BoundaryProblem)
+    unit = abs(space.to - space.statement.values[space.parameter])
     try:
-        critical = critical_of(kind, space, point, angle, name)
-        unit = abs(space.to - space.statement.values[name])
-        extended = extended_space(critical, space, {name: value}, unit)
-        finer = extended.levels.problem(problem.resolution).with_constants(problem.constants)
-        z = started(critical, problem, point.z, value, angle)
-        row = finer.parameter_row()
-        correction = extended.levels.corrector(finer).correct(z, row, 0.0)
-        if not correction.converged:
-            return None
-        found = extended.point_solver.refined(finer, correction, row, Scalar.PARAMETER)
-    except (SingularError, ArithmeticError, RuntimeError, NotImplementedError):  # a black box has no second derivatives
+        critical = critical_of(kind, space, point, angle, space.parameter)
+        return solved(space, critical, point, unit, angle)
+    except (ArithmeticError, RuntimeError, NotImplementedError):  # a black box has no second derivatives
         return None
+
+
+def solved(
+    space: BoundarySpace, critical: Critical, point: Point, unit: float, angle: float = np.pi
+) -> LocatedOrbit | None:
+    """The solution of an extended problem near an orbit; `unit` is a usual change of the parameter found with it."""
+    value, problem = space.parameters(point)[critical.first], point.problem
+    assert isinstance(problem, BoundaryProblem)
+    extended = extended_space(critical, space, {critical.first: value}, unit)
+    finer = extended.levels.problem(problem.resolution).with_constants(problem.constants)
+    z, row = started(critical, problem, point.z, value, angle), finer.parameter_row()
+    correction = extended.levels.corrector(finer).correct(z, row, 0.0)
+    if not correction.converged:
+        return None
+    found = extended.point_solver.refined(finer, correction, row, Scalar.PARAMETER)
     if found is None:
         return None
     index = found.problem.states + len(space.statement.free)

@@ -1,11 +1,15 @@
-"""Boundary-value problems whose regular solutions are folds, period doublings and tori of orbits.
+"""Boundary-value problems whose regular solutions are special orbits.
 
-The orbit's own problem on the unit interval is joined by its linearisation: of a fold along a null vector (v, w), in
-which w changes the free parameters; of a period doubling along v with v(1) = -v(0); of a torus over two turns, along
-v1 and v2 with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, where kappa is the cosine of the angle of the
+The orbit's own problem on the unit interval is joined by its linearisation. Of a fold along a null vector (v, w), in
+which w changes the free parameters; of a period doubling along v with v(1) = -v(0); of a torus over two turns, along v1
+and v2 with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, where kappa is the cosine of the angle of the
 multipliers. The last stays real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991;
 Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the velocity, across which v1 starts, as the
-trivial multiplier is 1 as well. One parameter more is free.
+trivial multiplier is 1 as well.
+
+Of the edge of a real tongue of symmetric orbits along v in one of the three symmetry classes that the velocity x' is
+not in; or, where a pair meets the trivial one, along v1 = dx/dT and v2 with v2' = J v2 - v1 in the class of x': four
+multipliers are the same then. One parameter more is free.
 """
 
 from __future__ import annotations
@@ -19,10 +23,10 @@ from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS
 
 KAPPA, SHIFT = "cosine of the angle", "shift along the orbit"
-COPIES = {FOLD: 1, DOUBLING: 1, TORUS: 2}  # of the linearised state
+Parity = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -46,6 +50,8 @@ class Critical:
         first: name of the parameter that is found with the orbit.
         sizes: what components of v are measured by, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
+        parity: of an edge: which components of v vanish at the start and at the end.
+        joined: of an edge: whether a pair meets the trivial one.
     """
 
     kind: str
@@ -53,6 +59,8 @@ class Critical:
     first: str
     sizes: Array
     normal: Array
+    parity: Parity = ((), ())
+    joined: bool = False
 
     @property
     def changes(self) -> tuple[str, ...]:
@@ -72,6 +80,11 @@ class Critical:
         return PERIOD in self.orbit.free
 
     @property
+    def copies(self) -> int:
+        """How many linearised states there are."""
+        return 2 if self.kind == TORUS or self.joined else 1
+
+    @property
     def states(self) -> int:
         """Number of components of the orbit's state."""
         return self.orbit.model.full_size
@@ -87,12 +100,14 @@ class Critical:
     def _model(self) -> OdeModel:
         inner = self.orbit.model
         kind, n, count = type(inner.state), self.states, len(inner.parameter_names)
-        copies = COPIES[self.kind]
+        copies = self.copies
         s, x, p = kind.sym("s"), kind.sym("x", n * (1 + copies)), kind.sym("p", count + len(self.added))
         field = self._field(s, x[:n], p[:count])
         rows = [field, *(ca.jtimes(field, x, self._direction(x, k)) for k in range(1, 1 + copies))]
         if self.changes:
             rows[1] = rows[1] + ca.jtimes(field, p, self._change(p))
+        if self.joined:
+            rows[1:] = [rows[1] + field, rows[2] - x[n : 2 * n]]
         names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
         return _Joined(
             inner.name, x, ca.vertcat(*rows), p, time=s, forcing_period=1.0, checked=False,
@@ -132,15 +147,26 @@ class Critical:
             conditions.append(changed + ca.jtimes(rows, p, self._change(p)))
         elif self.kind == DOUBLING:
             conditions.append(v1 + v0)
+        elif self.kind == EDGE:
+            conditions += [v0[list(self.parity[0])], v1[list(self.parity[1])]]
+            if self.joined:
+                even = [[place for place in range(n) if place not in part] for part in self.parity]
+                conditions += [first[2 * n :][even[0]], last[2 * n :][even[1]]]
+                conditions.append(self._along(first, p, first[2 * n :]))
         else:
             w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
             closing = w1 - 2 * kappa * w0 + v0
             if self.autonomous:
-                velocity = self._field(0.0, first[:n], p[:count]) / self.sizes
-                closing = closing - p[count + 1] * velocity * self.sizes
-                conditions.append(ca.dot(velocity, v0 / self.sizes))
+                closing = closing - p[count + 1] * self._field(0.0, first[:n], p[:count])
+                conditions.append(self._along(first, p, v0))
             conditions += [w0 - v1, closing, ca.dot(ca.DM(self.normal), v0)]
         return conditions, integrals
+
+    def _along(self, start: Expression, p: Expression, v: Expression) -> Expression:
+        """The part of a direction at the start that is along the velocity there."""
+        count = len(self.orbit.model.parameter_names)
+        velocity = self._field(0.0, start[: self.states], p[:count])
+        return ca.dot(velocity / ca.DM(self.sizes), v / ca.DM(self.sizes))
 
     def _means(self, model: OdeModel) -> list[Expression]:
         orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
@@ -154,11 +180,14 @@ class Critical:
         if self.kind == FOLD and means:
             changed = ca.jtimes(means[0], x, self._direction(x, 1)) + ca.jtimes(means[0], p, self._change(p))
             means.append(changed)
+        if self.joined:  # v1 has its size by itself
+            return means
         size = ca.sumsqr(x[n : 2 * n] / ca.DM(self.sizes)) / n
         for place, name in enumerate(self.orbit.free if self.changes else ()):
-            size = size + (p[count + place] / self._size_of(name)) ** 2
+            size = size + (p[count + place] / self.size_of(name)) ** 2
         return [*means, size - 1]
 
-    def _size_of(self, name: str) -> float:
+    def size_of(self, name: str) -> float:
+        """What the change of a free parameter is measured by."""
         value = abs(self.orbit.values[name])
         return value if value > 0.0 else 1.0

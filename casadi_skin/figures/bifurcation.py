@@ -50,6 +50,7 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("fold", True): ("folds of cycles", "-"),
     ("period doubling", True): ("period doublings", DASHED),
     ("torus", True): ("tori", DOTTED),
+    ("edge of a tongue", True): ("edges of tongues", "-"),
 }
 PLAIN = ("d", "0.8")
 

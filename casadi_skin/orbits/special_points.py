@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+EDGE = "edge of a tongue"  # of instability of a family, through 1 or -1
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
