@@ -108,7 +108,7 @@ def _error(space: BoundarySpace, point: Point, index: int) -> float:
     apart = abs(float(better.z[better.problem.states + index - problem.states]) - value)
     solve = space.point_solver.factor(problem, point.z, problem.parameter_row())
     noise = solve(np.append(problem.rounding(point.z) * problem.probe, 0.0))
-    return apart + abs(float(noise[index])) + EPSILON * abs(value)
+    return 2.0 * apart + abs(float(noise[index])) + EPSILON * abs(value)
 
 
 def point_of(located: LocatedOrbit, space: BoundarySpace, near: Point, kind: str) -> Point:

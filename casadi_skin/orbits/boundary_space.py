@@ -198,7 +198,8 @@ class BoundarySpace:
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
         varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     def parameter_error(self, point: Point) -> float:
