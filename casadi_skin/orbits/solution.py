@@ -102,7 +102,8 @@ class Solution:
     @cached_property
     def states(self) -> Array:
         """States at `t`, shape (time, component)."""
-        return np.array(self.point.z[: self.problem.states].reshape(-1, self.statement.model.full_size))
+        values = self.point.z[: self.problem.states].reshape(self.problem.columns, -1)
+        return np.array(values[:, : len(self.space.state_names)])
 
     @property
     def mesh(self) -> Array:

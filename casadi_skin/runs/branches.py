@@ -127,7 +127,7 @@ class Branches:
                     back_to=table.back_to,
                 ),
             )
-            if scene.equilibrium is not None:
+            if scene.has_diagram:
                 from casadi_skin.runs.diagram import further_spaces
 
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
