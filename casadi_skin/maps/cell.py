@@ -1,0 +1,109 @@
+"""What a worker does with a task: the scene of its cells is made, bound and computed; nothing is written."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from casadi_skin.maps.grid import Tables, Task, scene_at
+from casadi_skin.maps.rows import Meanings, Row, row_of_search, rows_of
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import Following, following_space, run_following
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.continuation.points import End
+from casadi_skin.runs.binding import bind
+from casadi_skin.runs.request import Request
+from casadi_skin.scene import Scene
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.threads import one_thread
+
+FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults of a task
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What all tasks of a map share: the scene as plain values, the path of its file, and a growth that counts."""
+
+    tables: Tables
+    path: str
+    growth: float = 0.0
+
+
+class Result(msgspec.Struct, frozen=True):
+    """What a task gave: a row for each of its cells, or why it failed and in what way."""
+
+    rows: tuple[Row, ...] = ()
+    kind: str = ""
+    reason: str = ""
+    seconds: float = 0.0
+    meanings: dict[str, str] = {}
+
+
+@dataclass
+class Computer:
+    """Computes tasks of one job; a model's file is run once, so that what is built of it serves all cells."""
+
+    job: Job
+    _bound: dict[str, Request] = field(default_factory=dict)
+
+    def compute(self, task: Task) -> Result:
+        """The rows of a task; a failure is kept in words."""
+        started = time.perf_counter()
+        try:
+            with one_thread(), warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                rows, meanings = self._rows(task)
+            return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=dict(meanings))
+        except (ArithmeticError, ValueError, TypeError, OSError) as error:
+            reason = " ".join(str(error).split())
+        except Exception as error:  # whatever a cell does, the map goes on
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Result(kind=FAILED, reason=reason, seconds=time.perf_counter() - started)
+
+    def _rows(self, task: Task) -> tuple[list[Row], Meanings]:
+        scene = scene_at(self.job.tables, task.settings, task.amplitudes)
+        request, meanings = self._request(started_at(scene, task)), Meanings()
+        if scene.search is not None:
+            return [row_of_search(_searched(request), meanings)], meanings
+        return rows_of(branches_of(request), task.amplitudes, self.job.growth, meanings), meanings
+
+    def _request(self, scene: Scene) -> Request:
+        """The request of a scene; one that differs from an earlier one in its values alone has the same model."""
+        return bind(scene, Path(self.job.path))
+
+
+def started_at(scene: Scene, task: Task) -> Scene:
+    """The scene, with the state of a neighbour's solution as the start of its own where the task has one."""
+    if not task.start:
+        return scene
+    put = msgspec.structs.replace
+    if scene.equilibrium is not None:
+        return put(scene, equilibrium=put(scene.equilibrium, start=task.start, transient=None))
+    if scene.orbit is not None:
+        period = task.period if scene.orbit.cycles == 1 and task.period else None
+        return put(scene, orbit=put(scene.orbit, start=task.start, transient=None, period=period))
+    return scene
+
+
+def _searched(request: Request) -> Any:
+    from casadi_skin.optimise.search import search
+    from casadi_skin.runs.search import family_search, search_table
+
+    problem, table = family_search(request), search_table(request.scene)
+    return search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
+
+
+def branches_of(request: Request) -> list[Branch]:
+    """The branches that a scene asks for; a single orbit or solution is a branch of one point."""
+    branches = list[Branch]()
+    failures = list[str]()
+    for space, stability, events in _spaces(request, branches, failures):
+        branches.append(run_following(Following(space, stability, events), None))
+    return branches
