@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from casadi_skin.maps.grid import Tables, Task, scene_at
-from casadi_skin.maps.rows import Meanings, Row, row_of_search, rows_of
+from casadi_skin.maps.records import FAILED, Result, Row
+from casadi_skin.maps.rows import Meanings, row_of_search, rows_of
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following, following_space, run_following
-from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.continuation.points import End
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.progress import Progress
+from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.runs.binding import bind
+from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene
-from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
-
-FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults of a task
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -34,16 +32,6 @@ class Job(msgspec.Struct, frozen=True):
     tables: Tables
     path: str
     growth: float = 0.0
-
-
-class Result(msgspec.Struct, frozen=True):
-    """What a task gave: a row for each of its cells, or why it failed and in what way."""
-
-    rows: tuple[Row, ...] = ()
-    kind: str = ""
-    reason: str = ""
-    seconds: float = 0.0
-    meanings: dict[str, str] = {}
 
 
 @dataclass
@@ -72,7 +60,8 @@ class Computer:
         request, meanings = self._request(started_at(scene, task)), Meanings()
         if scene.search is not None:
             return [row_of_search(_searched(request), meanings)], meanings
-        return rows_of(branches_of(request), task.amplitudes, self.job.growth, meanings), meanings
+        branches, fault = _followed(request)
+        return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
 
     def _request(self, scene: Scene) -> Request:
         """The request of a scene; one that differs from an earlier one in its values alone has the same model."""
@@ -100,10 +89,35 @@ def _searched(request: Request) -> Any:
     return search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
 
 
-def branches_of(request: Request) -> list[Branch]:
-    """The branches that a scene asks for; a single orbit or solution is a branch of one point."""
-    branches = list[Branch]()
-    failures = list[str]()
-    for space, stability, events in _spaces(request, branches, failures):
-        branches.append(run_following(Following(space, stability, events), None))
-    return branches
+@dataclass
+class _Unkept:
+    """The journal and the tables of a cell: none, as its row is all that is kept."""
+
+    path: Path = Path()
+    records: list[BranchRecord] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def append(self, record: BranchRecord) -> None:
+        """Keep nothing."""
+
+    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Count rows."""
+        self.counts[name] = self.counts.get(name, 0) + len(solutions)
+
+    def count(self, name: str, space: SolutionSpace) -> int:
+        """Rows of a branch."""
+        return self.counts.get(name, 0)
+
+
+def _followed(request: Request) -> tuple[list[Branch], str]:
+    """The branches that a scene asks for, as a run follows them, and what failed beside them.
+
+    Raises ArithmeticError where there is none.
+    """
+    nothing = _Unkept()
+    followed = Branches(request, nothing, Progress(quiet=True))
+    followed.follow(nothing)
+    faults = "; ".join(followed.failures)
+    if not any(len(branch) for branch in followed.branches):
+        raise ArithmeticError(faults or "; ".join(branch.reason for branch in followed.branches))
+    return followed.branches, faults

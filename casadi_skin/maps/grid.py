@@ -48,7 +48,8 @@ class Task(msgspec.Struct, frozen=True):
         cells: flat numbers.
         settings: where values go in the scene, and the values.
         amplitudes: of the family's orbits, ascending, one a cell; empty where the map has no axis S.
-        start: state and period of a neighbour's solution, for a second start; empty for the scene's own.
+        start, period: of a neighbour's solution, for a second start; empty for the scene's own.
+        neighbour: its cell.
     """
 
     cells: tuple[int, ...]
@@ -56,6 +57,7 @@ class Task(msgspec.Struct, frozen=True):
     amplitudes: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
     period: float = 0.0
+    neighbour: int = -1
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class Grid:
         for name, given in table.axes.items():
             values, stride = values_of(given)
             ranged = isinstance(given, RangeTable)
-            axes.append(Axis(name, path_of(scene, name), values, stride, ranged, ranged and given.log))
+            log = isinstance(given, RangeTable) and given.log
+            axes.append(Axis(name, path_of(scene, name), values, stride, ranged, log))
         grid = cls(tuple(axes))
         grid._check(plain(scene))
         return grid
@@ -148,7 +151,7 @@ class Grid:
         return tuple((axis.path, value) for axis, value in pairs if axis.path != AMPLITUDE)
 
 
-# Scenes of cells -------------------------------------------------------------------------------------------------------
+# Scenes of cells ------------------------------------------------------------------------------------------------------
 
 
 def plain(scene: Scene) -> Tables:

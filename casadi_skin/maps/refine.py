@@ -24,7 +24,7 @@ def needed(grid: Grid, labels: Labels) -> Cells:
     coarse = grid.coarsest
     missing = coarse[labels.ravel()[coarse] == UNKNOWN]
     if missing.size or not grid.refined:
-        return missing
+        return np.asarray(missing)
     wanted, along = np.zeros(grid.shape, dtype=bool), [axis.stride > 1 for axis in grid.axes]
     sides = [axis.stride for axis in grid.axes]
     corners = [np.arange(0, n - 1, s) if s > 1 else np.arange(n) for n, s in zip(grid.shape, sides, strict=True)]

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-import msgspec
 import numpy as np
 
+from casadi_skin.maps.names import LEFT_OUT, plain_kind
+from casadi_skin.maps.records import Row, Value
 from casadi_skin.optimise.result import SearchResult
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
@@ -18,31 +19,13 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.quantities import csv_row, quantities_of
 from casadi_skin.results.quantity import Place
 
-Cell = float | int | str
-LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
-
-
-class Row(msgspec.Struct, frozen=True):
-    """Quantities of a cell by name; what is not known is left out.
-
-    Attributes:
-        values: by name.
-        fault: why the solution that the cell asks for is not there; empty where it is.
-        state, period: of the solution a second start may begin at.
-    """
-
-    values: dict[str, Cell]
-    fault: str = ""
-    state: tuple[float, ...] = ()
-    period: float = 0.0
-
 
 class Meanings(dict[str, str]):
     """What quantities mean by name, filled as rows are made."""
 
-    def named(self, pairs: Iterator[tuple[str, Any, str]], suffix: str = "") -> dict[str, Cell]:
+    def named(self, pairs: Iterator[tuple[str, Any, str]], suffix: str = "") -> dict[str, Value]:
         """Values by name, those that are not finite left out; their meanings are kept."""
-        found: dict[str, Cell] = {}
+        found: dict[str, Value] = {}
         for name, value, meaning in pairs:
             self.setdefault(name + suffix, meaning)
             if isinstance(value, str):
@@ -53,18 +36,21 @@ class Meanings(dict[str, str]):
 
 
 def rows_of(
-    branches: Sequence[Branch], amplitudes: Sequence[float], growth: float, meanings: Meanings
+    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: Meanings
 ) -> list[Row]:
-    """Rows of a cell's branches: one at the end of the first, or one for each amplitude of its families."""
+    """Rows of a cell's branches: one at their ends, or one for each amplitude of its families.
+
+    `fault` is what went wrong beside the branches.
+    """
     rows = []
     for S in amplitudes or (None,):
-        values: dict[str, Cell] = {}
-        faults = []
+        values: dict[str, Value] = {}
+        faults = [fault] if fault else []
         for number, branch in enumerate(branches):
             several = sum(isinstance(b.space, Family) for b in branches) > 1
             suffix = f"_j{_mode(branch)}" if several else f"_{number + 1}" if number else ""
-            solution, fault = _solution(branch, S)
-            faults += [fault] if fault else []
+            solution, reason = _solution(branch, S)
+            faults += [reason] if reason else []
             if solution is not None:
                 values |= meanings.named(_of_solution(branch, solution), suffix)
             values |= meanings.named(_of_branch(branch, growth), suffix)
@@ -139,7 +125,7 @@ def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
         return
     points = branch.special_points
     for kind in dict.fromkeys(point.kind for point in points):
-        mine, name = [point for point in points if point.kind == kind], kind.replace(" ", "_").replace("-", "_")
+        mine, name = [point for point in points if point.kind == kind], plain_kind(kind)
         first, parameter = mine[0], branch.parameter
         yield f"{name}_count", len(mine), f"special points of the kind {kind} on the branch"
         yield f"first_{name}", first.parameters[parameter], f"{parameter} at the first {kind} of the branch"

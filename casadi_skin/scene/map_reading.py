@@ -38,7 +38,9 @@ def _check_axis(name: str, value: object) -> None:
     """Raises SceneError where a key of [map] is neither an option nor an axis."""
     place = f"[map] {cut(name)}"
     try:
-        if not any(isinstance(v, int) and abs(v) > sys.float_info.max for v in _leaves(value)):  # msgspec raises on them
+        if not any(
+            isinstance(v, int) and abs(v) > sys.float_info.max for v in _leaves(value)
+        ):  # msgspec raises on them
             msgspec.convert(value, AxisTable)
             return
     except msgspec.ValidationError:
@@ -102,7 +104,7 @@ def _check_list(name: str, axis: tuple[object, ...]) -> None:
             raise refusal(f"[map] {cut(name)}", f"{toml_repr(value)} as item {i + 1} again", "each value once")
 
 
-# Where values go -------------------------------------------------------------------------------------------------------
+# Where values go ------------------------------------------------------------------------------------------------------
 
 
 def path_of(scene: Scene, name: str) -> Path:
@@ -167,8 +169,13 @@ def values_of(axis: AxisTable) -> tuple[tuple[Any, ...], int]:
         while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12):
             stride *= 2
     count = (axis.points - 1) * stride
-    if isinstance(axis.start, int) and isinstance(axis.to, int) and not axis.log and (axis.to - axis.start) % count == 0:
-        return tuple(range(axis.start, axis.to, (axis.to - axis.start) // count)) + (axis.to,), stride
+    if (
+        isinstance(axis.start, int)
+        and isinstance(axis.to, int)
+        and not axis.log
+        and (axis.to - axis.start) % count == 0
+    ):
+        return (*range(axis.start, axis.to, (axis.to - axis.start) // count), axis.to), stride
     return tuple(_between(axis, k, count) for k in range(count + 1)), stride
 
 

@@ -23,12 +23,8 @@ class RangeTable(Table, frozen=True):
         name="from"
     )
     to: Annotated[int | Finite, Meta(title="Last value", description="a finite number, not the first one")]
-    points: Annotated[
-        _Points, Meta(title="Number of values", description=f"a whole number >= 2 and <= {_MAX_POINTS}")
-    ]
-    log: Annotated[
-        bool, Meta(title="Equal ratios in place of equal differences", description="true or false")
-    ] = False
+    points: Annotated[_Points, Meta(title="Number of values", description=f"a whole number >= 2 and <= {_MAX_POINTS}")]
+    log: Annotated[bool, Meta(title="Equal ratios in place of equal differences", description="true or false")] = False
     resolution: Annotated[
         Positive | None,
         Meta(
