@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import msgspec
@@ -83,13 +84,17 @@ class Grid:
         return grid
 
     def _check(self, tables: Tables) -> None:
+        """Raises SceneError for the end of an axis that the scene refuses wherever the other axes end."""
         for axis in self.axes:
+            others = [[(a.path, a.values[0]), (a.path, a.values[-1])] for a in self.axes if a is not axis]
             for value in (axis.values[0], axis.values[-1]) if axis.numeric else axis.values:
-                try:
-                    scene_at(tables, ((axis.path, value),))
-                except SceneError as error:
-                    words = f"given {toml_repr(value)}, which the scene refuses: {error}"
-                    raise SceneError(f"[map] {axis.name}: {words}") from None
+                corners = [((axis.path, value), *rest) for rest in product(*others)]
+                faults = [
+                    fault for settings in (((axis.path, value),), *corners) if (fault := _fault(tables, settings))
+                ]
+                if len(faults) > len(corners):
+                    words = f"given {toml_repr(value)}, which the scene refuses: {faults[0]}"
+                    raise SceneError(f"[map] {axis.name}: {words}")
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -162,6 +167,15 @@ def plain(scene: Scene) -> Tables:
 
 def _given(value: Any) -> Any:
     return {key: _given(v) for key, v in value.items() if v is not None} if isinstance(value, Mapping) else value
+
+
+def _fault(tables: Tables, settings: Sequence[tuple[Path, Any]]) -> str:
+    """Why the scene refuses values in their places; empty where it does not."""
+    try:
+        scene_at(tables, settings)
+    except SceneError as error:
+        return str(error)
+    return ""
 
 
 def scene_at(tables: Tables, settings: Sequence[tuple[Path, Any]], amplitudes: Sequence[float] = ()) -> Scene:
