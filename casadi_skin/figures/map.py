@@ -133,11 +133,20 @@ def _draw_plane(place: Axes, axes: Sequence[MapAxis], panel: Panel, norm: Normal
     if np.any(panel.failed):
         i, j = np.nonzero(panel.failed)
         place.plot(x.values[i], y.values[j], "x", color="#c02020", ms=4.0, mew=0.9, label="failed or ended early")
-    for k, line in enumerate(panel.lines):
-        place.plot(*line.T, "-", color="black", lw=1.6, label=None if k else "boundary")
-        place.plot(*line.T, ":", color="white", lw=0.7)
+    _draw_boundary(place, panel.lines)
     box = edges_of(x), edges_of(y)
     place.set(xlim=sorted((box[0][0], box[0][-1])), ylim=sorted((box[1][0], box[1][-1])))
+
+
+def _draw_boundary(place: Axes, lines: Sequence[Values]) -> None:
+    """Curves in black and white, which show on every colour; lines of one point are points."""
+    for line in (line for line in lines if len(line) > 1):
+        place.plot(*line.T, "-", color="black", lw=2.2, label="boundary of stability")
+        place.plot(*line.T, "--", color="white", lw=0.9)
+    points = [line for line in lines if len(line) == 1]
+    if points:
+        look: dict[str, Any] = {"color": "black", "mfc": "white", "mew": 0.7, "ms": 3.0}
+        place.plot(*np.concatenate(points).T, "o", label="first instability", **look)
 
 
 def _draw_contours(place: Axes, axes: Sequence[MapAxis], panel: Panel) -> None:

@@ -19,7 +19,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.progress import Progress
 from casadi_skin.results.branch_records import BranchRecord
-from casadi_skin.runs.binding import bind
+from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene
@@ -39,7 +39,7 @@ class Computer:
     """Computes tasks of one job; a model's file is run once, so that what is built of it serves all cells."""
 
     job: Job
-    _bound: dict[str, Request] = field(default_factory=dict)
+    _files: Files = field(default_factory=dict)
 
     def compute(self, task: Task) -> Result:
         """The rows of a task; a failure is kept in words."""
@@ -64,8 +64,8 @@ class Computer:
         return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
 
     def _request(self, scene: Scene) -> Request:
-        """The request of a scene; one that differs from an earlier one in its values alone has the same model."""
-        return bind(scene, Path(self.job.path))
+        """The request of a scene; cells share the model that a file gives, with what is built of it."""
+        return bind(scene, Path(self.job.path), self._files)
 
 
 def started_at(scene: Scene, task: Task) -> Scene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from casadi_skin.maps.boundary import check_boundary
 from casadi_skin.maps.cell import Computer, Job
 from casadi_skin.maps.drive import duration
 from casadi_skin.maps.grid import Grid, plain
@@ -18,6 +19,7 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     """Pairs (subject, text) that describe the map of a scene; raises SceneError for one that cannot be meant."""
     grid, table = Grid.of(scene), scene.map
     check_quantities(request, grid)
+    check_boundary(scene, grid)
     assert table is not None
     cells = grid.coarsest
     tasks = list(grid.tasks(cells))

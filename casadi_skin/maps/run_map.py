@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -13,6 +13,7 @@ import numpy as np
 from casadi_skin.arguments import file_path, short_repr, truth
 from casadi_skin.files import replacing
 from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.maps.boundary import boundaries, check_boundary, write_boundary
 from casadi_skin.maps.cell import Job
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.drive import Drive, Part
@@ -31,6 +32,9 @@ from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, Existing, check_sam
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import origin
 from casadi_skin.scene import MapTable, Scene, SceneError, parse_scene, read_text
+from casadi_skin.threads import one_thread
+
+BOUNDARY = "boundary.csv"
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class Mapped:
             grid = Grid.of(scene)
             request = bind(scene, path)
             check_quantities(request, grid)
+            check_boundary(scene, grid)
             settings = [(axis.path, axis.values[0]) for axis in grid.axes if axis.path[:2] == ("model", "parameters")]
             if settings:  # whose names the model alone knows
                 bind(scene_at(plain(scene), settings), path)
@@ -222,6 +227,12 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
     found = Map(store.directory, columns, complete, waits)
     if not np.any(store.states != UNKNOWN) or (waits and ways.part is not None):
         return found
+    if mapped.table.boundary and complete:
+        progress.say("following the boundary")
+        with one_thread():
+            lines = boundaries(mapped.scene, mapped.path, plain(mapped.scene), columns)
+        write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
+        found = replace(found, boundary=lines)
     progress.say("writing tables and pictures")
     write_table(columns, store.directory / CSV)
     write_map(columns, store.directory / NETCDF, origin(mapped.request, mapped.text), mapped.scene.model is None)
