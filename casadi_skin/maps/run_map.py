@@ -141,7 +141,7 @@ def run_map(
                         ("quiet", quiet)):  # fmt: skip
         truth(name, value)
     existing = Existing.RESUME if resume else Existing.OVERWRITE if overwrite else Existing.REFUSE
-    ways = Ways(check_workers("workers", workers), scheduler, executor, part, collect, existing, pictures)
+    ways = Ways(workers, scheduler, executor, part, collect, existing, pictures)
     check_ways(ways)
     mapped = Mapped.of(read_text(path), path)
     with Progress(quiet) as progress:
@@ -150,6 +150,7 @@ def run_map(
 
 def check_ways(ways: Ways) -> None:
     """Raises ValueError and TypeError for ways that cannot be gone, or not together."""
+    check_workers("workers", ways.workers)
     if ways.executor is not None:
         given_engine(ways.executor)
     if ways.scheduler is not None and (not isinstance(ways.scheduler, str) or not ways.scheduler):
@@ -235,7 +236,9 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
         found = replace(found, boundary=lines)
     progress.say("writing tables and pictures")
     write_table(columns, store.directory / CSV)
-    write_map(columns, store.directory / NETCDF, origin(mapped.request, mapped.text), mapped.scene.model is None)
+    varied = {axis.name for axis in mapped.grid.axes}
+    attributes = {name: v for name, v in origin(mapped.request, mapped.text).items() if name not in varied}
+    write_map(columns, store.directory / NETCDF, attributes, mapped.scene.model is None)
     if ways.pictures:
         write_pictures(found)
     return found

@@ -12,11 +12,21 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from importlib import import_module
 from multiprocessing.connection import Connection
 
 import msgspec
 
 READY, BEGUN = b"ready", b"begun"
+LOADED = (  # before the first cell, whose time is limited
+    "rich.console",
+    "casadi_skin.continuation.series",
+    "casadi_skin.lattice.chain_coordinates",
+    "casadi_skin.orbits.family_tongues",
+    "casadi_skin.runs.first_solution",
+    "casadi_skin.solvers.ipopt",
+    "casadi_skin.stability.splitting",
+)
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 IDLE = 60.0  # seconds after which a worker without a task ends; the next task starts another
 WATCH = 0.5  # seconds between two looks at the parent
@@ -44,6 +54,8 @@ def main(descriptor: int, parent: int) -> None:
     from casadi_skin.maps.cell import Computer, Job
     from casadi_skin.maps.grid import Task
 
+    for name in LOADED:
+        import_module(name)
     known, computer = b"", None
     connection.send_bytes(READY)
     with suppress(EOFError, OSError):

@@ -100,7 +100,7 @@ def _put_numbers(
     values = columns.numbers[name]
     scratch = np.memmap(columns.scratch(), ">f8", "w+", shape=values.shape)
     scratch[:] = np.where(np.isfinite(values), values, EMPTY)
-    stored.data = scratch.reshape(columns.store.grid.shape)
+    stored.__dict__["data"] = scratch.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
     stored.long_name, stored.units, stored._FillValue = meaning, unit, EMPTY  # type: ignore[attr-defined]
 
 
@@ -115,7 +115,7 @@ def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[
     for cell in np.flatnonzero(columns.lengths(name)).tolist():
         data = columns.text(name, cell).encode()
         scratch[cell, : len(data)] = np.frombuffer(data, "S1")
-    stored.data = scratch.reshape(*columns.store.grid.shape, width)
+    stored.__dict__["data"] = scratch.reshape(*columns.store.grid.shape, width)
     stored.long_name = meaning  # type: ignore[attr-defined]
 
 
