@@ -24,7 +24,6 @@ from casadi_skin.orbits.special_points import FOLD, HOPF, SpecialPoint
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.scene import Scene, SceneError
-from casadi_skin.scene.map_reading import AMPLITUDE
 
 Points = NDArray[np.float64]  # shape (points, 2)
 Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
@@ -181,13 +180,10 @@ def _curves_between(
     """Curves through the special points between two neighbours; none where the branch between them has none."""
     first = 0 if one[0] != other[0] else 1
     (followed, second), towards = (plane.axes[first], plane.axes[1 - first]), plane.axes[first].values[other[first]]
-    names = followed.path[-1], second.path[-1]
+    names = followed.paths[0][-1], second.paths[0][-1]
     options: dict[str, Any] = {} if scene.orbit is None else {"stability": True}
     try:
-        cell = plane.cell(*one)
-        settings = [
-            (a.path, v) for a, v in zip(plane.grid.axes, plane.grid.values(cell), strict=True) if a.path != AMPLITUDE
-        ]
+        settings = plane.grid.settings(plane.cell(*one))
         start = first_solution(bind(scene_at(tables, settings), path, files))
         branch = start.follow(names[0], float(towards), **options)
         points = [point for point in branch.special_points if point.kind in (FOLD, HOPF) or scene.orbit is not None]

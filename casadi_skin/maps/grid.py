@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.scene import RangeTable, Scene, SceneError, scene_of
 from casadi_skin.scene.faults import toml_repr
-from casadi_skin.scene.map_reading import AMPLITUDE, Path, path_of, set_value, values_of
+from casadi_skin.scene.map_reading import AMPLITUDE, Path, paths_of, set_value, values_of
 
 Cells = NDArray[np.int64]  # flat numbers of cells in the finest grid
 Tables = dict[str, Any]  # a scene as plain values
@@ -27,19 +27,25 @@ class Axis:
 
     Attributes:
         name: as [map] calls it.
-        path: where its values go in a scene.
-        values: at its finest.
+        paths: where its values go in a scene; several where it moves several parameters.
+        values: at its finest; of several parameters in words.
+        given: what goes into the scene, one for each path; empty where these are the values.
         stride: values from one of the coarsest to the next.
         numeric: whether it is a range, along which pictures are drawn.
         log: whether its values have equal ratios.
     """
 
     name: str
-    path: Path
+    paths: tuple[Path, ...]
     values: tuple[Any, ...]
     stride: int = 1
     numeric: bool = False
     log: bool = False
+    given: tuple[tuple[Any, ...], ...] = ()
+
+    def settings(self, place: int) -> list[tuple[Path, Any]]:
+        """Where the value at a place goes, and what it is."""
+        return list(zip(self.paths, self.given[place] if self.given else (self.values[place],), strict=True))
 
 
 class Task(msgspec.Struct, frozen=True):
@@ -78,7 +84,10 @@ class Grid:
             values, stride = values_of(given)
             ranged = isinstance(given, RangeTable)
             log = isinstance(given, RangeTable) and given.log
-            axes.append(Axis(name, path_of(scene, name), values, stride, ranged, log))
+            paths, together = paths_of(scene, name), tuple[tuple[Any, ...], ...]()
+            if len(paths) > 1:
+                together, values = values, tuple(f"({', '.join(map(str, value))})" for value in values)
+            axes.append(Axis(name, paths, values, stride, ranged, log, together))
         grid = cls(tuple(axes))
         grid._check(plain(scene))
         return grid
@@ -86,14 +95,13 @@ class Grid:
     def _check(self, tables: Tables) -> None:
         """Raises SceneError for the end of an axis that the scene refuses wherever the other axes end."""
         for axis in self.axes:
-            others = [[(a.path, a.values[0]), (a.path, a.values[-1])] for a in self.axes if a is not axis]
-            for value in (axis.values[0], axis.values[-1]) if axis.numeric else axis.values:
-                corners = [((axis.path, value), *rest) for rest in product(*others)]
-                faults = [
-                    fault for settings in (((axis.path, value),), *corners) if (fault := _fault(tables, settings))
-                ]
+            others = [[a.settings(0), a.settings(-1)] for a in self.axes if a is not axis]
+            for place in (0, -1) if axis.numeric else range(len(axis.values)):
+                mine = axis.settings(place)
+                corners = [mine + [pair for rest in corner for pair in rest] for corner in product(*others)]
+                faults = [fault for settings in (mine, *corners) if (fault := _fault(tables, settings))]
                 if len(faults) > len(corners):
-                    words = f"given {toml_repr(value)}, which the scene refuses: {faults[0]}"
+                    words = f"given {toml_repr(axis.values[place])}, which the scene refuses: {faults[0]}"
                     raise SceneError(f"[map] {axis.name}: {words}")
 
     @cached_property
@@ -133,13 +141,13 @@ class Grid:
     @cached_property
     def amplitude(self) -> int | None:
         """Which axis is S of a family; None where none is."""
-        return next((i for i, axis in enumerate(self.axes) if axis.path == AMPLITUDE), None)
+        return next((i for i, axis in enumerate(self.axes) if axis.paths == (AMPLITUDE,)), None)
 
     def tasks(self, cells: Cells) -> Iterator[Task]:
         """Tasks that compute cells, in their order; those that differ by S alone are one."""
         if self.amplitude is None:
             for cell in cells.tolist():
-                yield Task((cell,), self._settings(cell))
+                yield Task((cell,), self.settings(cell))
             return
         places = self.places(cells)
         places[:, self.amplitude] = 0
@@ -148,12 +156,14 @@ class Grid:
         starts = np.flatnonzero(np.diff(families[order], prepend=-1))
         for group in np.split(cells[order], starts[1:]):
             found = sorted((float(self.values(cell)[self.amplitude]), cell) for cell in group.tolist())
-            settings = self._settings(found[0][1])
+            settings = self.settings(found[0][1])
             yield Task(tuple(cell for _, cell in found), settings, tuple(S for S, _ in found))
 
-    def _settings(self, cell: int) -> tuple[tuple[Path, Any], ...]:
-        pairs = zip(self.axes, self.values(cell), strict=True)
-        return tuple((axis.path, value) for axis, value in pairs if axis.path != AMPLITUDE)
+    def settings(self, cell: int) -> tuple[tuple[Path, Any], ...]:
+        """Where values go in the scene of a cell, and the values, but for S of a family."""
+        places = zip(self.axes, np.unravel_index(cell, self.shape), strict=True)
+        pairs = [pair for axis, place in places for pair in axis.settings(int(place))]
+        return tuple((path, value) for path, value in pairs if path != AMPLITUDE)
 
 
 # Scenes of cells ------------------------------------------------------------------------------------------------------

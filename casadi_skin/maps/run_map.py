@@ -79,9 +79,9 @@ class Mapped:
             request = bind(scene, path)
             check_quantities(request, grid)
             check_boundary(scene, grid)
-            settings = [(axis.path, axis.values[0]) for axis in grid.axes if axis.path[:2] == ("model", "parameters")]
-            if settings:  # whose names the model alone knows
-                bind(scene_at(plain(scene), settings), path)
+            named = [pair for pair in grid.settings(0) if pair[0][:2] == ("model", "parameters")]
+            if named:  # by names that the model alone knows
+                bind(scene_at(plain(scene), named), path)
         except SceneError as error:
             raise SceneError(f"{path}: {error}") from None
         return cls(scene, text, path, request, grid)

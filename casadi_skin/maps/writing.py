@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,11 +74,11 @@ def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimen
 
 def dimension_names(columns: Columns) -> tuple[str, ...]:
     """Names of the dimensions: those of the parameters, told apart from quantities."""
-    return tuple(axis.name.replace(".", "_") for axis in columns.store.grid.axes)
+    return tuple(re.sub(r"\W+", "_", axis.name) for axis in columns.store.grid.axes)
 
 
 def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
-    values = np.array(axis.values)
+    values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
     file.createDimension(dimension, len(axis.values))
     if values.dtype.kind in "US":
         encoded = np.char.encode(values.astype(str))
@@ -89,7 +90,7 @@ def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
         stored = file.createVariable(dimension, kind, (dimension,))
         stored[:] = values.astype(kind)
         stored.units = unit  # type: ignore[attr-defined]
-    stored.long_name = CHAIN_MEANINGS.get(axis.name, f"the parameter {'.'.join(axis.path)}")  # type: ignore[attr-defined]
+    stored.long_name = CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")  # type: ignore[attr-defined]
 
 
 def _put_numbers(

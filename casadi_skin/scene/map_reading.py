@@ -15,6 +15,7 @@ from casadi_skin.scene.tables import ChainTable
 
 ACCEPTED = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
+TOGETHER = ","  # between the names of parameters that one axis moves
 Path = tuple[str, ...]
 
 
@@ -64,7 +65,8 @@ def _check_axis(name: str, value: object) -> None:
 
 
 def _leaves(value: object) -> Iterable[object]:
-    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else (value,)
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else (value,)
+    return (leaf for item in items for leaf in (item if isinstance(item, list) else (item,)))
 
 
 def check_map(scene: Scene) -> None:
@@ -79,17 +81,20 @@ def check_map(scene: Scene) -> None:
         raise refusal(f"[map] {ranges[2]}", "a third range", "one or two ranges, and lists beside them")
     for name, axis in table.axes.items():
         _check_range(name, axis) if isinstance(axis, RangeTable) else _check_list(name, axis)
-    paths = {name: path_of(scene, name) for name in table.axes}
-    for name, path in paths.items():
-        other = next(key for key in paths if paths[key] == path)
-        if other != name:
-            raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(other)}", "each parameter once")
+    seen: dict[Path, str] = {}
+    for name in table.axes:
+        for path in paths_of(scene, name):
+            if path in seen:
+                raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
+            seen[path] = name
     if table.growth and scene.stability is None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
 
 
 def _check_range(name: str, axis: RangeTable) -> None:
     place = f"[map] {cut(name)}"
+    if TOGETHER in name:
+        raise refusal(place, "a range for several parameters", "a list of lists")
     if axis.start == axis.to:
         raise refusal(f"{place}, to", f"{axis.to!r}, where it starts", "another number")
     if axis.log and not (axis.start > 0 and axis.to > 0):
@@ -99,12 +104,28 @@ def _check_range(name: str, axis: RangeTable) -> None:
 
 
 def _check_list(name: str, axis: tuple[object, ...]) -> None:
+    count = len(name.split(TOGETHER))
     for i, value in enumerate(axis):
+        if (len(value) if isinstance(value, tuple) else 1) != count:
+            accepted = f"a list of {count} values in each" if count > 1 else "numbers or names"
+            raise refusal(f"[map] {cut(name)}", f"{toml_repr(_plain(value))} as item {i + 1}", accepted)
         if value in axis[:i]:
             raise refusal(f"[map] {cut(name)}", f"{toml_repr(value)} as item {i + 1} again", "each value once")
 
 
 # Where values go ------------------------------------------------------------------------------------------------------
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def paths_of(scene: Scene, name: str) -> tuple[Path, ...]:
+    """Where the values of an axis go: one place, or one for each of the parameters that a name holds."""
+    found = tuple(path_of(scene, part.strip()) for part in name.split(TOGETHER))
+    if len(found) > 1 and AMPLITUDE in found:
+        raise refusal(f"[map] {cut(name)}", "S among several", "S alone, or amplitude_max")
+    return found
 
 
 def path_of(scene: Scene, name: str) -> Path:

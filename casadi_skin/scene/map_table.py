@@ -34,7 +34,9 @@ class RangeTable(Table, frozen=True):
     ] = None
 
 
-AxisTable = RangeTable | Annotated[tuple[int | Finite | _Text, ...], Meta(min_length=1)]
+_Value = int | Finite | _Text
+_Together = Annotated[tuple[_Value, ...], Meta(min_length=2)]  # a value for each of several parameters
+AxisTable = RangeTable | Annotated[tuple[_Value | _Together, ...], Meta(min_length=1)]
 
 
 class MapTable(Table, frozen=True):
@@ -44,7 +46,8 @@ class MapTable(Table, frozen=True):
         dict[str, AxisTable],
         Meta(
             title="Axes by parameter; each may stand in [map] itself",
-            description="tables { from, to, points, log, resolution }, or lists of values",
+            description="tables { from, to, points, log, resolution }, or lists of values; lists of lists beside names with "
+            'commas between them, such as "g, mode" = [[-1.0, "first"], [1.0, "last"]]',
         ),
     ] = msgspec.field(default_factory=dict)
     quantities: Annotated[

@@ -87,7 +87,7 @@ def test_values_of_a_refined_axis_hold_those_of_the_coarse_one() -> None:
 def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
     """Every two neighbours of the finest grid that differ are computed; the truth is a circle."""
     values = tuple(np.linspace(0.0, 1.0, 257).tolist())
-    grid = Grid((Axis("x", ("a", "x"), values, 16, True), Axis("y", ("a", "y"), values, 16, True)))
+    grid = Grid((Axis("x", (("a", "x"),), values, 16, True), Axis("y", (("a", "y"),), values, 16, True)))
     x, y = np.meshgrid(values, values, indexing="ij")
     truth = ((x - 0.45) ** 2 + (y - 0.5) ** 2 < radius**2).astype(np.int32)
     labels = np.full(grid.shape, UNKNOWN, dtype=np.int32)
