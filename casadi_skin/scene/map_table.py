@@ -46,8 +46,8 @@ class MapTable(Table, frozen=True):
         dict[str, AxisTable],
         Meta(
             title="Axes by parameter; each may stand in [map] itself",
-            description="tables { from, to, points, log, resolution }, or lists of values; lists of lists beside names with "
-            'commas between them, such as "g, mode" = [[-1.0, "first"], [1.0, "last"]]',
+            description="tables { from, to, points, log, resolution }, or lists of values; beside names with commas "
+            'between them lists of lists, such as "g, mode" = [[-1.0, "first"], [1.0, "last"]]',
         ),
     ] = msgspec.field(default_factory=dict)
     quantities: Annotated[
