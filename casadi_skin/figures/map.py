@@ -72,7 +72,7 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
     known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in shown])
     with style():
         figure = blank(1.2 + 3.6 * columns, 0.7 + 3.1 * rows)
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        grid = figure.subplots(rows, columns, squeeze=False, sharey=len(axes) == 1).ravel()
         for spare in grid[len(shown) :]:
             spare.set_visible(False)
         if len(axes) == 2:
@@ -81,6 +81,7 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
                 _draw_plane(place, axes, panel, norm, colours, ticks is not None)
             image = next(place.collections[0] for place in grid)
             bar = figure.colorbar(image, ax=list(grid[: len(shown)]), label=plain(name), ticks=ticks)
+            bar.ax.minorticks_off()
             words = FLAGS.get(tuple(ticks)) if ticks is not None else None
             if words is not None:
                 bar.ax.set_yticklabels(list(words))
