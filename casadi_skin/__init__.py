@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
     from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.maps.run_map import run_map
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
@@ -48,6 +49,7 @@ __all__ = [
     "follow_family",
     "import_fmu",
     "read_model",
+    "run_map",
     "save_model",
     "search_orbit",
     "simulate",
@@ -77,6 +79,7 @@ def __getattr__(name: str) -> Any:
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",
         "read_model": "models.saved",
+        "run_map": "maps.run_map",
         "save_model": "models.saved",
         "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",

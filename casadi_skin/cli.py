@@ -12,7 +12,7 @@ from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.commands import scene_commands, study_commands
+from casadi_skin.commands import map_command, scene_commands, study_commands
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
 from casadi_skin.runs.directory import DirectoryError
@@ -71,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     spectrum.set_defaults(act=scene_commands.spectrum)
 
+    map_command.add_map(commands)
     study_commands.add_studies(commands)
     return parser
 

@@ -36,6 +36,7 @@ from casadi_skin import (
     follow_family,
     import_fmu,
     read_model,
+    run_map,
     save_model,
     search_orbit,
     simulate,
@@ -178,6 +179,11 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     "import_fmu": (
         lambda: import_fmu,
         {"path": "missing.fmu", "states": None, "parameters": (), "forcing_period": None, "time_limit": 5.0},
+    ),
+    "run_map": (
+        lambda: run_map,
+        {"scene": "missing.toml", "out": "map", "workers": 1, "scheduler": None, "executor": None, "part": None,
+         "collect": False, "resume": False, "overwrite": False, "pictures": False, "quiet": True},
     ),
     "save_model": (lambda: save_model, {"model": SPRING, "path": "spring.json"}),
     "read_model": (lambda: read_model, {"path": "spring.json"}),
@@ -331,7 +337,7 @@ def test_every_public_name_is_called() -> None:
 @pytest.mark.slow
 def test_the_calls_to_mutate_are_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in (name for name in CALLS if name not in ("import_fmu", "smallest_kick")):
+    for name in (name for name in CALLS if name not in ("import_fmu", "run_map", "smallest_kick")):
         make, right = CALLS[name]
         make()(**right)
 
