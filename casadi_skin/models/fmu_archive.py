@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -46,6 +47,10 @@ def library_ending() -> str:
     return _ENDINGS[system_name()]
 
 
+class FmuWarning(UserWarning):
+    """What is strange in an FMU and does not matter for the model."""
+
+
 @dataclass(frozen=True, eq=False)
 class Unpacked:
     """An FMU's folder, the library in it for this platform, and what fmpy read in its modelDescription.xml.
@@ -78,6 +83,9 @@ def unpack(path: str | Path) -> Unpacked:
             wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
             library = _library(path, description, archive.names, temporary.path)
             archive.write(temporary.path, lambda name: name.startswith(wanted))
+            if archive.repeated:
+                names = ", ".join(sorted(archive.repeated)[:3])
+                warnings.warn(f"{path}: in it more than once, and not unpacked: {names}", FmuWarning, stacklevel=3)
         except BaseException:
             temporary.remove()
             raise
@@ -101,7 +109,10 @@ def read_description(path: Path, folder: Path) -> Any:
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")
     if description.modelExchange is None:
-        raise ValueError(f"{path}: no Model Exchange, Co-Simulation alone; accepted: an FMU with Model Exchange")
+        tool = " ".join(str(description.generationTool or "its tool").split())[:80]
+        why = "its solver is inside, and there is no right-hand side to ask for"
+        way = f"one with Model Exchange, as {tool} may export it; fmpy.simulate_fmu runs this one"
+        raise ValueError(f"{path}: no Model Exchange, Co-Simulation alone: {why}; accepted: {way}")
     return description
 
 

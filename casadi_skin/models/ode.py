@@ -120,6 +120,10 @@ class OdeModel:
         """Function (t, x, p) -> dense time derivative of the first-order state x."""
         return self.function("field", ca.densify(self.full_rhs))
 
+    def field_at(self, time: Any, state: Any, parameters: Any) -> Expression:
+        """The vector field at expressions, written out: a derivative that nobody asks for is then none of a program."""
+        return self.vector_field.call([time, state, parameters], True, False)[0]
+
     def forcing_period_at(self, parameters: Any) -> float:
         """The period of the forcing at numbers for all parameters; 0 in a model that is not forced."""
         if not isinstance(self.forcing_period, ca.SX | ca.MX):
