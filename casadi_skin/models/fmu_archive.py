@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,6 +20,7 @@ LARGEST_DESCRIPTION = 1 << 26  # bytes
 MOST_ELEMENTS = 1_000_000  # of XML in a description
 MOST_VARIABLES = 100_000
 MOST_STATES = 2_000
+LARGEST_REFERENCE = (1 << 32) - 1  # what FMI's functions take
 DEEPEST = 100  # elements of XML within each other
 CHUNK = 1 << 16  # bytes
 _ENDINGS = {"linux": "so", "darwin": "dylib"}
@@ -126,7 +127,10 @@ class _Counter:
     def doctype(self, *declaration: object) -> None:
         raise ValueError("refused, it declares entities")
 
-    def start(self, name: str, attributes: object) -> None:
+    def start(self, name: str, attributes: Mapping[str, str]) -> None:
+        reference = attributes.get("valueReference", "0")
+        if not (reference.isdecimal() and len(reference) <= 10 and int(reference) <= LARGEST_REFERENCE):
+            raise ValueError(f"refused, value reference {reference[:20]!r}; accepted: 0 to {LARGEST_REFERENCE}")
         self.elements += 1
         self.variables += self.open[1:] == ["ModelVariables"]
         self.states += self.open[1:] == ["ModelStructure", "Derivatives"] or name == "ContinuousStateDerivative"

@@ -428,6 +428,8 @@ def test_descriptions_that_say_nonsense_are_refused(
     )
     assert "nominal value 'abc' of y_1; accepted" in refusal(with_(rb'nominal="[^"]*"', b'nominal="abc"'))
     assert "listed as a derivative, but of no state" in refusal(with_(rb' derivative="[^"]*"', b""))
+    beyond = with_(rb'name="alpha" valueReference="\d+"', b'name="alpha" valueReference="4294967296"')
+    assert refusal(beyond).endswith("refused, value reference '4294967296'; accepted: 0 to 4294967295")
     lost = rb'<ContinuousStateDerivative valueReference="9"[^>]*>|(?<=<Derivatives>)\s*<Unknown[^>]*>'
     assert "it cannot be initialised" in refusal(with_(lost, b""))
     for nominal in (b"0.0", b"NaN", b"INF"):  # which no state can have
