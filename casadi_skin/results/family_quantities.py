@@ -5,20 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.certificate import Certificate
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.multiplier_quantities import multiplier_quantities
 from casadi_skin.results.quantity import CSV, NETCDF, Place, Quantity
-
-if TYPE_CHECKING:
-    from casadi_skin.certify.certificate import Certificate
-
 
 FAMILY: tuple[Quantity, ...] = (
     Quantity("mode", "linear mode j that the family grows from", lambda p: p.mode),
