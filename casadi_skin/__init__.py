@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
+    from casadi_skin.results.saving import read_result, save_result
 
 __all__ = [
     "Bond",
@@ -46,7 +47,9 @@ __all__ = [
     "follow_family",
     "import_fmu",
     "read_model",
+    "read_result",
     "save_model",
+    "save_result",
     "search_orbit",
     "simulate",
     "smallest_kick",
@@ -74,7 +77,9 @@ def __getattr__(name: str) -> Any:
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",
         "read_model": "models.saved",
+        "read_result": "results.saving",
         "save_model": "models.saved",
+        "save_result": "results.saving",
         "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick.smallest_kick",

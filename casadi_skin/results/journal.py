@@ -44,7 +44,7 @@ class Journal(Generic[Record]):
     def append(self, record: msgspec.Struct) -> None:
         """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""
         payload = self._encoder.encode(record)
-        data = _header(payload) + payload
+        data = framed(payload)
         self._file.seek(self._end)
         try:
             written = 0
@@ -55,6 +55,11 @@ class Journal(Generic[Record]):
             self._file.truncate(self._end)
             raise
         self._end += len(data)
+
+
+def framed(payload: bytes) -> bytes:
+    """A record behind its header."""
+    return _header(payload) + payload
 
 
 def _header(payload: bytes) -> bytes:
