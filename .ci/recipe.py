@@ -1,4 +1,4 @@
-"""Renders the conda recipe and compares its requirements with pyproject.toml; with "lowest" prints the lowest versions."""
+"""Renders the conda recipe and compares it with pyproject.toml; with "lowest" prints the lowest versions."""
 
 import sys
 import tomllib
