@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
-    name_program(scene, arguments)
+    name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 def check(arguments: argparse.Namespace) -> int:
     """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
     scene, _ = read_scene(arguments.scene)
-    name_program(scene, arguments)
+    name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
     from casadi_skin.runs.plan import plan_lines
 
@@ -114,12 +114,15 @@ def read_scene(path: Path) -> tuple[Scene, str]:
     return parse_scene(text, str(path)), text
 
 
-def name_program(scene: Scene, arguments: argparse.Namespace) -> None:
-    """Print which Python file a scene is about to run, if any: a program may do anything, a saved model nothing."""
-    if scene.model is not None and scene.model.file.endswith(".py") and not arguments.quiet:
-        name = str(arguments.scene.parent / scene.model.file)
+def name_program(scene: Scene, path: Path, quiet: bool = False, apart: bool = False) -> None:
+    """Print which Python file a scene is about to run, if any: a program may do anything, a saved model nothing.
+
+    `apart` is on standard error, where standard output is for results alone.
+    """
+    if scene.model is not None and scene.model.file.endswith(".py") and not quiet:
+        name = str(path.parent / scene.model.file)
         words = f"{'program':<14}{name if name.isprintable() else repr(name)} is run as Python"
-        print(words, flush=True, file=sys.stderr if arguments.json else sys.stdout)
+        print(words, flush=True, file=sys.stderr if apart else sys.stdout)
 
 
 def bound(scene: Scene, path: Path) -> Request:

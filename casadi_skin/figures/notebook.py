@@ -9,7 +9,7 @@ from typing import Any
 
 from casadi_skin.arguments import cut
 from casadi_skin.figures.drawing import draw
-from casadi_skin.figures.style import blank, style
+from casadi_skin.figures.style import blank, finished, style
 from casadi_skin.results.describing import LONGEST, words
 
 
@@ -29,6 +29,6 @@ def _picture(result: Any, head: str) -> str:
             draw(result, figure.add_subplot())
         except (ValueError, ArithmeticError):
             return ""
-        figure.savefig(stream, format="png", dpi=110)
+        finished(figure, (), 1).savefig(stream, format="png", dpi=110)
     data = base64.b64encode(stream.getvalue()).decode()
     return f'<img alt="{html.escape(head)}" src="data:image/png;base64,{data}">'
