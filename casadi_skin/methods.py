@@ -76,7 +76,12 @@ TASKS = _registry(  # what an object's method does where the object stands below
     switch=("the branch that leaves at a special point", "equilibria.switch:switch"),
     follow_all=("all that leaves a branch", "equilibria.diagram:follow_all"),
     curve=("a special point followed in a second parameter", "critical_orbits.curve:curve"),
-    to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
+    to_xarray=("a result as an xarray dataset", "results.frames:result_to_xarray"),
+    to_dataframe=("a result as a pandas data frame", "results.frames:result_to_dataframe"),
+    lines=("a result in a few lines", "results.describing:lines"),
+    html=("a result as a table with its picture", "figures.notebook:html_table"),
+    plot=("a result drawn into axes", "figures.drawing:plot"),
+    save=("a result in a file", "results.saving:save_result"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
     long_lattice_coordinates=(
         "the coordinates of a long lattice's family",
