@@ -26,7 +26,7 @@ from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import HOPF, fold_between
+from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
@@ -191,16 +191,23 @@ class BoundarySpace:
         if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
         passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
-        yield from (fold_between(self.point_solver, *part) for part in passed)
+        yield from (self._fold_between(*part) for part in passed)
         if hopf is not None:
             yield hopf
+
+    def _fold_between(self, before: Point, after: Point) -> Point:
+        """The fold between two points; of orbits as a solution of its extended equations."""
+        fold = fold_between(self.point_solver, before, after)
+        located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
+        return located or fold
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
         varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     def parameter_error(self, point: Point) -> float:
@@ -301,7 +308,7 @@ class BoundarySpace:
         """States at phases, shape (len(theta), components)."""
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
-        states = signs * point.problem.sample(point.z, fractions)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
     def energy(self, point: Point) -> float:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+EDGE = "edge of a tongue"  # of instability of a family, through 1 or -1
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -25,7 +26,7 @@ class NotLocatedError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point of a branch that stands out; of equilibria with the coefficient that decides there.
+    """A point of a branch that stands out, with the coefficient that decides there.
 
     Attributes:
         kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
@@ -43,7 +44,7 @@ class SpecialPoint:
     solution: Solution
 
     def __repr__(self) -> str:
-        words = f", {self.criticality}" if self.kind == HOPF else ""
+        words = f", {self.criticality}" if self.kind in (HOPF, DOUBLING, TORUS) else ""
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
 
@@ -53,25 +54,30 @@ class SpecialPoint:
 
     @property
     def vector(self) -> Any:
-        """Critical eigenvector, shape (components of the state,); raises ValueError for what is no equilibrium."""
+        """Critical eigenvector, of orbits Floquet vector at phase zero, shape (components of the state,).
+
+        Raises ValueError where none is defined.
+        """
         return self._critical.vector
 
     @property
     def frequency(self) -> float:
-        """Imaginary part of the critical eigenvalues; raises ValueError for what is no equilibrium."""
+        """Imaginary part of the critical eigenvalues or Floquet exponents; raises ValueError where none is defined."""
         return float(self._critical.frequency)
 
     @property
     def coefficient(self) -> float:
-        """Coefficient of the normal form: of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one.
+        """Coefficient of the normal form.
 
-        NaN where none is defined; raises ValueError for what is no equilibrium.
+        Of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one, of a period doubling or a torus the
+        cubic one (see `critical_orbits.normal_forms`). NaN where none is defined; raises ValueError where no normal
+        form is known.
         """
         return float(self._critical.coefficient)
 
     @property
     def criticality(self) -> str:
-        """What the coefficient means: of a Hopf point "supercritical", "subcritical" or "degenerate"."""
+        """What the coefficient means: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic"."""
         return str(self._critical.words)
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:

@@ -50,7 +50,8 @@ class Walk:
 
     @property
     def detail(self) -> str:
-        return self._detail or ("" if self._continuation is None else self._continuation.detail)
+        of_its_own = self._continuation is None or self._end is not None
+        return self._detail or ("" if of_its_own else self._continuation.detail)  # type: ignore[union-attr]
 
     @property
     def ended_early(self) -> End | None:

@@ -1,4 +1,4 @@
-"""A bifurcation diagram: what leaves a branch of equilibria, curves in two parameters, and the files of all of them."""
+"""A bifurcation diagram: what leaves a branch, curves in two parameters, and the files of all of them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ import numpy as np
 
 import casadi_skin.figures as figures
 from casadi_skin.continuation.points import End
-from casadi_skin.equilibria.curve import UnfoldingError, curve_space
+from casadi_skin.critical_orbits.curve import curve_space
+from casadi_skin.equilibria.curve import UnfoldingError
 from casadi_skin.equilibria.diagram import LEAVING, Further
+from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.figures.portrait import chosen_solutions
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.orbits.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.runs.request import Request
@@ -29,8 +31,14 @@ NATURAL = (
     End.CLOSED,
     End.RETURNED,
     End.AWAY,
+    End.BAUTIN,
+    End.HOPF_HOPF,
+    End.ZERO_HOPF,
+    End.RESONANCE_ONE,
+    End.RESONANCE_TWO,
 )  # ends of what leaves a branch, or is followed in two parameters
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
+FOLLOWED = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
 EMPTY: Cell = ""
 SAME = 1e-6  # distance of special points that are one
 
@@ -59,7 +67,8 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        if table.curve is not None and point.kind in (FOLD, HOPF, BRANCH_POINT) and not passed:
+        crossing = point.kind == BRANCH_POINT and isinstance(point.solution, Equilibrium)
+        if table.curve is not None and (point.kind in FOLLOWED or crossing) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
@@ -79,6 +88,8 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         found = curve.at(point.parameters[curve.parameter], which=1)
     except (ValueError, ArithmeticError):
         return False
+    if isinstance(found, Orbit):
+        return bool(abs(found.parameters[point.parameter] / point.parameters[point.parameter] - 1.0) <= SAME)
     x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
     return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
 
@@ -110,7 +121,7 @@ def write_diagram(
     columns = special_columns(first)
     rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
     write_csv(directory / "special_points.csv", columns, rows)
-    in_one = [branch for branch in branches if not branch.space.free or isinstance(branch.solutions[0], Orbit)]
+    in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
     figures.save(figures.bifurcation_figure(in_one, title), directory / "branch")
     chosen = chosen_solutions(in_one)
     if chosen:

@@ -233,7 +233,7 @@ def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines
             lines.append(("leaving", f"branches at every {kinds}, as far{deep}"))
         if table.curve is not None:
             curve = table.curve
-            lines.append(("curves", f"folds and Hopf points in {curve.parameter} to {curve.to:g}"))
+            lines.append(("curves", f"special points in {curve.parameter} to {curve.to:g}"))
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each component of the state"))
     return lines
 
@@ -250,6 +250,8 @@ def _boundary_lines(request: Request) -> Lines:
     if table is not None:
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
+        if table.curve is not None:
+            lines.append(("curves", f"special points in {table.curve.parameter} to {table.curve.to:g}"))
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
     lines.append(("unknowns", _unknowns(request)))
     if scene.stability is not None:

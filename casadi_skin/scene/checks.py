@@ -141,9 +141,11 @@ def _check_continuation(scene: Scene) -> None:
     for item, value in enumerate(table.at, start=1):
         if value in table.at[: item - 1]:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
-    for key in ("switch", "depth", "curve"):
+    for key in ("switch", "depth"):
         if getattr(table, key) not in ((), None) and scene.equilibrium is None:
             raise refusal(f"[continuation] {key}", "without [equilibrium]", "beside an [equilibrium]")
+    if table.curve is not None and scene.equilibrium is None and scene.orbit is None:
+        raise refusal("[continuation] curve", "without [equilibrium] or [orbit]", "beside one of them")
     for item, kind in enumerate(table.switch, start=1):
         if kind in table.switch[: item - 1]:
             raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")

@@ -115,7 +115,7 @@ class EquilibriumTable(Table, frozen=True):
 
 
 class CurveTable(Table, frozen=True):
-    """A second parameter in which folds and Hopf points are followed."""
+    """A second parameter in which folds, Hopf points, period doublings and tori are followed."""
 
     parameter: Annotated[_Text, Meta(title="Second parameter", description="the name of a parameter")]
     to: Annotated[Finite, Meta(title="Value at which curves end", description="a finite number")]
@@ -190,7 +190,8 @@ class ContinuationTable(Table, frozen=True):
     curve: Annotated[
         CurveTable | None,
         Meta(
-            title="Second parameter in which folds and Hopf points of equilibria are followed",
-            description="a table with parameter, the name of another parameter, and to, a number; beside [equilibrium]",
+            title="Second parameter in which folds, Hopf points, period doublings and tori are followed",
+            description="a table with parameter, the name of another parameter, and to, a number; beside "
+            "[equilibrium] or [orbit]; period doublings and tori are located with [stability]",
         ),
     ] = None
