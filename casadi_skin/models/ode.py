@@ -30,6 +30,9 @@ class OdeModel:
     symbol t of a model that is forced, with `forcing_period`, a number or an expression in p. `outputs` are named
     expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
     state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
+    `conserved` are further conserved quantities by name, as a momentum; `symmetries` the directions in which continuous
+    symmetries move the full state, by the names of what they conserve: found from a canonical `hamiltonian` where left
+    out.
     `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
     amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
     component of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values
@@ -54,6 +57,8 @@ class OdeModel:
     half_period: Signs | None = None
     normalisation: Expression | None = None
     hamiltonian: Expression | None = None
+    conserved: Mapping[str, Expression] = field(default_factory=dict)
+    symmetries: Mapping[str, Expression] = field(default_factory=dict)
     output_scale: tuple[float, ...] | None = None
     time: Expression | None = None
     forcing_period: Expression | float | None = None
@@ -167,6 +172,8 @@ class OdeModel:
             half_period=self.half_period,
             normalisation=self.normalisation,
             hamiltonian=self.hamiltonian,
+            conserved=self.conserved,
+            symmetries=self.symmetries,
             time=self.time,
             forcing_period=self.forcing_period,
             outputs=self.outputs,
@@ -198,25 +205,39 @@ class OdeModel:
 
 def check_symmetries(model: OdeModel, trials: int, seed: int) -> None:
     """Raises ValueError naming the first symmetry or conserved quantity that does not hold at random points."""
-    if model.reversal is None and model.half_period is None and model.hamiltonian is None:
+    kept = {"hamiltonian": model.hamiltonian} if model.hamiltonian is not None else {}
+    kept |= {f"conserved {name}": quantity for name, quantity in model.conserved.items()}
+    if model.reversal is None and model.half_period is None and not kept:
         return
-    rate = 0.0 if model.hamiltonian is None else ca.jacobian(model.hamiltonian, model.full_state) @ model.full_rhs
-    evaluate = model.function("check", ca.densify(model.full_rhs), ca.densify(rate))
+    x, rhs = model.full_state, model.full_rhs
+    rates = [ca.densify(ca.jtimes(quantity, x, rhs)) for quantity in kept.values()]
+    brackets = [ca.densify(ca.jtimes(rhs, x, g) - ca.jtimes(g, x, rhs)) for g in model.symmetries.values()]
+    evaluate = model.function("check", ca.densify(rhs), *rates, *brackets)
     generator = np.random.default_rng(seed)
     for _ in range(trials):
         time, point, parameter = _finite_point(model, evaluate, generator)
-        value, change = (np.array(r).ravel() for r in evaluate(time, point, parameter))
+        value, *changes = (np.array(r).ravel() for r in _all(evaluate(time, point, parameter)))
         scale = ROUND_OFF * (1.0 + np.abs(value).max())
         half = 0.5 * model.forcing_period_at(parameter)
         images = (("reversal", model.reversal, -1, -time), ("half_period", model.half_period, 1, time + half))
         for label, signs, sense, at in images:
             if signs is None:
                 continue
-            image = np.array(evaluate(at, np.array(signs) * point, parameter)[0]).ravel()
+            image = np.array(_all(evaluate(at, np.array(signs) * point, parameter))[0]).ravel()
             if not np.abs(image - sense * np.array(signs) * value).max() <= scale:
                 raise ValueError(f"{model.name}: the declared {label} is not a symmetry of the right-hand side")
-        if abs(change[0]) > scale * (1.0 + np.abs(point).sum()):
-            raise ValueError(f"{model.name}: the declared hamiltonian is not conserved")
+        within = scale * (1.0 + np.abs(point).sum())
+        for label, change in zip(kept, changes, strict=False):
+            if not abs(change[0]) <= within:
+                raise ValueError(f"{model.name}: the declared {label} is not conserved")
+        for label, bracket in zip(model.symmetries, changes[len(kept) :], strict=True):
+            if not np.max(np.abs(bracket)) <= within:
+                raise ValueError(f"{model.name}: the declared direction {label} is not that of a symmetry")
+
+
+def _all(results: Any) -> tuple[Any, ...]:
+    """All results of a function, also where it has one."""
+    return results if isinstance(results, tuple) else (results,)
 
 
 def _finite_point(model: OdeModel, evaluate: ca.Function, generator: np.random.Generator) -> tuple[float, Array, Array]:
@@ -224,6 +245,6 @@ def _finite_point(model: OdeModel, evaluate: ca.Function, generator: np.random.G
     time = generator.normal()
     x, p = (generator.normal(size=count) for count in (model.full_size, model.parameters.numel()))
     for point, parameter in ((x, p), (x, np.abs(p)), (np.abs(x), np.abs(p))):
-        if all(np.all(np.isfinite(np.array(r))) for r in evaluate(time, point, parameter)):
+        if all(np.all(np.isfinite(np.array(r))) for r in _all(evaluate(time, point, parameter))):
             return time, point, parameter
     raise ValueError(f"{model.name}: the right-hand side or the hamiltonian is not finite at a random point")

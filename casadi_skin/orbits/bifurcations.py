@@ -127,7 +127,7 @@ def critical_vector(orbit: Orbit, multiplier: float) -> Array:
     if multiplier < 0.0 or orbit.floquet().trivial == 0:
         return np.asarray(vectors[0])
     h = 1e-5 * orbit.period
-    ahead, behind = orbit.evaluate([h, orbit.period - h])
+    ahead, behind = orbit.evaluate([h, -h])
     along = (ahead - behind) / np.linalg.norm(ahead - behind)
     free = [vector - along * (along @ vector) for vector in vectors[:2]]
     longest = max(free, key=lambda vector: float(np.linalg.norm(vector)))

@@ -23,6 +23,7 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch_points import branch_point_between
+from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
@@ -33,6 +34,7 @@ from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.trivial import trivial_at
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
@@ -74,11 +76,21 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for."""
+    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for.
+
+    `turns` are the rotations of the states in a period, none where it is empty.
+    """
 
     given: OdeModel
     model: OdeModel
     symmetry: SymmetryClass
+    turns: tuple[int, ...] = ()
+
+    def rotated(self, theta: Array) -> Array:
+        """What rotations add at phases to states of the part solved for, mirrored or not, shape (phases, states)."""
+        turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
+        mirrored = np.mod(turn, 1.0) > self.symmetry.value
+        return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,6 +306,8 @@ class BoundarySpace:
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
         states = signs * point.problem.sample(point.z, fractions)
+        if any(periodic.turns):
+            states = states + periodic.rotated(theta)
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
     def energy(self, point: Point) -> float:
@@ -313,7 +327,8 @@ class BoundarySpace:
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Multipliers of orbits over the full period.
 
-        Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
+        Of a solution that its conditions close too. Raises ValueError for others and for an unknown flow, FlowError
+        where CVODES fails.
         """
         name = str(self.method.flow) if by is None else by
         check_name("by", name, methods.FULL_PERIOD_FLOWS)
@@ -322,13 +337,22 @@ class BoundarySpace:
         except IntegrationError as error:
             raise FlowError(str(error)) from error
 
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close solutions that are not stated as orbits; None where they do not."""
+        return closure_of(self.statement) if self.periodic is None else None
+
     def _floquet(self, point: Point, by: str) -> Floquet:
+        if self.closure is not None:
+            assert isinstance(point.problem, BoundaryProblem)
+            return self.closure.multipliers(point.problem, point.z, self.tolerance)
         periodic, compute = self._orbit_of(), methods.FULL_PERIOD_FLOWS[by].load()
-        if by == "collocation":
-            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, self.tolerance)
-            return found
         start, values = self.states_at(point, np.zeros(1), None)[0], self.parameters(point)
         p = np.array([values[name] for name in periodic.model.parameter_names])
+        if by == "collocation":
+            trivial = trivial_at(periodic.model, periodic.symmetry, start, p)
+            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, trivial, self.tolerance)
+            return found
         by_sensitivities: Floquet = compute(
             periodic.model, start, p, self.interval(point)[1], periodic.symmetry, self.tolerance
         )
@@ -345,5 +369,6 @@ class BoundarySpace:
 
     def _orbit_of(self) -> Periodic:
         if self.periodic is None:
-            raise ValueError("a solution of a boundary-value problem that is no orbit has no stability")
+            accepted = "accepted: an orbit, or conditions x(end) = S x(start)"
+            raise ValueError(f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}")
         return self.periodic

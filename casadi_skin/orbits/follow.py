@@ -200,8 +200,8 @@ class Following:
         if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
             return None
         before = self.solutions[-1]
-        assert isinstance(before, Orbit)
-        assert isinstance(solution, Orbit)
+        if not (isinstance(before, Orbit) and isinstance(solution, Orbit)):
+            return None
         if before.floquet().stable == solution.floquet().stable:
             return None
         return locate_change(self.space, before, solution)
@@ -390,8 +390,9 @@ def follow(
     """
     _check_choices(stability, events, until, progress)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    if stability and isinstance(space, BoundarySpace) and space.periodic is None:
-        raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
+    if stability and isinstance(space, BoundarySpace) and space.periodic is None and space.closure is None:
+        accepted = "for orbits, and for conditions x(end) = S x(start)"
+        raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
     return run_following(Following(space, stability, events, until=until), progress)
 
 

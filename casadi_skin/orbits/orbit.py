@@ -22,7 +22,6 @@ from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
 
 if TYPE_CHECKING:
     from casadi_skin.certify.certificate import Certificate
@@ -39,8 +38,6 @@ class Orbit(Solution):
     An orbit of a family has all velocities zero at t = 0, and its states are displacements; an orbit of `find_orbit`
     has the states of the first-order model.
     """
-
-    known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
 
     @property
     def symmetry(self) -> SymmetryClass:
@@ -92,8 +89,9 @@ class Orbit(Solution):
 
     @property
     def unfolding(self) -> float:
-        """Coefficient of the damping that a conservative model does not have: zero but for errors."""
-        return self.parameters.get("unfolding", 0.0)
+        """Coefficient of what a conservative model does not have, the largest of several: zero but for errors."""
+        known = [value for name, value in self.parameters.items() if name.startswith("unfolding")]
+        return max(known, key=abs, default=0.0)
 
     @property
     def model_parameters(self) -> Array:
@@ -231,40 +229,6 @@ class Orbit(Solution):
         return self.certify()
 
     # Stability ------------------------------------------------------------------------------------------------------
-
-    def floquet(self, by: str | None = None) -> Floquet:
-        """Linear stability: multipliers, and of what kind an instability is.
-
-        Arguments:
-            by: name of the flow map; that of the branch by default. Of an orbit of a family one of
-                `methods.FLOWS`, of another "collocation" or "cvodes".
-
-        Returns:
-            Multipliers with their errors, from the N x N problem where the symmetries allow it, else over the full
-            period; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block.
-
-        Raises:
-            FlowError: the flow map cannot reach the tolerance.
-            ValueError: there is no such flow map.
-        """
-        if by is not None:
-            found = self.space.floquets([self.point], by)[0]
-            found.warn()
-            return found
-        return self._floquet
-
-    @cached_property
-    def _floquet(self) -> Floquet:
-        if self.known_floquet is not None:
-            return self.known_floquet
-        found = self.space.floquets([self.point])[0]
-        found.warn()
-        return found
-
-    @property
-    def stable(self) -> bool:
-        """Whether no multiplier lies outside the unit circle, within estimated errors."""
-        return self.floquet().stable
 
     @property
     def multiplier_error(self) -> float:
