@@ -80,6 +80,7 @@ class End(Enum):
     RETURNED = "the family came back to zero amplitude"
     AWAY = "the branch went as far to the other side as the value asked for is to this side"
     HOPF = "the cycle shrinks to an equilibrium at a Hopf point"
+    UNBOUNDED = "the period grows without bound"
     TAKENS = "the Hopf points end at a Bogdanov-Takens point, with frequency zero"
     POINTS = "the limit on the number of points was reached"
     LIMIT = "S no longer changes in double precision while the period grows"

@@ -26,8 +26,9 @@ from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
+from casadi_skin.orbits.period_limit import limit_between, resting_places
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
+from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC, HOPF, fold_between, turns_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
+PLACES = 2001  # along an orbit at which its speed is looked at
+SMALLEST = 1e-9  # of the largest component: smaller ones are told as 0
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
@@ -184,7 +187,8 @@ class BoundarySpace:
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
 
-        Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
+        The later point itself where the period grows without bound there. Of a boundary-value problem that is no orbit
+        the branch point too, which is a fold as well where both are one.
         """
         crossed = None
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
@@ -192,12 +196,48 @@ class BoundarySpace:
         if crossed is not None:
             yield crossed
             return
+        unbounded = self._unbounded(before, after)
+        if unbounded is not None:
+            yield unbounded
+            return
         if not turns_between(before, after):
             return
         hopf: Point | None = None
         if self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
         yield hopf or fold_between(self.point_solver, before, after)
+
+    def _unbounded(self, before: Point, after: Point) -> Point | None:
+        """The later of two orbits where the period grows without bound there."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return None
+        left = limit_between(self.start, before, after, self.tolerance)
+        places = 0 if left is None else len(self._resting_places(after))
+        if left is None or not places:
+            return None
+        error = replace(after.error, parameter=left / after.problem.parameter_size(after.z) + after.error.relative(1.0))
+        kind = HOMOCLINIC if places == 1 else HETEROCLINIC
+        return replace(after, error=error, special=kind, walked=False, requested=False)
+
+    def _resting_places(self, point: Point) -> list[Array]:
+        """Equilibria that an orbit passes slowly."""
+        periodic, problem = self._orbit_of(), point.problem
+        assert isinstance(problem, BoundaryProblem)
+        parts = np.concatenate([np.linspace(0.0, 1.0, PLACES), periodic.symmetry.value * problem._fractions()])
+        states = self.states_at(point, TWO_PI * np.unique(parts), None)
+        p = problem.parameters(point.z)[: periodic.model.parameters.numel()]
+        return resting_places(periodic.model, states, p, periodic.turns)
+
+    def _unbounded_words(self, point: Point) -> str:
+        """Which equilibria the orbit with a period without bound joins."""
+        found = []
+        for x in self._resting_places(point):
+            x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
+            state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.state_names, x, strict=True))
+            found.append(f"({state})")
+        value = self.parameters(point)[self.parameter]
+        where = f"{self.parameter} = {value:.10g} +- {self.parameter_error(point):.0e}"
+        return f"orbits come to one that is {point.special} to {' and '.join(found)}, at {where}"
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
@@ -243,6 +283,8 @@ class BoundarySpace:
     def stop(self, point: Point) -> tuple[End | None, str]:
         if point.special == HOPF:
             return End.HOPF, ""
+        if point.special in (HOMOCLINIC, HETEROCLINIC):
+            return End.UNBOUNDED, self._unbounded_words(point)
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

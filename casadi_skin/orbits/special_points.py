@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -28,7 +29,8 @@ class SpecialPoint:
 
     Attributes:
         kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
-            doubling", "torus" and "branch point", and "hopf" where they end.
+            doubling", "torus" and "branch point"; where they end "hopf", or "homoclinic" or "heteroclinic" where their
+            period grows without bound.
         parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.
