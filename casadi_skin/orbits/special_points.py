@@ -44,7 +44,7 @@ class SpecialPoint:
     solution: Solution
 
     def __repr__(self) -> str:
-        words = f", {self.criticality}" if self.kind == HOPF else ""
+        words = f", {self.criticality}" if self.kind == HOPF else "".join(f", loses its {what}" for what in self.lost)
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
 
@@ -56,6 +56,14 @@ class SpecialPoint:
     def vector(self) -> Any:
         """Critical eigenvector, shape (components of the state,); raises ValueError for what is no equilibrium."""
         return self._critical.vector
+
+    @cached_property
+    def lost(self) -> tuple[str, ...]:
+        """Symmetries that orbits of the branch that leaves at a branch point have lost, in words."""
+        if self.kind != BRANCH_POINT or getattr(self.solution.space, "periodic", None) is None:
+            return ()
+        found: tuple[str, ...] = methods.TASKS["lost"].load()(self.solution)
+        return found
 
     @property
     def frequency(self) -> float:

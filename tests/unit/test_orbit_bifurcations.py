@@ -93,6 +93,7 @@ def test_a_symmetric_cycle_loses_its_symmetry_at_a_branch_point() -> None:
     assert (fold.kind, point.kind) == ("fold", "branch point")
     other = point.follow("nu", -0.6, stability=True)
     assert other.complete
+    assert point.lost == ("half-period symmetry in x, y, z",)
     for orbit, symmetric in ((branch.orbits[-1], True), (other.orbits[-1], False)):
         t = np.linspace(0.0, orbit.period, 50)
         odd = np.max(np.abs(orbit.evaluate(t) + orbit.evaluate(t + 0.5 * orbit.period)))
