@@ -23,7 +23,7 @@ def test_bratu_fold(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_turning_orbits(tmp_path: Path) -> None:
-    """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi to third order."""
+    """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi for small c."""
     swings, turns, carries = load("turning_orbits").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
     assert [branch.special_points[0].kind for branch in (swings, turns, carries)] == [
