@@ -72,6 +72,7 @@ TASKS = _registry(  # what an object's method does where the object stands below
     follow=("the branch through a solution", "orbits.follow:follow"),
     critical=("what decides at a special point", "equilibria.normal_forms:critical"),
     hopf_end=("the Hopf point at which a branch of orbits ends", "equilibria.cycles:hopf_end"),
+    breaking=("what leaves a family of reversible orbits", "orbits.breaking:breaking_of"),
     lost=("the symmetries that are lost at a branch point of orbits", "orbits.lost_symmetry:lost_symmetries"),
     switch=("the branch that leaves at a special point", "equilibria.switch:switch"),
     curve=("a special point followed in a second parameter", "equilibria.curve:curve"),

@@ -35,6 +35,7 @@ class SpecialPoint:
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.
         solution: the solution there.
+        mu: of an orbit of a family, by which another branch leaves: 0 or -1.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class SpecialPoint:
     parameters: Mapping[str, float]
     error: float
     solution: Solution
+    mu: float | None = None
 
     def __repr__(self) -> str:
         words = f", {self.criticality}" if self.kind == HOPF else "".join(f", loses its {what}" for what in self.lost)
@@ -60,6 +62,9 @@ class SpecialPoint:
     @cached_property
     def lost(self) -> tuple[str, ...]:
         """Symmetries that orbits of the branch that leaves at a branch point have lost, in words."""
+        if self.mu is not None:
+            lost: tuple[str, ...] = methods.TASKS["breaking"].load()(self.solution, self.mu).lost
+            return lost
         if self.kind != BRANCH_POINT or getattr(self.solution.space, "periodic", None) is None:
             return ()
         found: tuple[str, ...] = methods.TASKS["lost"].load()(self.solution)
