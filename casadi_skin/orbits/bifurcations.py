@@ -59,10 +59,15 @@ def _side(orbit: Orbit, multiplier: complex) -> float:
 
 
 def _real(value: float) -> Callable[[Floquet], float]:
-    """Distance of the multiplier nearest to +1 or -1 from it, with its sign."""
+    """Distance of the multiplier nearest to +1 or -1 from it, with the sign of the product of all these distances.
+
+    The product changes its sign where one crosses, whichever is the nearest to either side.
+    """
 
     def test(floquet: Floquet) -> float:
-        return float(_nearest(floquet.others, value).real - value)
+        away = floquet.others - value
+        sign = np.sign(np.prod(away / (1.0 + np.abs(floquet.others))).real)
+        return float(sign * np.min(np.abs(away)))
 
     return test
 

@@ -110,8 +110,7 @@ def turns_of(rotations: Mapping[str, int], model: OdeModel) -> tuple[int, ...]:
 
 def _last_turn(simulated: Evolution, turns: tuple[int, ...]) -> Cycle:
     """The last stretch of a simulation in which the first angle that rotates makes its turns."""
-    angles = np.array(turns) != 0
-    component = int(np.flatnonzero(angles)[0])
+    component = int(np.flatnonzero(turns)[0])
     angle = simulated.states[:, component]
     left = (angle[-1] - 2.0 * np.pi * turns[component] - angle) * np.sign(turns[component])
     before = np.flatnonzero(left >= 0.0)
@@ -124,8 +123,8 @@ def _last_turn(simulated: Evolution, turns: tuple[int, ...]) -> Cycle:
     i = int(before[-1])
     part = left[i] / (left[i] - left[i + 1])
     start = float(simulated.t[i] + part * (simulated.t[i + 1] - simulated.t[i]))
-    whole = 2.0 * np.pi * np.floor(simulated.states[i] / (2.0 * np.pi)) * angles  # turns before the last ones
-    last = replace(simulated, states=simulated.states - whole)
+    before_these = np.floor(angle[i] / (2.0 * np.pi * turns[component]))
+    last = replace(simulated, states=simulated.states - 2.0 * np.pi * before_these * np.array(turns))
     return Cycle(last, start, float(simulated.t[-1]) - start, turns)
 
 
