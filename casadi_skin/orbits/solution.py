@@ -31,6 +31,7 @@ class Solution:
         point: its unknowns, in the discretisation that meets the tolerance.
         exact: values that the solution was asked for at, by name, which its unknowns need not give back exactly.
         optimum: what was minimised, and the optimality conditions; None where nothing was.
+        found_by: how it was found, where the first way failed: "Newton's method", or the continuation in a parameter.
         known_floquet: its stability where that was computed before: in a run that is resumed, or with its neighbours.
     """
 
@@ -39,6 +40,7 @@ class Solution:
     exact: Mapping[str, float] = field(default_factory=dict)
     optimum: Optimum | None = None
     known_floquet: Floquet | None = None
+    found_by: str = ""
 
     @property
     def model(self) -> Any:
