@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
-from scipy.special import erf
+from scipy.special import erf, hyp1f1
 
 from casadi_skin import BoundaryValueProblem, OdeModel
 from casadi_skin.orbits.refined import BoundaryError
@@ -89,6 +89,12 @@ def _log_cosh(x: Array, e: float) -> Array:
     return np.asarray(1 + e * (s + np.log1p(np.exp(-2 * s)) - np.log(2)))
 
 
+def _resonance(x: Array, e: float) -> Array:
+    """An odd and an even solution; what changes the first by itself is 1 in exp(1/(2 eps)), and no double."""
+    even = hyp1f1(-0.5, 0.5, x * x / (2 * e)) / hyp1f1(-0.5, 0.5, 1 / (2 * e))
+    return np.asarray(0.5 * x + 1.5 * even)
+
+
 def _nozzle(m: Any, x: Any, u: Any, v: Any, e: Any) -> Any:
     A, slope, g = 1 + x * x, 2 * x, 1.4
     return (((1 + g) / 2 - e * slope) * u * v - v / u - slope / A * (1 - (g - 1) * u * u / 2)) / (e * A * u)
@@ -149,7 +155,7 @@ CASES: dict[int, Case] = {
     33: Case(lambda m, x, a, b, c, d, f, g, e: (b, c, d, (a * d - f * g) / e, g, (f * b - a * g) / e),
              {0: lambda e: 0.0, 1: lambda e: 0.0, 4: lambda e: -1.0},
              {0: lambda e: 0.0, 1: lambda e: 0.0, 4: lambda e: 1.0}, L),
-    35: second(lambda m, x, u, v, e: (x * v - u) / e, (1.0, 2.0), L, (-1.0, 1.0)),
+    35: second(lambda m, x, u, v, e: (x * v - u) / e, (1.0, 2.0), L, (-1.0, 1.0), _resonance),
 }  # fmt: skip
 
 
