@@ -28,7 +28,8 @@ from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.period_limit import limit_between, resting_places
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC, HOPF, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
+from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -185,7 +186,7 @@ class BoundarySpace:
         return ArclengthContinuation(self.point_solver, history, reported)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
+        """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         The later point itself where the period grows without bound there. Of a boundary-value problem that is no orbit
         the branch point too, which is a fold as well where both are one.
@@ -200,12 +201,20 @@ class BoundarySpace:
         if unbounded is not None:
             yield unbounded
             return
-        if not turns_between(before, after):
-            return
+        parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
-        if self.shrinks(before, after):
+        if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        yield hopf or fold_between(self.point_solver, before, after)
+        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        yield from (self._fold_between(*part) for part in passed)
+        if hopf is not None:
+            yield hopf
+
+    def _fold_between(self, before: Point, after: Point) -> Point:
+        """The fold between two points; of orbits as a solution of its extended equations."""
+        fold = fold_between(self.point_solver, before, after)
+        located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
+        return located or fold
 
     def _unbounded(self, before: Point, after: Point) -> Point | None:
         """The later of two orbits where the period grows without bound there."""
@@ -244,7 +253,8 @@ class BoundarySpace:
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
         varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     def parameter_error(self, point: Point) -> float:
@@ -347,7 +357,7 @@ class BoundarySpace:
         """States at phases, shape (len(theta), components)."""
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
-        states = signs * point.problem.sample(point.z, fractions)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
         if any(periodic.turns):
             states = states + periodic.rotated(theta)
         return np.asarray(states[:, numbered(sites, states.shape[1])])

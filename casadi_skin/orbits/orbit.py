@@ -37,6 +37,11 @@ class Orbit(Solution):
     has the states of the first-order model.
     """
 
+    def __repr__(self) -> str:
+        name = getattr(self.model, "name", None) or repr(self.model)
+        S = f"S = {self.S:.6g}, " if isinstance(self.space, Family) else ""
+        return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
+
     @property
     def symmetry(self) -> SymmetryClass:
         """Which part of the period was unknown."""

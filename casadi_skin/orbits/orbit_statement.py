@@ -152,7 +152,7 @@ class Asked:
         model, kind = self.model, type(self.model.state)
         names = (*model.parameter_names, PERIOD, *self.unfolded)
         p, count = kind.sym("p", len(names)), int(model.parameters.numel())
-        rhs = model.vector_field(0.0, model.state, p[:count])
+        rhs = model.field_at(0.0, model.state, p[:count])
         for k, quantity in enumerate(self.unfolded.values(), start=1):
             slope = model.function("slope", ca.gradient(quantity, model.state))
             rhs = rhs + p[count + k] * slope(0.0, model.state, p[:count])

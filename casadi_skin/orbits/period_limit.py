@@ -15,7 +15,6 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.continuation.points import Point
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.special_points import parameter_rate
 
 GROWN = 3.0  # times the period at the start of the branch
 SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
@@ -54,7 +53,8 @@ def _distance(before: Point, after: Point) -> float:
     """How far the parameter is from its limit by a power law; infinite where there is none at a finite distance."""
     (one, first), (other, last) = _period(before), _period(after)
     moved = abs(after.parameter - before.parameter)
-    rates = [abs(parameter_rate(point) / rate) for point, rate in ((before, first), (after, last))]
+    moves = [float(point.tangent[point.problem.parameter_index]) for point in (before, after)]
+    rates = [abs(moves[0] / first), abs(moves[1] / last)]
     if moved <= STILL * after.problem.parameter_size(after.z) or 0.0 in rates:
         return moved
     power = np.log(rates[0] / rates[1]) / np.log(other / one)

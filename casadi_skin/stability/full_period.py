@@ -2,7 +2,9 @@
 
 From the linearised collocation equations, whose interval maps are multiplied (Doedel 1981; Fairgrieve and Jepson 1991),
 and, sharing nothing with these, from CVODES sensitivities. Multipliers smaller than 1 are the inverses of those of the
-inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits.
+inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits. The flow
+itself is the eigenvector of the trivial multiplier of an autonomous orbit: the maps across it have the others alone, so
+that one of these may be 1 as well, as at a fold, where two equal eigenvalues of the whole matrix have half the digits.
 """
 
 from __future__ import annotations
@@ -29,19 +31,41 @@ TIGHTEST = 1e-13
 MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
+SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
 
 
 def by_collocation(
     problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, trivial: Trivial, tolerance: float
 ) -> FullPeriodFloquet:
-    """Multipliers from the interval maps of the linearised equations."""
-    jacobians = stage_jacobians(problem, z)
+    """Multipliers from the interval maps of the linearised equations.
+
+    The state of the problem may have others beside it: those of the model come first, and do not depend on these.
+    """
+    n = model.full_size
+    jacobians = stage_jacobians(problem, z)[:, :n, :n]
     maps = interval_maps(problem, jacobians)
     if symmetry is not SymmetryClass.FULL:
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    return multipliers_of(maps, trivial, tolerance, contraction)
+    along = velocities(problem, z, n) if trivial.count == 1 else None
+    return multipliers_of(maps, trivial, tolerance, contraction, along)
+
+
+def velocities(problem: BoundaryProblem, z: Array, n: int) -> Array | None:
+    """Derivatives of the first n states at the ends of the intervals, one a row; None where they rest."""
+    columns = np.arange(problem.resolution + 1) * problem.table.ends.size
+    x = z[: problem.states].reshape(problem.columns, -1)[columns]
+    scalars = np.tile(z[problem.states :, None], columns.size)
+    field = problem.formulation.field_function.map(columns.size)(problem._fractions()[columns][None], x.T, scalars)
+    return _moving(np.array(field[0]).T[:, :n], x[:, :n])
+
+
+def _moving(along: Array, x: Array) -> Array | None:
+    """Derivatives along an orbit over its states, where it moves at all of them."""
+    speeds = np.linalg.norm(along, axis=1)
+    moves = np.min(speeds) > SLOWEST * np.max(speeds) and np.max(speeds) > SLOWEST * np.max(np.abs(x))
+    return along if moves else None
 
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
@@ -61,7 +85,7 @@ def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
 
 def interval_maps(problem: BoundaryProblem, jacobians: Array) -> Array:
     """Transition matrices over the intervals, in order of time, shape (intervals, n, n)."""
-    n, d, K = problem.formulation.states, problem.degree, problem.resolution
+    n, d, K = jacobians.shape[1], problem.degree, problem.resolution
     extended = problem.table.extended
     h = problem.constants
     maps = np.empty((K, n, n))
@@ -91,7 +115,7 @@ def by_cvodes(
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
-    dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
+    dae = {"t": s, "x": x, "p": p, "ode": period * model.field_at(period * s, x, p)}
     local = max(LOCAL * tolerance, TIGHTEST)
     options = CvodesOptions(local, local * size_of(start), MAX_STEPS, stiff=True, sensitivity_errors=True)
     try:
@@ -99,31 +123,48 @@ def by_cvodes(
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
-    return multipliers_of(matrix[None], trivial_at(model, symmetry, start, parameters), tolerance)
+    trivial = trivial_at(model, symmetry, start, parameters)
+    rate = np.array(model.vector_field(0.0, start, parameters)).T * period
+    along = _moving(np.tile(rate, (2, 1)), start[None]) if trivial.count == 1 else None
+    return multipliers_of(matrix[None], trivial, tolerance, along=along)
 
 
 def multipliers_of(
-    maps: Array, trivial: Trivial, tolerance: float, contraction: float | None = None
+    maps: Array, trivial: Trivial, tolerance: float, contraction: float | None = None, along: Array | None = None
 ) -> FullPeriodFloquet:
     """Multipliers of the product of maps, later ones times earlier ones; the logarithm of its determinant may be known.
 
-    The trivial ones with the vectors that belong to them are taken out before the others are computed.
+    The trivial ones with the vectors that belong to them are taken out before the others are computed; with velocities
+    `along` the orbit that of time is, map by map.
     """
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
     _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
     balanced = maps * units / units[:, None]
-    values, count = _eigenvalues(balanced, contraction), trivial.count
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
-    is_other = _others(values, count)
-    near, others = values[~is_other], values[is_other]
+    count = trivial.count
+    if along is None:
+        values = _eigenvalues(balanced, contraction)
+        is_other = _others(values, count)
+        near, others = values[~is_other], values[is_other]
+        basis = trivial.across(np.asarray(units, dtype=float))
+        if basis is not None and others.size:
+            others = _eigenvalues(balanced, contraction, basis)
+    else:
+        near, turned = _across(balanced, along / units)
+        others = _eigenvalues(turned, contraction)
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(count, 1))) if count else 0.0
-    across = trivial.across(np.asarray(units, dtype=float))
-    if across is not None and others.size:
-        others = _eigenvalues(balanced, contraction, across)
     values = np.concatenate([near, others])
     return FullPeriodFloquet(values, matrix, count, deviation, allowed if count < 2 else float(np.sqrt(allowed)))
+
+
+def _across(maps: Array, along: Array) -> tuple[ComplexArray, Array]:
+    """The growth along the flow over the period, shape (1,); and the maps across it, one an interval."""
+    frames = np.array([np.linalg.qr(v[:, None], mode="complete")[0] for v in along])
+    frames[-1] = frames[0]
+    turned = np.einsum("kai,kab,kbj->kij", frames[1:], maps, frames[:-1])
+    return np.array([np.prod(turned[:, 0, 0])], dtype=complex), turned[:, 1:, 1:]
 
 
 def _product(maps: Sequence[Array] | Array) -> Array:
@@ -143,6 +184,8 @@ def _eigenvalues(maps: Array, contraction: float | None, across: Array | None = 
     modulus at which both are equally good. A single one that is tiny follows from Liouville's formula, their product
     being exp(contraction): maps of intervals that are long for the fastest contraction have lost its digits.
     """
+    if maps.shape[1] == 0:
+        return np.empty(0, dtype=complex)
     matrix, basis = _product(maps), np.eye(maps.shape[1]) if across is None else across
     forward = np.linalg.eigvals(basis.T @ matrix @ basis).astype(complex)
     forward = forward[np.argsort(-np.abs(forward))]
@@ -159,6 +202,7 @@ def _eigenvalues(maps: Array, contraction: float | None, across: Array | None = 
         backward = backward[np.argsort(-np.abs(backward))]
         modulus = np.sqrt(np.abs(forward)) * np.sqrt(np.abs(backward))
         even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))
+    even = np.inf if matrix.size == 1 else even
     small = (np.abs(forward) < SMALL) & (modulus < even)
     if contraction is not None and np.count_nonzero(small) == 1:
         tiny = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))
