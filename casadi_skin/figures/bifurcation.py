@@ -26,6 +26,8 @@ MARKS = {  # the symbols of the field, as far as there are any
     "hopf": ("s", "black"),
     "period doubling": ("^", "0.6"),
     "torus": ("h", "0.6"),
+    "homoclinic": ("|", "black"),
+    "heteroclinic": ("|", "black"),
     "cusp": ("v", "black"),
     "bogdanov-takens": ("o", "black"),
     "zero-hopf": ("P", "black"),

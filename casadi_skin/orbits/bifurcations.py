@@ -61,10 +61,15 @@ def _side(orbit: Orbit, multiplier: complex) -> float:
 
 
 def _real(value: float) -> Callable[[Floquet], float]:
-    """Distance of the multiplier nearest to +1 or -1 from it, with its sign."""
+    """Distance of the multiplier nearest to +1 or -1 from it, with the sign of the product of all these distances.
+
+    The product changes its sign where one crosses, whichever is the nearest to either side.
+    """
 
     def test(floquet: Floquet) -> float:
-        return float(_nearest(floquet.others, value).real - value)
+        away = floquet.others - value
+        sign = np.sign(np.prod(away / (1.0 + np.abs(floquet.others))).real)
+        return float(sign * np.min(np.abs(away)))
 
     return test
 
@@ -136,7 +141,7 @@ def critical_vector(orbit: Orbit, multiplier: float) -> Array:
     if multiplier < 0.0 or orbit.floquet().trivial == 0:
         return np.asarray(vectors[0])
     h = 1e-5 * orbit.period
-    ahead, behind = orbit.evaluate([h, orbit.period - h])
+    ahead, behind = orbit.evaluate([h, -h])
     along = (ahead - behind) / np.linalg.norm(ahead - behind)
     free = [vector - along * (along @ vector) for vector in vectors[:2]]
     longest = max(free, key=lambda vector: float(np.linalg.norm(vector)))

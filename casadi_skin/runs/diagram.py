@@ -27,6 +27,7 @@ from casadi_skin.scene.model_tables import ContinuationTable
 
 NATURAL = (
     End.HOPF,
+    End.UNBOUNDED,
     End.TAKENS,
     End.CLOSED,
     End.RETURNED,

@@ -16,7 +16,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.orbits.boundary_space import DEGREE, FIRST
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.find_orbit import UNFOLDING
+from casadi_skin.orbits.orbit_statement import UNFOLDING
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
@@ -70,7 +70,7 @@ def _model_lines(request: Request) -> Lines:
     words = {
         "time reversal": model.reversal is not None,
         "half-period symmetry": model.half_period is not None,
-        "conserved quantity": model.hamiltonian is not None,
+        "conserved quantity": model.hamiltonian is not None or bool(model.conserved),
         "forced": model.forced,
     }
     declared = ", ".join(word for word, holds in words.items() if holds)
@@ -269,9 +269,10 @@ def _symmetry(request: Request) -> SymmetryClass:
 def _orbit_lines(request: Request) -> Lines:
     orbit, model = request.orbit, request.ode
     start = _named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
+    turning = f", but for {_named(orbit.rotations)} turns" if orbit.rotations else ""
     if model.forced:
         times = "a period" if orbit.cycles == 1 else f"{orbit.cycles} periods"
-        what = f"closes after {times} of the forcing"
+        what = f"closes after {times} of the forcing{turning}"
         after = f", after a transient of {orbit.transient:g} or little more" if orbit.transient else ""
         return [("orbit", what), ("guess", f"{times} simulated from {start}{after}")]
     symmetry, selected = _symmetry(request), "" if orbit.select is None else f", selected by {_named(orbit.select)}"
@@ -281,6 +282,7 @@ def _orbit_lines(request: Request) -> Lines:
         what += ", unfolded by a damping that comes back as zero" if model.hamiltonian is not None else ""
     else:
         what = f"{symmetry.reason}{selected}"
+    what += turning
     if orbit.period is not None:
         return [("orbit", what), ("guess", f"one period of {orbit.period:g} from {start}")]
     return [("orbit", what), ("guess", f"the last cycle of a simulation for {orbit.transient:g} from {start}")]

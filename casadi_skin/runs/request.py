@@ -101,7 +101,8 @@ class Request:
         model, names = self.ode, self.ode.state_names
         if name in names:
             return model.state[names.index(name)], value
-        return (model.hamiltonian if name == CONSERVED else model.outputs[name]), value
+        named = {**model.outputs, **model.conserved, CONSERVED: model.hamiltonian}
+        return named[name], value
 
 
 def method_of(scene: Scene) -> Method:
