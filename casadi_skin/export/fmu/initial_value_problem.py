@@ -48,8 +48,9 @@ class InitialValueProblem:
 
     @property
     def identifier(self) -> str:
-        """The model's name as an identifier of C: letters, digits and single underscores."""
-        name = re.sub(r"[\W_]+", "_", self.model.name, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        """The model's name as an identifier of C: letters, digits and single underscores, others by their numbers."""
+        told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in self.model.name)
+        name = re.sub(r"[\W_]+", "_", told, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
         return name if name[0].isalpha() else f"model_{name}"
 
 
