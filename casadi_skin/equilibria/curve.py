@@ -18,7 +18,8 @@ from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace, corrector_of
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.follow import following_settings
+from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.solvers.levels import Levels
 

@@ -21,7 +21,8 @@ from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.branch_points import other_tangent
-from casadi_skin.orbits.follow import Following, following_settings, run_following
+from casadi_skin.orbits.follow import following_settings
+from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,7 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.space import SolutionSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +73,10 @@ class Solution:
         if name not in names:
             raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
         return self.states[:, names.index(name)]
+
+    def value(self, name: str) -> float:
+        """A quantity that the branch is followed in or can be corrected at, exactly what was asked for where it is."""
+        return self.exact[name] if name in self.exact else self.space.value(name, self.point)
 
     # The discretisation -----------------------------------------------------------------------------------------------
 

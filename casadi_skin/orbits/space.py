@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from casadi_skin.bvp.problem import Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.continuation.points import Continuation, End, Point, Target
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.solution import Solution
 
 
 class SolutionSpace(Protocol):
@@ -112,15 +109,4 @@ class SolutionSpace(Protocol):
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors at phase zero, one a column in the order of the multipliers."""
-        ...
-
-
-@runtime_checkable
-class Follows(Protocol):
-    """A space whose solutions can be followed in a parameter."""
-
-    def following(
-        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
-    ) -> SolutionSpace:
-        """The space of the branch through one of its solutions; raises ValueError where there is none."""
         ...

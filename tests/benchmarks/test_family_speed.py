@@ -21,7 +21,7 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
 from casadi_skin.orbits import family
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.ipopt import IpoptCorrector
@@ -113,7 +113,7 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.orbits.family import Family
 chain = Chain({sites}, 1.0, 0.25, 1.0)

@@ -9,7 +9,8 @@ import pytest
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.follow import Following, following_space
+from casadi_skin.orbits.follow import following_space
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
 

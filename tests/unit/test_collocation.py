@@ -19,7 +19,7 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.results.branch_records import PointRecord, known_of, point_record
 from casadi_skin.solvers.ipopt import IpoptCorrector

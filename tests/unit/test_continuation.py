@@ -16,7 +16,7 @@ from casadi_skin.continuation.hermite import LocalCurve, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.newton import NewtonCorrector

@@ -18,7 +18,7 @@ from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits import family
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow

@@ -11,7 +11,7 @@ import pytest
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_frequency
 

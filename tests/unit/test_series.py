@@ -14,7 +14,7 @@ from casadi_skin.continuation.points import End
 from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_frequency
 

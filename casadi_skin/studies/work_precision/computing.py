@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import Following, run_following
+from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets

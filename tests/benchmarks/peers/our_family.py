@@ -9,7 +9,7 @@ import numpy as np
 from family_case import Array, Family, FamilyCase
 
 from casadi_skin.orbits import family as computed
-from casadi_skin.orbits.follow import Following
+from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
 

@@ -1,0 +1,167 @@
+"""Following a branch of any kind: its points, with stability, changes of it and bifurcations computed beside them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.orbits.bifurcations import bifurcations_between
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
+from casadi_skin.orbits.walk import Walk
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.threads import one_thread
+
+
+class Following:
+    """Iterates over the solutions of a branch and, between two of them, over the changes of stability.
+
+    What has been computed is in `branch()` at any time, but for the few points whose stability is computed together;
+    `keep` is called with each point as it converges, and with what the continuation has missed so far. Solutions and
+    changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed`: the
+    branch goes on from the last of these as if it had not been broken off.
+    """
+
+    def __init__(
+        self,
+        space: SolutionSpace,
+        stability: bool = False,
+        events: bool = True,
+        solutions: Sequence[Solution] = (),
+        changes: Sequence[StabilityChange] = (),
+        until: Callable[[Any], bool] | None = None,
+        waiting: Sequence[Point] = (),
+        missed: Sequence[Target] = (),
+        keep: Callable[[Point, Sequence[Target]], None] | None = None,
+    ) -> None:
+        stability = stability and not space.knows_stability
+        self.space, self.stability, self.events, self.until = space, stability, events and stability, until
+        self.solutions, self.changes = list(solutions), list(changes)
+        self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
+        self._keep = keep
+        self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed)
+        self._stopped = False
+        self.solutions = list(self._with_bifurcations(self.solutions))
+
+    def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
+        """Solutions computed earlier, with the orbits between them at which multipliers cross, sought again."""
+        self.solutions = []
+        for solution in solutions:
+            for special in (*self._bifurcations_before(solution), solution):
+                self.solutions.append(special)
+                yield special
+
+    def __iter__(self) -> Iterator[Solution | StabilityChange]:
+        results = self._results()
+        while True:
+            with one_thread(), interrupts_deferred():  # not while whoever iterates is at work
+                result = next(results, None)
+            if result is None:
+                return
+            yield result
+
+    def _results(self) -> Iterator[Solution | StabilityChange]:
+        together = self.space.stability_batch if self.stability else 1
+        limit = self.space.point_solver.settings.max_points
+        if len(self._waiting) >= together:
+            yield from self._finish_waiting()
+        for point in self._walk:
+            if len(self.solutions) + len(self._waiting) == limit:
+                self._walk.stop(End.POINTS)
+                break
+            self._waiting.append(point)
+            if self._keep is not None:
+                self._keep(point, self._walk.missed)
+            if len(self._waiting) >= together:
+                yield from self._finish_waiting()
+            if self._stopped or self._walk.end is End.FLOW:
+                return
+        yield from self._finish_waiting()
+
+    def _finish_waiting(self) -> Iterator[Solution | StabilityChange]:
+        """The solutions of the points that wait, with their stability and its changes, in order."""
+        try:
+            for solution in self._with_stability():
+                for special in self._bifurcations_before(solution):
+                    self.solutions.append(special)
+                    yield special
+                change = self._change_before(solution)
+                if change is not None:
+                    self.changes.append(change)
+                    yield change
+                self.solutions.append(solution)
+                self._waiting.popleft()
+                yield solution
+                if self.until is not None and self.until(solution):
+                    self._stopped = True
+                    self._waiting.clear()
+                    return
+        except FlowError as error:
+            self._walk.stop(End.FLOW, str(error))
+            self._waiting.clear()
+
+    def _change_before(self, solution: Solution) -> StabilityChange | None:
+        """The change of stability between the last orbit and this one, where they differ."""
+        if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
+            return None
+        before = self.solutions[-1]
+        assert isinstance(before, Orbit)
+        assert isinstance(solution, Orbit)
+        if before.floquet().stable == solution.floquet().stable:
+            return None
+        return locate_change(self.space, before, solution)
+
+    def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
+        """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
+        if not (self.events and self.solutions):
+            return
+        before = self.solutions[-1]
+        leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
+        if isinstance(before, Orbit) and isinstance(solution, Orbit) and not leaving:
+            yield from bifurcations_between(before, solution)
+
+    def _with_stability(self) -> Iterator[Solution]:
+        """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
+        points = list(self._waiting)
+        if not (points and self.stability):
+            yield from (solution_at(self.space, point) for point in points)
+            return
+        try:
+            known = self.space.floquets(points)
+        except FlowError:  # of one of them: those before it are computed by themselves
+            yield from (solution_at(self.space, point, self.space.floquets([point])[0]) for point in points)
+            return
+        yield from (solution_at(self.space, point, result) for point, result in zip(points, known, strict=True))
+
+    def branch(self) -> Branch:
+        """What has been computed so far."""
+        end = self._walk.ended_early if self._waiting else self._walk.end
+        misses = self._walk.misses(self.solutions, self._stopped, end)
+        return self.finished(end, self._walk.detail, misses)
+
+    def finished(
+        self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
+    ) -> Branch:
+        """The branch of what has been computed, with a known end."""
+        return Branch(
+            self.space, tuple(self.solutions), tuple(self.changes),
+            self.stability or self.space.knows_stability, end, detail, misses,
+            stopped or self._stopped, self.events,
+        )  # fmt: skip
+
+
+def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
+    """Follow a branch to its end, calling `progress` with each solution."""
+    for result in following:
+        if progress is not None and isinstance(result, Solution):
+            progress(result)
+    return following.branch()

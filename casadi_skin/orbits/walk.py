@@ -1,0 +1,147 @@
+"""The points of a branch in order, as its continuation reaches them, with the special points between them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from casadi_skin.bvp.problem import Scalar
+from casadi_skin.continuation.points import Continuation, End, Point, Target
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import FOLD, NotLocatedError
+
+
+class Walk:
+    """Iterates over the points of a branch that are not known yet, without their stability.
+
+    Attributes:
+        end: why the branch ended; None where it can go on.
+        detail: more about the end, in words.
+    """
+
+    def __init__(self, space: SolutionSpace, known: Sequence[Point] = (), missed: Sequence[Target] = ()) -> None:
+        self.space, self._known = space, known
+        self._continuation = self._continued() if known or space.start_is_limit else None
+        if self._continuation is not None:
+            self._continuation.missed.extend(missed)
+        self._end: End | None = None
+        self._detail = ""
+
+    def _continued(self) -> Continuation:
+        """The continuation from the points that are known."""
+        walked = [i for i, point in enumerate(self._known) if point.walked]
+        own = tuple(self._known[i] for i in walked)
+        reported = tuple(p for p in self._known[walked[-1] + 1 if walked else 0 :] if not p.located)
+        history = (self.space.start, *own) if self.space.start_is_limit or not own else own
+        return self.space.continuation(history, reported)
+
+    @property
+    def missed(self) -> Sequence[Target]:
+        """What the continuation was asked for and did not find."""
+        return () if self._continuation is None else self._continuation.missed
+
+    @property
+    def end(self) -> End | None:
+        return self._end or (None if self._continuation is None else self._continuation.end)
+
+    @property
+    def detail(self) -> str:
+        return self._detail or ("" if self._continuation is None else self._continuation.detail)
+
+    @property
+    def ended_early(self) -> End | None:
+        """Why the branch ended before its continuation did."""
+        return self._end
+
+    def stop(self, end: End, detail: str = "") -> None:
+        """End the branch for a reason that its points do not know of."""
+        self._end, self._detail = end, detail
+
+    def __iter__(self) -> Iterator[Point]:
+        known = [point for point in self._known if not point.located]
+        last = known[-1] if known else None
+        reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
+        if last is not None:
+            self._end, self._detail = self.space.stop(last)
+            if self._end is not None:
+                return
+        if self._continuation is None:
+            last = self.space.start
+            self._continuation = self.space.continuation((last,))
+            yield last
+        for point in self._continuation:
+            end, words = self.space.stop(point)
+            if self.space.start_is_limit and not self._has_amplitude(point):
+                self._end = End.RETURNED
+                return
+            if words:
+                self._end, self._detail = end, words
+                return
+            if self.space.locates_folds and last is not None:
+                try:
+                    for special in itertools.islice(self._special_between(last, point), reported, None):
+                        yield special
+                        self._end, _ = self.space.stop(special)
+                        if self._end is not None:
+                            return
+                except NotLocatedError as error:
+                    self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
+                    return
+            yield point
+            last, reported = point, 0
+            if end is not None:
+                self._end = end
+                return
+
+    def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Special points between two points; round a fold that is alone the points asked for beside it."""
+        found = list(self.space.special_between(before, after))
+        if len(found) == 1 and found[0].special == FOLD:
+            yield from self._round_fold(before, after, found[0])
+            return
+        yield from (replace(special, located=True) for special in found)
+
+    def _round_fold(self, before: Point, after: Point, fold: Point) -> Iterator[Point]:
+        """A fold between two points, and the points asked for so near to it that the continuation passes them by."""
+        solver = self.space.point_solver
+        for one, other in ((before, fold), (fold, after)):
+            low, high = sorted((one.parameter, other.parameter))
+            wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
+            inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
+            found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
+            for point in found.values():
+                yield replace(point, requested=True, located=True)
+            assert self._continuation is not None
+            self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
+            if other is fold:
+                yield replace(fold, located=True)
+
+    def _has_amplitude(self, point: Point) -> bool:
+        """Whether a point of a family is on the side of S = 0 that it is followed to."""
+        return point.parameter * self.space.point_solver.settings.parameter_max > 0.0
+
+    # What was asked for -----------------------------------------------------------------------------------------------
+
+    def misses(self, solutions: Sequence[Solution], stopped: bool, end: End | None) -> dict[str, tuple[float, ...]]:
+        """Values asked for without a solution, by name: those that were missed, and at the end all others.
+
+        Where a condition stopped the branch, those that it had passed before.
+        """
+        misses, whole = {}, end is End.REACHED and not stopped
+        for name, values in self._asked().items():
+            had = {s.value(name) for s in solutions}
+            found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}
+            if stopped:
+                found = {v for v in found if min(had) <= v <= max(had)}
+            if found:
+                misses[name] = tuple(sorted(found))
+        return misses
+
+    def _asked(self) -> Mapping[str, Sequence[float]]:
+        """All values asked for by name, the ends among them where the continuation missed them."""
+        asked = dict(self.space.asked())
+        if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
+            asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
+        return asked
