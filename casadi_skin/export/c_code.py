@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from casadi_skin._version import __version__
 from casadi_skin.arguments import short_repr
-from casadi_skin.export.c_text import Part, comment, plain
+from casadi_skin.export.c_text import MOST_ENTRIES, Part, comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
 from casadi_skin.export.equations import (
     flow_part,
@@ -40,7 +40,6 @@ MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "ipopt": ipopt_part,
 })  # fmt: skip
 HARMONICS = 12
-MOST_ENTRIES = 2**31 - 1  # sizes and indices are ints
 
 
 def export_c(

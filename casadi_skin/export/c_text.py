@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 WIDTH = 120
+MOST_ENTRIES = 2**31 - 1  # sizes and indices are ints of C
 BY_COLUMNS, BY_ROWS = ("colptr", "row"), ("rowptr", "column")
 
 

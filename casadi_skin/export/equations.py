@@ -7,6 +7,7 @@ import numpy as np
 
 from casadi_skin.export.c_text import (
     BY_ROWS,
+    MOST_ENTRIES,
     Call,
     Part,
     Size,
@@ -139,13 +140,21 @@ def flow_part(exported: ExportedModel) -> Part:
     force = _force_call(exported.name, model)
     sparsity = force.function.sparsity_out(1)
     text, functions, work = definition(force)
-    size = Size("FLOW_WORK", model.size + sparsity.nnz() + work, "doubles of work")
+    size = Size("FLOW_WORK", 3 * model.size + sparsity.nnz() + work, "doubles of work")
+    rows, columns = (np.array(t) for t in sparsity.get_triplet())
+    width = int(np.abs(rows - columns).max(initial=0))
+    if n * n > MOST_ENTRIES:
+        raise ValueError(f"{exported.name}: a transition matrix of {n * n} entries; accepted: up to {MOST_ENTRIES}")
     indices, extern = pattern("@p_force", sparsity, BY_ROWS)
     coefficients = dict(zip(("drifts", "kicks"), srkn_coefficients(), strict=True))
     part = part.plus(*arrays("@p_flow", coefficients, "Coefficients of the splitting.")).plus(
         f"{indices}\n\n{text}",
         f"{declared(force.prototype, 'Used by the flow.')}\n{extern}",
-        sizes=(Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"), size),
+        sizes=(
+            Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"),
+            Size("FORCE_WIDTH", width, "how far a site acts on others"),
+            size,
+        ),
         functions=functions,
         files=("flow_splitting",),
     )

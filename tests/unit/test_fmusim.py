@@ -1,4 +1,4 @@
-"""The simulator of the FMI standard's Reference-FMUs, fmusim, on what is exported; skipped where it is not installed."""
+"""The simulator of the FMI standard's Reference-FMUs, fmusim, on what is exported; skipped where it is not there."""
 
 from __future__ import annotations
 
