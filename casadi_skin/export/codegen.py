@@ -73,8 +73,12 @@ class CSource:
 
 
 def c_name(words: str) -> str:
-    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header."""
-    stem = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_") or "model"
+    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header.
+
+    Letters that are not ASCII are told by their numbers, as u3b1, so that names stay different.
+    """
+    told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
+    stem = re.sub(r"[^a-z0-9]+", "_", told).strip("_") or "model"
     return stem if stem[0].isalpha() and stem not in KEYWORDS | HEADERS else f"m_{stem}"
 
 

@@ -1,4 +1,4 @@
-"""What a scene wants out of Python, in a run: C code in DIR/export and an FMU of the chain, or of one of its orbits."""
+"""What a scene wants out of Python, in a run: C code in DIR/export and an FMU of its model, or of one of its orbits."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def export_scene(request: Request, branches: Sequence[Branch], directory: Path) 
             export_c(of, target, None if export.c == "all" else export.c)
         written.append(target)
     if export.fmu is not None:
-        written.append(export_fmu(of, directory / export.fmu, export.fmi, tolerance=request.tolerance))
+        target = directory / export.fmu
+        written.append(export_fmu(of, target, export.fmi, tolerance=request.tolerance, inputs=export.inputs))
     return tuple(written)
 
 
