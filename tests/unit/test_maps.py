@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from drawing import blank_pictures
 from maps import TINY, tasks, write
-from outputs import read_rows
+from outputs import drawn, read_rows
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Chain, follow_family, run_map
 from casadi_skin.cli import main
+from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
 from casadi_skin.maps.cell import Computer, Job
 from casadi_skin.maps.grid import Axis, Grid, plain
 from casadi_skin.maps.names import SUFFIX, known_names
@@ -228,3 +229,75 @@ def test_many_cells_need_no_memory_for_their_results(tmp_path: Path) -> None:
     grown, journal = map(int, ended.stdout.split())
     assert journal > 14_000
     assert grown < 0.4 * journal
+
+
+LOGARITHM = """[model]
+file = "logarithm.py"
+name = "model"
+[equilibrium]
+start = [1.2]
+[map]
+p = { from = 0.0, to = 2.0, points = 5 }
+"""
+
+
+@pytest.mark.slow
+def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> None:
+    """x' = -log(x - p) rests at 1 + p; 1.2 is outside of its domain from p = 1.2 on, and 2 from p = 2 on."""
+    scene = write(tmp_path, LOGARITHM)
+    (tmp_path / "logarithm.py").write_text(
+        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, p = ca.SX.sym('x'), ca.SX.sym('p')\n"
+        "model = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))\n",
+        encoding="utf-8",
+    )
+    found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
+    assert found.status.tolist() == [1, 1, 1, 1, 3]
+    assert found["x"][:4] == pytest.approx([1.0, 1.5, 2.0, 2.5], abs=1e-12)
+    assert found["started_from"].tolist() == ["", "", "", "p = 1.0", ""]
+    assert found.failures()[0][0] == "p = 2.0"
+
+
+@pytest.mark.slow
+def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
+    """x' = -y + r x and so on lose stability at r = p^2 + q^2 - 1/2 = 0: a circle of Hopf points."""
+    text = LOGARITHM.replace("start = [1.2]", "start = [0.01, 0.0]").partition("[map]")[0] + (
+        "[map]\np = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\n"
+        "q = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\nboundary = true\n"
+    )
+    scene = write(tmp_path, text)
+    (tmp_path / "logarithm.py").write_text(
+        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, y, p, q = (ca.SX.sym(n) for n in 'xypq')\n"
+        "r, s = p * p + q * q - 0.5, x * x + y * y\n"
+        "model = OdeModel('circle', ca.vertcat(x, y), ca.vertcat(r * x - y - x * s, x + r * y - y * s),\n"
+        "                 ca.vertcat(p, q), nominal=(0.3, 0.2))\n",
+        encoding="utf-8",
+    )
+    found = run_map(scene, tmp_path / "out", quiet=True)
+    (line,) = found.boundary[()]
+    assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-9
+    angles = np.sort(np.arctan2(line[:, 1], line[:, 0]))
+    assert np.diff(angles, append=angles[0] + 2 * np.pi).max() < 0.3  # all of it
+    assert len(read_rows(tmp_path / "out" / "boundary.csv")) == len(line)
+    p, q = np.meshgrid(*found.axes.values(), indexing="ij")
+    rate = p**2 + q**2 - 0.5
+    known = (found.status == 1) & (np.abs(rate) > 1e-9)
+    assert np.all(found["stable"][known] == (rate < 0)[known])
+    assert drawn(tmp_path / "out" / "map_stable.png")
+
+
+def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
+    from matplotlib import colormaps
+    from matplotlib.collections import QuadMesh
+
+    shades = colormaps[COLOURS](np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(shades) > 0)
+    values, failed = np.arange(12.0).reshape(4, 3), np.zeros((4, 3), dtype=bool)
+    values[1, 2], failed[1, 2] = np.nan, True
+    axes = [MapAxis("a", np.arange(4.0)), MapAxis("b", np.array([1.0, 10.0, 100.0]), True)]
+    figure = map_figure("name", "title", axes, [Panel("", values, failed, np.ones((4, 3), dtype=bool))])
+    panel = figure.axes[0]
+    assert isinstance(panel.collections[0], QuadMesh)
+    (cross,) = [line for line in panel.lines if line.get_marker() == "x"]
+    assert (cross.get_xdata(), cross.get_ydata()) == ([1.0], [100.0])
+    assert len(panel.collections) > 1  # contour lines
+    assert panel.get_yscale() == "log"
