@@ -55,7 +55,7 @@ class Journal(Generic[Record]):
     def append(self, record: msgspec.Struct) -> None:
         """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""
         payload = self._encoder.encode(record)
-        data = _header(payload) + payload
+        data = framed(payload)
         self._file.seek(self.end)
         try:
             written = 0
@@ -66,6 +66,11 @@ class Journal(Generic[Record]):
             self._file.truncate(self.end)
             raise
         self.end += len(data)
+
+
+def framed(payload: bytes) -> bytes:
+    """A record behind its header."""
+    return _header(payload) + payload
 
 
 def _header(payload: bytes) -> bytes:

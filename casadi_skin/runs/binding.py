@@ -287,7 +287,11 @@ def _check_continuation(request: Request) -> None:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
     if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
         raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
-    low, high = sorted((values[table.parameter], table.to))
+    start = values[table.parameter]
+    if table.back_to is not None and not (table.back_to - start) * (table.to - start) < 0.0:
+        side = "below" if table.to > start else "above"
+        raise refusal("[continuation] back_to", repr(table.back_to), f"a number {side} {start!r}, where it starts")
+    low, high = sorted((start if table.back_to is None else table.back_to, table.to))
     for item, value in enumerate(table.at, start=1):
         if not low <= value <= high:
             raise refusal("[continuation] at", f"{value!r} as item {item}", f"numbers from {low!r} to {high!r}")

@@ -142,10 +142,16 @@ class Branches:
             yield (
                 "branch",
                 following_space(
-                    first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
+                    first,
+                    table.parameter,
+                    table.to,
+                    at=table.at,
+                    max_points=table.max_points,
+                    max_step=table.max_step,
+                    back_to=table.back_to,
                 ),
             )
-            if scene.equilibrium is not None:
+            if scene.has_diagram:
                 from casadi_skin.runs.diagram import further_spaces
 
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)

@@ -73,6 +73,12 @@ class Scene(Table, frozen=True):
         left_out = {name: value for name, value in chosen.items() if getattr(self.method, name) is None}
         return msgspec.structs.replace(self.method, **left_out)
 
+    @property
+    def has_diagram(self) -> bool:
+        """Whether branches that leave, or curves in two parameters, belong to the branch that is followed."""
+        curves = self.continuation is not None and self.continuation.curve is not None
+        return self.equilibrium is not None or curves
+
     def same_request(self, other: "Scene") -> bool:
         """Whether the other scene asks for the same, whatever its title."""
         mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
