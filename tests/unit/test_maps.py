@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawing import blank_pictures
 from maps import TINY, tasks, write
 from outputs import drawn, read_rows
+from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, run_map
 from casadi_skin.cli import main
@@ -103,32 +103,41 @@ def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
         assert np.all((known[1:] if axis == 0 else known[:, 1:])[differ])
 
 
-def test_a_map_is_that_of_its_families(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write(tmp_path, TINY.replace("points = 3", "points = 2").replace("[1, 2]", "[2]")), tmp_path / "out"
+    assert main(["map", str(scene), "--out", str(out), "--no-pictures"]) == 0
+    rows = read_rows(out / "map.csv")
+    assert len(rows) == 4
+    branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
+    truth = [branch.at(S=S).Omega for S in (0.05, 0.1)]
+    assert [float(row["Omega"]) for row in rows if float(row["gamma"]) == 0.3] == truth
+    with netcdf_file(out / "map.nc", mmap=False) as found:
+        variable = found.variables["Omega"]
+        assert variable.dimensions == ("gamma", "S", "mode")
+        assert (variable.long_name, variable.units) == (b"frequency", b"1")
+        assert variable[1, :, 0].tolist() == truth
+    assert main(["map", str(scene), "--out", str(out)]) == 2
+    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet", "--no-pictures"]) == 0
+    assert len(tasks(out / "journal.msgpack")) == 2
+
+
+@pytest.mark.slow
+def test_a_plan_tells_cells_and_cost_and_xarray_opens_the_map(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    blank_pictures(monkeypatch)
-    scene, out = write(tmp_path, TINY), tmp_path / "out"
+    scene = write(tmp_path, TINY)
     assert main(["check", str(scene)]) == 0
     plan = capsys.readouterr().out
     assert "3 gamma x 2 S x 2 mode = 12, orbits of 6 families" in plan
     assert "for one (measured on gamma = 0.2, S = 0.05, mode = 2); " in plan
-    assert main(["map", str(scene), "--out", str(out)]) == 0
-    rows = read_rows(out / "map.csv")
-    assert len(rows) == 12
-    branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
-    for row in (row for row in rows if (row["gamma"], row["mode"]) == ("0.29999999999999999", "2")):
-        assert float(row["Omega"]) == branch.at(S=float(row["S"])).Omega
+    found = run_map(scene, tmp_path / "out", quiet=True)
     xarray = pytest.importorskip("xarray")
-    with xarray.open_dataset(out / "map.nc") as found:
-        assert dict(found.sizes)["gamma"] == 3
-        assert found["Omega"].dims == ("gamma", "S", "mode")
-        assert found["Omega"].attrs["long_name"] == "frequency"
-        assert found["Omega"].attrs["units"] == "1"
-        assert float(found["Omega"].sel(S=0.1, mode=2)[-1]) == branch.orbits[-1].Omega
-        assert bytes(found["end"].values[0, 0, 0]).strip() == b"reached"
-    assert main(["map", str(scene), "--out", str(out)]) == 2
-    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
-    assert len(tasks(out / "journal.msgpack")) == 6
+    with xarray.open_dataset(tmp_path / "out" / "map.nc") as opened:
+        assert dict(opened.sizes)["gamma"] == 3
+        assert opened["Omega"].sel(S=0.1, mode=2).values.tolist() == found["Omega"][:, 1, 1].tolist()
+        assert bytes(opened["end"].values[0, 0, 0]).strip() == b"reached"
+    assert found.to_xarray()["Omega"].equals(xarray.DataArray(found["Omega"], found.axes, found.axes))
+    assert drawn(tmp_path / "out" / "map_Omega.png")
 
 
 FAMILY = BASE + "[stability]\n[map]\nmode = [1]\n"
