@@ -11,6 +11,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.curve import curve as hopf_curve
+from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.equilibria.location import HOPF, locate
 from casadi_skin.equilibria.problem import sizes_of
@@ -79,7 +80,9 @@ def _as_orbit(space: OrbitCurveSpace, orbit: Point, end: SpecialPoint) -> Point:
     states[:, :n] = end.solution.evaluate(0.0)
     for place, name in enumerate(space.statement.free, start=problem.states):
         if name == PERIOD:
-            z[place] = 2.0 * np.pi / end.frequency
+            values = cast(Equilibrium, end.solution).eigenvalues
+            known = 2.0j * np.pi / z[place]
+            z[place] = 2.0 * np.pi / float(values[np.argmin(np.abs(values - known))].imag)
         elif name in end.parameters:
             z[place] = end.parameters[name]
     start = space.statement.values[space.parameter]
