@@ -229,3 +229,25 @@ def test_a_curve_of_orbits_tells_what_it_accepts() -> None:
         ValueError, match="curve: given a branch point of orbits; accepted: fold, period doubling, torus"
     ):
         point.curve("a", 2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("half", "start", "apart"), [(True, -0.34, 0.03), (False, 0.2, 0.005)])
+def test_pairs_of_special_points_between_two_orbits_are_not_missed(half: bool, start: float, apart: float) -> None:
+    """Growth rates with two roots so near to each other that no orbit of the branch lies between them."""
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        growth = (a - start) * (a - start - apart)
+        if half:
+            return growth * xi - xi**3, -eta
+        growth = growth - xi**2 - eta**2
+        return growth * xi - 0.3 * eta, 0.3 * xi + growth * eta
+
+    orbit = find_orbit(across_circle(rates, half), circle, 6.28, parameters={"a": -1.0, "k": 0.0}, corrector="newton")
+    branch = orbit.follow("a", 1.0, stability=True)
+    kind = "period doubling" if half else "torus"
+    assert [point.kind for point in branch.special_points] == [kind, kind]
+    found = [point.parameters["a"] for point in branch.special_points]
+    assert np.allclose(found, [start, start + apart], atol=1e-9)
+    ordinary = [orbit.parameters["a"] for orbit in branch.orbits if not orbit.point.special]
+    assert not any(start <= value <= start + apart for value in ordinary)

@@ -46,19 +46,6 @@ def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont()
     assert np.min(np.abs(fold.floquet().others - 1.0)) < 1e-4
 
 
-@pytest.mark.slow
-def test_errors_of_a_period_doubling_are_small_and_cover_the_difference() -> None:
-    model = lorenz()
-    start = _cycle(model, 240.0)
-    found = []
-    for tolerance in (1e-6, 1e-9):
-        orbit = find_orbit(model, start, parameters={"r": 240.0}, tolerance=tolerance)
-        found.append(orbit.follow("r", 225.0, stability=True).special_points[0])
-    coarse, fine = found
-    assert abs(coarse.parameters["r"] - fine.parameters["r"]) <= coarse.error + fine.error
-    assert max(fine.error, coarse.error) < 1e-10
-
-
 def _cycle(model: OdeModel, r: float) -> object:
     times = np.linspace(0.0, 40.0, 40001)
     return simulate(model, [10.0, 10.0, r], times, parameters={"r": r}).last_cycle()
