@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.bvp.problem import EPSILON
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
@@ -79,11 +79,20 @@ def others(space: OrbitCurveSpace, point: Point) -> ComplexArray:
 
 
 def _real(space: OrbitCurveSpace, value: float) -> Test:
-    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it."""
+    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it.
+
+    Where the critical one is there too, the nearest other comes with it: of two that meet the sum alone has its digits.
+    """
+    meets = {FOLD: 1.0, DOUBLING: -1.0}.get(space.kind) == value
 
     def test(point: Point) -> float:
         found = others(space, point)
-        return float(np.prod((found - value) / (1.0 + np.abs(found))).real)
+        distances = found - value
+        if meets and found.size:
+            every = space.multipliers(point)
+            nearest = np.argmin(np.abs(distances))
+            distances[nearest] = np.sum(every - value) - np.sum(np.delete(distances, nearest))
+        return float(np.prod(distances / (1.0 + np.abs(found))).real)
 
     return test
 
@@ -100,16 +109,20 @@ def _pairs(space: OrbitCurveSpace) -> Test:
     return test
 
 
-def _terms(space: OrbitCurveSpace, point: Point) -> Array:
-    """The terms of the coefficient of the normal form at a point."""
-    linear = space.linearised(point)
-    angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
-    v, adjoint = critical_functions(space.kind, linear, angle)
-    return terms_of(space.kind, linear, angle, v, adjoint)
-
-
 def _coefficient(space: OrbitCurveSpace) -> Test:
-    return lambda point: float(np.sum(_terms(space, point)))
+    """The coefficient of the normal form, computed once for the last few points."""
+
+    def test(point: Point) -> float:
+        for known, found in space.coefficients:
+            if known is point:
+                return found
+        linear = space.linearised(point)
+        angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
+        terms = terms_of(space.kind, linear, angle, *critical_functions(space.kind, linear, angle))
+        space.coefficients[:] = [*space.coefficients[-7:], (point, float(np.sum(terms)))]
+        return float(np.sum(terms))
+
+    return test
 
 
 def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
