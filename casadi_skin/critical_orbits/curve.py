@@ -140,6 +140,7 @@ def curve(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
@@ -150,7 +151,7 @@ def curve(
             edge of a real tongue (`Branch.edge`), which is followed with S free.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
-        at, max_points, max_step, until, progress: as in `follow`.
+        at, max_points, max_step, back_to, until, progress: as in `follow`.
 
     Returns:
         The curve as a branch; its special points are those of codimension two: of equilibria "cusp", "bogdanov-takens",
@@ -163,17 +164,19 @@ def curve(
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError, BoundaryError: the curve cannot be started.
     """
-    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
 
 
 def curve_space(
-    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
-) -> SolutionSpace:
+    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     if point.kind == EDGE:
         orbit, edge = located_edge(point, parameter)
-        settings = following_settings(orbit, parameter, to, at=at, max_points=max_points, max_step=max_step)
+        settings = following_settings(orbit, parameter, to, **options)
         unit = orbit.parameters[edge.critical.first]
         return _space(cast(BoundarySpace, orbit.space), edge, unit, orbit.parameters, parameter, to, at, settings)
     solution = point.solution
@@ -181,12 +184,12 @@ def curve_space(
     if not (plain and point.kind in KINDS):
         if isinstance(solution, Orbit):
             raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
-        return of_equilibria.curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+        return of_equilibria.curve_space(point, parameter, to, **options)
     if parameter == point.parameter:
         names = [name for name in solution.parameters if name not in (parameter, *solution.space.free)]
         accepted = ", ".join(names) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    settings = following_settings(solution, parameter, to, **options)
     angle = abs(float(np.angle(on_circle(cast(Orbit, solution))))) if point.kind == TORUS else np.pi
     orbits = cast(BoundarySpace, solution.space)
     located = locate(orbits, point.kind, solution.point, angle)

@@ -26,7 +26,8 @@ from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between
+from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -170,7 +171,7 @@ class BoundarySpace:
         return ArclengthContinuation(self.point_solver, history, reported)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
+        """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
         """
@@ -180,12 +181,14 @@ class BoundarySpace:
         if crossed is not None:
             yield crossed
             return
-        if not turns_between(before, after):
-            return
+        parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
-        if self.shrinks(before, after):
+        if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        yield hopf or self._fold_between(before, after)
+        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        yield from (self._fold_between(*part) for part in passed)
+        if hopf is not None:
+            yield hopf
 
     def _fold_between(self, before: Point, after: Point) -> Point:
         """The fold between two points; of orbits as a solution of its extended equations."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin import methods
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.turns import rate, turning
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
@@ -90,12 +91,12 @@ class SpecialPoint:
 
 def turns_between(before: Point, after: Point) -> bool:
     """Whether the quantity that is followed turns back between two points."""
-    return parameter_rate(before) * parameter_rate(after) < 0.0
+    return rate(before) * rate(after) < 0.0
 
 
-def parameter_rate(point: Point) -> float:
-    """Rate of the free parameter along the branch."""
-    return float(point.tangent[point.problem.parameter_index])
+def folds_between(point_solver: PointSolver, before: Point, after: Point) -> Iterator[Point]:
+    """The points between two at which what is followed turns back, in order; raises NotLocatedError."""
+    yield from (fold_between(point_solver, *part) for part in turning(point_solver, before, after))
 
 
 def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Point:
@@ -106,15 +107,15 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
     """
     from scipy.optimize import brentq
 
-    def rate(fraction: float) -> float:
+    def rate_at(fraction: float) -> float:
         if fraction in (0.0, 1.0):
-            return parameter_rate(after if fraction else before)
+            return rate(after if fraction else before)
         tangent = point_solver.tangent_along(before, after, fraction)
         if tangent is None:
             raise _not_located(point_solver)
         return float(tangent[after.problem.parameter_index])
 
-    root = float(brentq(rate, 0.0, 1.0, xtol=FOLD_TOLERANCE))
+    root = float(brentq(rate_at, 0.0, 1.0, xtol=FOLD_TOLERANCE))
     point = point_solver.along(before, after, root)
     if point is None:
         raise _not_located(point_solver)

@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
 from casadi_skin.scene.lattice_tables import LatticeTable
+from casadi_skin.scene.map_table import MapTable
 from casadi_skin.scene.model_tables import (
     ContinuationTable,
     EquilibriumTable,
@@ -44,6 +45,7 @@ class Scene(Table, frozen=True):
     dynamics: DynamicsTable | None = None
     search: SearchTable | None = None
     export: ExportTable | None = None
+    map: MapTable | None = None
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
@@ -98,6 +100,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "dynamics": DynamicsTable,
         "search": SearchTable,
         "export": ExportTable,
+        "map": MapTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,
     }

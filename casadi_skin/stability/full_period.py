@@ -122,7 +122,7 @@ def by_cvodes(
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
-    dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
+    dae = {"t": s, "x": x, "p": p, "ode": period * model.field_at(period * s, x, p)}
     local = max(LOCAL * tolerance, TIGHTEST)
     options = CvodesOptions(local, local * size_of(start), MAX_STEPS, stiff=True, sensitivity_errors=True)
     try:
