@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from critical_models import across_circle, cycles_with_fold
 from equilibrium_models import lorenz, symbols
 from test_orbit_bifurcations import _cycle
 
-from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family
+from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End
 from casadi_skin.orbits.special_points import SpecialPoint
@@ -28,7 +30,7 @@ def first_special(model: OdeModel, k: float, start: float, to: float, radius: fl
     return point
 
 
-def test_a_fold_of_cycles_is_where_it_is_known_and_is_followed_in_two_parameters() -> None:
+def test_a_fold_of_cycles_is_where_it_is_known_and_is_followed_in_two_parameters(tmp_path: Path) -> None:
     """r' = r (mu + a r^2 - r^4): the fold is along mu = -a^2/4, and r'' at it is half of -2 sqrt(2) for a = 1."""
     model = cycles_with_fold()
     orbit = find_orbit(
@@ -41,6 +43,8 @@ def test_a_fold_of_cycles_is_where_it_is_known_and_is_followed_in_two_parameters
     curve = fold.curve("a", 1.3)
     assert curve.complete
     assert np.max(np.abs(curve["mu"] + curve["a"] ** 2 / 4.0)) < 1e-9
+    save_result(curve, tmp_path / "curve")
+    assert np.array_equal(read_result(tmp_path / "curve")["mu"], curve["mu"])
 
 
 @pytest.mark.slow
