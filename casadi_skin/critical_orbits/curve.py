@@ -123,6 +123,11 @@ class OrbitCurveSpace(BoundarySpace):
         return found
 
     @cached_property
+    def coefficients(self) -> list[tuple[Point, float]]:
+        """Coefficients of the normal form at the last few points."""
+        return []
+
+    @cached_property
     def _known(self) -> list[tuple[Point, ComplexArray]]:
         return []
 
