@@ -16,7 +16,7 @@ from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray, cell_matrices, cells_differ_by
 
-FEWEST, MOST = 512, 65536  # wave numbers
+FEWEST, MOST = 512, 4096  # wave numbers
 RESOLVED = 0.25 * np.pi  # change of a phase from one wave number to the next
 ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is told
 
