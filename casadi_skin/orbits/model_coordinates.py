@@ -302,7 +302,7 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
     at_rest = np.array(ca.evalf(ca.substitute(ca.densify(force), state, zero)))
     if not (np.all(np.isfinite(K)) and np.max(np.abs(at_rest)) <= REST * max(1.0, float(np.max(np.abs(K))))):
         raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
-    log_scale = symmetrising_scale(K)
+    log_scale = scale_of_couplings(K, force, state)
     if log_scale is not None:
         scale = np.exp(log_scale)
         K = K / scale[:, None] * scale
@@ -332,6 +332,25 @@ def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array
     found = mode.copy()
     found[small] = splu(csc_array(inside)).solve(-stiffness[np.ix_(small, ~small)] @ mode[~small])
     return found
+
+
+def scale_of_couplings(K: Array, force: ca.SX, state: ca.SX) -> Array | None:
+    """The scale that makes the stiffness K at rest symmetric, and the couplings that there are none of at rest too.
+
+    Couplings without a linear part show at a random state; where no scale serves both, that of the linear ones is
+    found.
+    """
+    derivative = ca.jacobian(force, state)
+    coupled = derivative.sparsity().nnz() > np.count_nonzero(K) + np.count_nonzero(np.diag(K) == 0.0)
+    if coupled:
+        random = np.random.default_rng(0).normal(size=len(K))
+        J = np.array(ca.Function("J", [state], [ca.densify(derivative)])(random))
+        log_scale = symmetrising_scale(-J) if np.all(np.isfinite(J)) else None
+        if log_scale is not None:
+            S = K / np.exp(log_scale)[:, None] * np.exp(log_scale)
+            if np.max(np.abs(S - S.T)) <= SYMMETRIC * len(K) * np.max(np.abs(S)):
+                return log_scale
+    return symmetrising_scale(K)
 
 
 def symmetrising_scale(K: Array) -> Array | None:
