@@ -257,9 +257,10 @@ class LongLattice:
 
     def linear_spectrum(self) -> LinearSpectrum:
         """The ends of the bands; the lattice has too many modes for more."""
-        edges = self.tail(1).edges
-        ends = edges[0].square, edges[-1].square
-        return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends)
+        squares = [edge.square for edge in self.tail(1).edges]
+        ends = squares[0], squares[-1]
+        bands = tuple(zip(squares[::2], squares[1::2], strict=True))
+        return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends, bands)
 
     def mode_number(self, mode: int | str) -> int:
         """The number of a mode that may be named "first" or "last"; raises ValueError for one that is not there."""
