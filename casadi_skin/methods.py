@@ -70,11 +70,18 @@ INTEGRATORS = _registry(
 TASKS = _registry(  # what an object's method does where the object stands below what is done
     optimise=("the optimum of a boundary-value problem", "optimise.boundary_nlp:optimise"),
     follow=("the branch through a solution", "orbits.follow:follow"),
-    critical=("what decides at a special point", "equilibria.normal_forms:critical"),
+    critical=("what decides at a special point", "critical_orbits.normal_forms:critical"),
     hopf_end=("the Hopf point at which a branch of orbits ends", "equilibria.cycles:hopf_end"),
+    special_orbit=("a special orbit of a branch, to rounding", "critical_orbits.location:special_orbit"),
     switch=("the branch that leaves at a special point", "equilibria.switch:switch"),
-    curve=("a special point followed in a second parameter", "equilibria.curve:curve"),
-    to_xarray=("an xarray dataset of a branch", "results.quantities:branch_to_xarray"),
+    follow_all=("all that leaves a branch", "equilibria.diagram:follow_all"),
+    curve=("a special point followed in a second parameter", "critical_orbits.curve:curve"),
+    to_xarray=("a result as an xarray dataset", "results.frames:result_to_xarray"),
+    to_dataframe=("a result as a pandas data frame", "results.frames:result_to_dataframe"),
+    lines=("a result in a few lines", "results.describing:lines"),
+    html=("a result as a table with its picture", "figures.notebook:html_table"),
+    plot=("a result drawn into axes", "figures.drawing:plot"),
+    save=("a result in a file", "results.saving:save_result"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
     long_lattice_coordinates=(
         "the coordinates of a long lattice's family",
@@ -82,6 +89,9 @@ TASKS = _registry(  # what an object's method does where the object stands below
     ),
     chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
     certify=("a proof that an orbit exists", "certify.certify:certify"),
+    certify_stability=("a proof of an orbit's stability", "certify.stability:certify_stability"),
+    certify_change=("a proof of a change of stability", "certify.stability:certify_change"),
+    certify_branch=("a proof that a family is one curve", "certify.stretch:certify_branch"),
     threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")

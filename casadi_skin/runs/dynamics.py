@@ -62,6 +62,13 @@ def _table(request: Request) -> DynamicsTable:
     return request.scene.dynamics
 
 
+def _direction(dynamics: DynamicsTable) -> str:
+    """The direction of the perturbation in words."""
+    if dynamics.site is not None:
+        return f"at site {dynamics.site}"
+    return "along the vector given" if dynamics.vector is not None else f"at random (seed {dynamics.seed})"
+
+
 def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     """Equidistant times from 0 to the end, the wanted number of them.
 
@@ -94,8 +101,9 @@ def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: E
     attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
     write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
     if dynamics.size is not None:
-        title += f", perturbed by ${number(dynamics.size)}$" + (f" at site {dynamics.site}" if dynamics.site else "")
-    figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site)
+        title += f", perturbed by ${number(dynamics.size)}$ {_direction(dynamics)}"
+    near = orbit if dynamics.size is not None else None
+    figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
     figures.save(figure, directory / "dynamics")
     if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
         _write_spreading(spreading(evolution), request.model, directory)
