@@ -19,7 +19,7 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.model_coordinates import scale_of_couplings
+from casadi_skin.orbits.linear_modes import scale_of_couplings
 from casadi_skin.orbits.spectrum import linear_spectrum
 
 GAUGE, PHYSICAL = "gauge", "physical"

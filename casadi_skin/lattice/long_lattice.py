@@ -18,7 +18,7 @@ from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import cells_differ_by
-from casadi_skin.orbits.model_coordinates import symmetrising_scale
+from casadi_skin.orbits.linear_modes import symmetrising_scale
 from casadi_skin.orbits.spectrum import LinearSpectrum
 
 if TYPE_CHECKING:
