@@ -15,11 +15,11 @@ from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.certificate import Certificate, ProvedStability
 from casadi_skin.orbits.coordinates import LOG10, quarter_phases
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray

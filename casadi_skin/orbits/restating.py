@@ -7,9 +7,9 @@ from dataclasses import fields
 import casadi as ca
 
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.orbit import Orbit
 
 AMPLITUDE = "S"

@@ -13,6 +13,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import loads
@@ -72,6 +73,8 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
         lattice = lattice_of(table)
     except (TypeError, ValueError) as error:
         raise SceneError(f"[lattice] {error}") from None
+    if isinstance(lattice, LongLattice):
+        return Request(scene, lattice, dict(lattice.parameters))
     return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
 
 
