@@ -32,7 +32,7 @@ def polynomial_of(values: list[float]) -> np.polynomial.Polynomial:
     return polynomial
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, tolerances, steps)
 @example(PAIR_IN_A_STEP, 1e-10, 0.2)
 @example(PAIR_BESIDE_AN_END, 1e-6, 0.2)
@@ -55,7 +55,7 @@ def test_every_fold_of_a_random_curve_is_found(values: list[float], tolerance: f
         assert abs(point.parameters["p"] - f(root)) <= 10.0 * point.error + 1e-13 * (1.0 + abs(f(root)))
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, st.floats(0.3, 30.0), tolerances, steps)
 @example(PAIR_IN_A_STEP, 1.0, 1e-10, 0.2)
 def test_every_crossing_of_a_pair_is_found(
@@ -79,7 +79,7 @@ def test_every_crossing_of_a_pair_is_found(
     assert {point.criticality for point in points} == {"supercritical"}
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, tolerances, steps)
 @example(PAIR_IN_A_STEP, 1e-10, 0.2)
 def test_every_branch_point_of_a_random_curve_is_found(values: list[float], tolerance: float, max_step: float) -> None:

@@ -31,6 +31,7 @@ def test_both_halves_leave_a_branch_point_and_what_meets_the_branch_again_is_not
     assert [point.parameters["p"] for point in circle.special_points] == pytest.approx([-1.0, 1.0])
 
 
+@pytest.mark.slow
 def test_depth_and_limit_bound_a_diagram() -> None:
     """Prey alone; with predators from K = 1 on; cycles from K = 3 on."""
     branch = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5}).follow("K", 3.2)

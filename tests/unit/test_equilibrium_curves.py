@@ -31,6 +31,7 @@ def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
     np.testing.assert_array_equal(curve.parameters["p"], [solution["p"] for solution in curve.solutions])
 
 
+@pytest.mark.slow
 def test_the_bogdanov_takens_point_of_ab_has_trace_and_determinant_zero() -> None:
     fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
     found = fold.curve("p3", 3.0).special_points[0]
@@ -120,6 +121,7 @@ def test_the_cusp_normal_form_in_closed_form() -> None:
     assert abs(cusp.parameters["b2"]) < 1e-12
 
 
+@pytest.mark.slow
 def test_the_bautin_normal_form_in_closed_form() -> None:
     """r' = r (b1 + b2 r^2 - r^4): Hopf points at b1 = 0, degenerate at b2 = 0."""
     u, v, b1, b2 = symbols("u v b1 b2")
@@ -153,6 +155,7 @@ def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
         assert abs(found.parameters["p"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_the_hopf_curve_of_lorenz_in_closed_form() -> None:
     """r = s (s + b + 3)/(s - b - 1), with b = 8/3, in s from 10 to 20."""
     x, y, z, r, s = symbols("x y z r s")
@@ -189,6 +192,7 @@ def test_curves_are_refused_in_one_line() -> None:
         point.curve("q", 1.0)
 
 
+@pytest.mark.slow
 def test_branch_points_that_a_symmetry_keeps_are_followed_in_closed_form() -> None:
     """Lorenz's pitchfork at r = 1 for any sigma; x'' = p x + q x' - x^3 - x^2 x'."""
     x, y, z, r, s = symbols("x y z r s")
