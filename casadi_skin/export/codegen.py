@@ -92,7 +92,7 @@ def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[st
         raise CodegenError(f"name: given {name!r}; accepted: a C identifier such as {c_name(name)}")
     for function in functions:
         check_parts(function)
-    generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True})
+    generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True, "verbose": False})
     with contextlib.redirect_stderr(io.StringIO()):  # CasADi warns of what is refused below
         for function in functions:
             generator.add(function)

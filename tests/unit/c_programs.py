@@ -21,6 +21,13 @@ COMPILERS = [name for name in ("gcc", "clang", "clang-14") if shutil.which(name)
 POINTER = ctypes.POINTER(ctypes.c_double)
 
 
+def sanitizers(compiler: str) -> list[str]:
+    """Flags of the sanitizers, none where the compiler has come without them."""
+    command = [compiler, *SANITIZED, "-x", "c", "-", "-o", os.devnull]
+    done = subprocess.run(command, input="int main(void) { return 0; }", text=True, capture_output=True, check=False)
+    return SANITIZED if done.returncode == 0 else []
+
+
 def compiled(directory: Path, compiler: str = "gcc", *flags: str) -> Path:
     """The example program, every file with all warnings; generated files may have parameters that they do not use."""
     objects = []

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed
+from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed, sanitizers
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_family
@@ -384,7 +384,7 @@ def test_an_orbit_of_a_forced_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_no_compiler_warns_and_sanitizers_find_nothing(compiler: str, exported: Path, tmp_path: Path) -> None:
     shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
-    found = printed(compiled(tmp_path, compiler, *SANITIZED))
+    found = printed(compiled(tmp_path, compiler, *sanitizers(compiler)))
     assert abs(found["largest_multiplier"] - 1.171275734790) < 1e-12
 
 

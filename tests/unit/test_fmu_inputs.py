@@ -51,7 +51,8 @@ def test_forces_and_parameters_are_inputs_with_derivatives(driven: Path) -> None
     np.testing.assert_allclose(jacobian, np.array([-np.append(np.zeros(4), x[:4]), *np.eye(8)[[4, 7]], by_gamma]).T)
 
 
-@pytest.mark.parametrize("kind", ["ModelExchange", pytest.param("CoSimulation", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ModelExchange", "CoSimulation"])
 def test_inputs_change_while_it_runs(driven: Path, kind: str) -> None:
     """A force on the last site: a ramp in Co-Simulation, held in each step, so that it comes half a step late."""
     t = np.linspace(0.0, 3.0, 301)
