@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from maps import TINY, tasks, write
@@ -16,7 +17,7 @@ from casadi_skin import Chain, follow_family, run_map
 from casadi_skin.cli import main
 from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
 from casadi_skin.maps.cell import Computer, Job
-from casadi_skin.maps.grid import Axis, Grid, plain
+from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.refine import UNKNOWN, needed
 from casadi_skin.runs.binding import bind
@@ -310,3 +311,40 @@ def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     assert (cross.get_xdata(), cross.get_ydata()) == ([1.0], [100.0])
     assert len(panel.collections) > 1  # contour lines
     assert panel.get_yscale() == "log"
+
+
+LATTICE = """[lattice]
+cells = [4]
+parameters = { alpha = { low = 0.9, high = 1.1, seed = 1 }, g = 1.0 }
+[[lattice.site]]
+name = "a"
+onsite = "alpha*y + g*y^3"
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [1]
+[family]
+mode = 1
+amplitude_max = 0.05
+[map]
+seed = { from = 1, to = 3, points = 3 }
+"g, mode" = [[1.0, 1], [-1.0, 4]]
+S = [0.01, 0.05]
+"""
+
+
+def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
+    """Seeds of a lattice, parameters that move together, and S of a family, whose cells are one task."""
+    scene = parse_scene(LATTICE)
+    grid = Grid.of(scene)
+    tasks_of_grid = list(grid.tasks(grid.coarsest))
+    assert [task.cells for task in tasks_of_grid] == [(0, 1), (2, 3), (4, 5), (6, 7), (8, 9), (10, 11)]
+    last = tasks_of_grid[-1]
+    cell = scene_at(plain(scene), last.settings, last.amplitudes)
+    assert cell.lattice is not None
+    assert cell.family is not None
+    assert msgspec.to_builtins(cell.lattice.parameters["alpha"])["seed"] == 3
+    assert (cell.lattice.parameters["g"], cell.family.mode) == (-1.0, 4)
+    assert (cell.family.at, cell.family.amplitude_max) == ((0.01, 0.05), 0.05)
+    assert cell.lattice.site == scene.lattice.site if scene.lattice is not None else False
+    assert grid.name(11) == "seed = 3, g, mode = (-1.0, 4), S = 0.05"
