@@ -172,5 +172,10 @@ def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
 def _legend(axes: Axes) -> None:
     """A legend in which each label stands once, with what was drawn before."""
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    if handles:
-        axes.legend(handles.values(), handles.keys(), frameon=False)
+    if not handles:
+        return
+    legend = axes.legend(handles.values(), handles.keys(), frameon=False)
+    looks = {look["label"] for look in LOOKS.values()}
+    for handle, label in zip(legend.legend_handles, handles, strict=True):
+        if label in looks and handle is not None:  # that of any branch, whatever its colour
+            handle.set(color="black")

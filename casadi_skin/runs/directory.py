@@ -17,7 +17,7 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
-           "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+           "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "explore.html", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
