@@ -1,7 +1,7 @@
 """Results as data: numbers, names, arrays and the fields of known classes; nothing in them is run when they are read.
 
 A value is written as what MessagePack knows, or as a list that begins with a word: ["array", type, shape, bytes],
-["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields], ["point", resolution, constants,
+["complex", real, imaginary], ["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields], ["point", resolution, constants,
 fields], and ["shared", number] for what stands in the list of models and spaces, each of which is written once.
 """
 
@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib import import_module
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ PLACES = {  # of every class that a file may name
     "ErrorEstimate": "solvers.levels", "Evolution": "dynamics.evolution", "FamilyRequest": "orbits.request",
     "FullPeriodFloquet": "stability.result", "Method": "orbits.method", "Optimality": "orbits.optimum",
     "Optimum": "orbits.optimum", "Orbit": "orbits.orbit", "Periodic": "orbits.boundary_space",
+    "ProvedStability": "orbits.certificate", "ProvedStretch": "orbits.certificate",
     "ReversibleFloquet": "stability.result", "Scalar": "bvp.problem", "Site": "lattice.declaration",
     "Sizes": "orbits.boundary_space", "Solution": "orbits.solution", "SpecialPoint": "orbits.special_points",
     "Spectrum": "equilibria.statics", "StabilityChange": "orbits.stability_changes", "Statics": "equilibria.statics",
@@ -71,8 +71,8 @@ class Writer:
             return self.value(value.item())
         if isinstance(value, int | float):
             return value
-        if isinstance(value, PurePath):
-            return str(value)
+        if isinstance(value, complex):
+            return ["complex", value.real, value.imag]
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value)
             if array.dtype.str not in KINDS:
@@ -137,6 +137,8 @@ class Reader:
         if word in ("tuple", "list"):
             items = [self.value(item, space) for item in rest]
             return tuple(items) if word == "tuple" else items
+        if word == "complex":
+            return complex(*rest)
         if word == "map":
             return {name: self.value(item, space) for name, item in rest[0].items()}
         if word == "array":

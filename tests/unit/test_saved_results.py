@@ -30,6 +30,7 @@ from casadi_skin import (
     simulate,
 )
 from casadi_skin.models.ode import OdeModel as Model
+from casadi_skin.orbits.certificate import ProvedStability
 from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
 
@@ -125,6 +126,8 @@ def test_numbers_beside_branches_come_back(tmp_path: Path) -> None:
     read = again(evolution, tmp_path)
     assert read.states.tobytes() == evolution.states.tobytes()
     assert dict(read.parameters) == {"mu": 1.0}
+    proved = ProvedStability("unstable", np.zeros((0, 2)), np.zeros(0, dtype=np.int64), 0.5 + 0.1j, 1e-9, 1.0)
+    assert again(proved, tmp_path).exponent == proved.exponent
     floquet = cycle().floquet()
     assert again(floquet, tmp_path).multipliers.tobytes() == floquet.multipliers.tobytes()
 
