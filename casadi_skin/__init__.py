@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
+    from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.maps.run_map import run_map
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
@@ -33,6 +35,7 @@ __all__ = [
     "Branch",
     "Chain",
     "Lattice",
+    "LongLattice",
     "OdeModel",
     "Orbit",
     "Site",
@@ -48,6 +51,7 @@ __all__ = [
     "import_fmu",
     "read_model",
     "read_result",
+    "run_map",
     "save_model",
     "save_result",
     "search_orbit",
@@ -64,6 +68,7 @@ def __getattr__(name: str) -> Any:
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
         "Lattice": "lattice.lattice",
+        "LongLattice": "lattice.long_lattice",
         "OdeModel": "models.ode",
         "Orbit": "orbits.orbit",
         "Site": "lattice.lattice",
@@ -77,6 +82,7 @@ def __getattr__(name: str) -> Any:
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",
         "read_model": "models.saved",
+        "run_map": "maps.run_map",
         "read_result": "results.saving",
         "save_model": "models.saved",
         "save_result": "results.saving",

@@ -21,7 +21,7 @@ class Progress:
 
         console = Console(stderr=True)
         shown = console.is_terminal and not quiet
-        self._quiet = quiet
+        self._quiet, self.on_terminal = quiet, bool(shown)
         self._status: Status | None = console.status("building", spinner="line") if shown else None
 
     def __enter__(self) -> Progress:

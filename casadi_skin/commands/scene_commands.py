@@ -70,6 +70,12 @@ def check(arguments: argparse.Namespace) -> int:
 
     try:
         lines = plan_lines(request)
+        if scene.map is not None:
+            from casadi_skin.maps.plan import map_lines
+
+            lines += map_lines(scene, request, arguments.scene)
+    except SceneError as error:
+        raise SceneError(f"{arguments.scene}: {error}") from None
     except (ValueError, TypeError) as error:  # of a search that cannot be meant
         raise InputError(f"{arguments.scene}: [search] {error}") from error
     if arguments.json:

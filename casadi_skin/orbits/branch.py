@@ -23,7 +23,7 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.special_points import EDGE, FOLD, NotLocatedError, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
@@ -180,6 +180,27 @@ class Branch(Result):
         tongue = self.stability_diagram.first_instability(growth)
         return None if tongue is None else tongue.start
 
+    def edge(self, number: int = 0) -> SpecialPoint:
+        """The edge of a real tongue of a family as a special point, to be followed in a second parameter.
+
+        Arguments:
+            number: place of the edge among `changes`, from 0.
+
+        Returns:
+            The point; its `curve` follows the edge with S free.
+
+        Raises:
+            ValueError: the branch is no family, or there is no such change through 1 or -1.
+        """
+        known = [str(k) for k, c in enumerate(self.changes) if isinstance(c, StabilityEdge) and c.kind == "real"]
+        if str(number) not in known:
+            accepted = ", ".join(known) or "none: no multiplier of a family passes 1 or -1"
+            raise ValueError(f"number: given {number!r}; accepted: {accepted}")
+        change = self.changes[number]
+        orbit = self.at(S=change.value)
+        values = {**orbit.parameters, self.parameter: change.value}
+        return SpecialPoint(EDGE, self.parameter, values, change.error, orbit)
+
     # Special points ---------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -198,6 +219,10 @@ class Branch(Result):
         values = {**solution.parameters, self.parameter: solution.value(self.parameter)}
         error = self.space.parameter_error(solution.point)
         return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
+
+    def follow_all(self, **options: Any) -> Any:
+        """All that leaves this, and what leaves that: a `Diagram`, by `casadi_skin.equilibria.diagram.follow_all`."""
+        return methods.TASKS["follow_all"].load()(self, **options)
 
     @property
     def folds(self) -> tuple[Solution, ...]:
@@ -221,7 +246,7 @@ class Branch(Result):
     @property
     def complete(self) -> bool:
         """Whether the branch reached what was asked and no requested point is missing."""
-        return (self.stopped or self.end is End.REACHED) and not any(self.misses.values())
+        return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
 
     @property
     def reason(self) -> str:

@@ -110,7 +110,8 @@ class Solution(Result):
     @cached_property
     def states(self) -> Array:
         """States at `t`, shape (time, component)."""
-        return np.array(self.point.z[: self.problem.states].reshape(-1, self.statement.model.full_size))
+        values = self.point.z[: self.problem.states].reshape(self.problem.columns, -1)
+        return np.array(values[:, : len(self.space.state_names)])
 
     @property
     def mesh(self) -> Array:
@@ -185,6 +186,10 @@ class Solution(Result):
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
         """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
         return methods.TASKS["follow"].load()(self, parameter, to, **options)
+
+    def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
+        """The branch through this solution, with all that leaves it; options are those of `follow`."""
+        return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
 
 
 def as_times(t: ArrayLike) -> Array:

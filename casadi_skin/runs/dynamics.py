@@ -10,7 +10,11 @@ import numpy as np
 from casadi_skin import figures
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.spacetime import spacetime_figure
+from casadi_skin.figures.spreading import spreading_figure
 from casadi_skin.figures.style import number
+from casadi_skin.lattice.declaration import INDICES
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.spreading import Spreading, spreading
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
@@ -84,7 +88,7 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
 
 
 def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
-    """dynamics.csv, dynamics.nc and the space-time picture."""
+    """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
     dynamics = _table(request)
     write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
     start: dict[str, float | str] = {"orbit_Omega": orbit.Omega}
@@ -101,3 +105,17 @@ def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: E
     near = orbit if dynamics.size is not None else None
     figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
     figures.save(figure, directory / "dynamics")
+    if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
+        _write_spreading(spreading(evolution), request.model, directory)
+
+
+def _write_spreading(found: Spreading, lattice: Lattice, directory: Path) -> None:
+    """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
+    centres = [f"centre_{name}" for name in INDICES[: found.centre.shape[1]]]
+    columns = ["t", "energy", *centres, "participation", "second_moment"]
+    table = np.column_stack([found.t, found.total, found.centre, found.participation, found.second_moment])
+    write_csv(directory / "spreading.csv", columns, (dict(zip(columns, row, strict=True)) for row in table.tolist()))
+    sites = [f"energy_{name.partition('_')[2]}" for name in lattice.state_names[: lattice.declaration.size]]
+    rows = np.column_stack([found.t, found.energies]).tolist()
+    write_csv(directory / "energies.csv", ["t", *sites], (dict(zip(["t", *sites], row, strict=True)) for row in rows))
+    figures.save(spreading_figure(found, lattice), directory / "spreading")

@@ -24,6 +24,7 @@ from casadi_skin.scene.faults import (
     with_kind,
 )
 from casadi_skin.scene.lattice_tables import BondTable, SiteTable
+from casadi_skin.scene.map_reading import check_map, with_axes
 from casadi_skin.scene.scene import TABLES, Scene
 from casadi_skin.scene.tables import ChainTable, Table
 
@@ -65,12 +66,18 @@ def read_text(path: str | Path) -> str:
 def parse_scene(text: str, source: str = "scene") -> Scene:
     """Read a scene from TOML text; raises SceneError whose message begins with the source."""
     try:
-        raw = _parse_toml(text)
-        _check_names(raw)
-        scene = _convert(raw)
-        check_scene(scene)
+        return scene_of(_parse_toml(text))
     except SceneError as fault:
         raise SceneError(f"{source}: {fault}") from None
+
+
+def scene_of(raw: dict[str, Any]) -> Scene:
+    """The scene that tables of plain values ask for, checked; raises SceneError."""
+    raw = with_axes(raw)
+    _check_names(raw)
+    scene = _convert(raw)
+    check_scene(scene)
+    check_map(scene)
     return scene
 
 
