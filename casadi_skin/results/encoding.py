@@ -24,18 +24,19 @@ KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
 PLACES = {  # of every class that a file may name
     "Bond": "lattice.declaration", "BoundarySpace": "orbits.boundary_space", "Branch": "orbits.branch",
     "Certificate": "orbits.certificate", "Chain": "lattice.chain", "Constants": "orbits.certificate",
-    "ContinuationSettings": "continuation.points", "Course": "equilibria.problem", "Cycle": "dynamics.evolution",
-    "CurveSpace": "equilibria.curve", "Declaration": "lattice.declaration", "End": "continuation.points",
+    "ContinuationSettings": "continuation.points", "Course": "equilibria.problem",
+    "Critical": "critical_orbits.systems", "CurveSpace": "equilibria.curve", "Cycle": "dynamics.evolution",
+    "Declaration": "lattice.declaration", "Diagram": "equilibria.diagram", "End": "continuation.points",
     "Equilibrium": "equilibria.equilibrium", "EquilibriumSpace": "equilibria.space",
     "ErrorEstimate": "solvers.levels", "Evolution": "dynamics.evolution", "FamilyRequest": "orbits.request",
     "FullPeriodFloquet": "stability.result", "Method": "orbits.method", "Optimality": "orbits.optimum",
-    "Optimum": "orbits.optimum", "Orbit": "orbits.orbit", "Periodic": "orbits.boundary_space",
-    "ProvedStability": "orbits.certificate", "ProvedStretch": "orbits.certificate",
-    "ReversibleFloquet": "stability.result", "Scalar": "bvp.problem", "Site": "lattice.declaration",
-    "Sizes": "orbits.boundary_space", "Solution": "orbits.solution", "SpecialPoint": "orbits.special_points",
-    "Spectrum": "equilibria.statics", "StabilityChange": "orbits.stability_changes", "Statics": "equilibria.statics",
-    "SymmetryClass": "bvp.symmetry", "Target": "continuation.points", "Targets": "orbits.method",
-    "Uniform": "lattice.declaration",
+    "Optimum": "orbits.optimum", "Orbit": "orbits.orbit", "OrbitCurveSpace": "critical_orbits.curve",
+    "Periodic": "orbits.boundary_space", "ProvedStability": "orbits.certificate",
+    "ProvedStretch": "orbits.certificate", "ReversibleFloquet": "stability.result", "Scalar": "bvp.problem",
+    "Site": "lattice.declaration", "Sizes": "orbits.boundary_space", "Solution": "orbits.solution",
+    "SpecialPoint": "orbits.special_points", "Spectrum": "equilibria.statics",
+    "StabilityChange": "orbits.stability_changes", "Statics": "equilibria.statics", "SymmetryClass": "bvp.symmetry",
+    "Target": "continuation.points", "Targets": "orbits.method", "Uniform": "lattice.declaration",
 }  # fmt: skip
 
 

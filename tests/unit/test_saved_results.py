@@ -199,3 +199,23 @@ def test_whatever_a_file_with_the_right_checksum_says_it_is_data_or_refused(
     path.write_bytes(framed(msgspec.msgpack.encode(saved)))
     with suppress(ValueError):
         read_result(path)
+
+
+@pytest.mark.slow
+def test_diagrams_and_curves_of_orbits_lead_on_from_a_file(tmp_path: Path) -> None:
+    x, y, z, alpha, beta = (ca.SX.sym(name) for name in ("x", "y", "z", "alpha", "beta"))
+    model = OdeModel(
+        "adaptx", ca.vertcat(x, y, z), ca.vertcat(y, z, -alpha * z - beta * y - x + x**2), ca.vertcat(alpha, beta),
+        nominal=(2.0, 1.0),
+    )  # fmt: skip
+    diagram = find_equilibrium(model, [0.0, 0.0, 0.0]).follow("alpha", 0.6).follow_all(depth=1)
+    read = again(diagram, tmp_path)
+    for one, two in zip(diagram, read, strict=True):
+        same(one, two)
+    (doubling,) = (p for p in diagram.special_points if p.kind == "period doubling")
+    (found,) = (p for p in read.special_points if p.kind == "period doubling")
+    curve = doubling.curve("beta", 1.1, max_points=3)
+    same(curve, found.curve("beta", 1.1, max_points=3))
+    same(curve, again(curve, tmp_path))
+    assert len(diagram.to_dataframe()) == sum(map(len, diagram))
+    assert "period doubling" in str(diagram)
