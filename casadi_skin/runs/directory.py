@@ -19,14 +19,14 @@ WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spe
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
            "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
-           "journal_*_of_*.msgpack", SCENE, JOURNAL)  # fmt: skip
+           "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model's name
 AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit", "curves",
-            "map_*")  # fmt: skip
+            "portrait", "map_*")  # fmt: skip
 
 
 class DirectoryError(ValueError):

@@ -8,6 +8,7 @@ from pathlib import Path
 from casadi_skin.export.c_code import export_c
 from casadi_skin.export.fmu import export_fmu
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
@@ -47,6 +48,7 @@ def exported(request: Request, branches: Sequence[Branch]) -> Chain | OdeModel |
         return orbit
     if request.scene.orbit is not None and branches:
         return branches[0].orbits[-1]
+    assert not isinstance(request.model, LongLattice)
     return request.model
 
 
