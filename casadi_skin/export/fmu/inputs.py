@@ -65,7 +65,7 @@ def forces_of(problem: InitialValueProblem) -> Mapping[str, Force]:
     model = problem.model
     states = model.state_names
     if isinstance(model, Lattice):
-        count, masses = model.declaration.size, model.equations.masses
+        count, masses = model.declaration.size, ca.vertsplit(model.equations.masses)
         factors: Sequence[Expression | float] = [1.0 / mass for mass in masses]
     elif model.order == 2 or problem.chain:
         count = len(states) // 2
