@@ -31,6 +31,7 @@ TIGHTEST = 1e-13
 MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
+CLOSE = 1e-2  # to 1: multipliers that the trivial one disturbs
 SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
 
 
@@ -144,10 +145,11 @@ def multipliers_of(
     balanced = maps * units / units[:, None]
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
     count = trivial.count
-    if along is None:
-        values = _eigenvalues(balanced, contraction)
-        is_other = _others(values, count)
-        near, others = values[~is_other], values[is_other]
+    values = _eigenvalues(balanced, contraction)
+    is_other = _others(values, count)
+    near, others = values[~is_other], values[is_other]
+    close = np.min(np.abs(others - 1.0), initial=np.inf) < CLOSE
+    if along is None or not (close or len(maps) > 1):  # of one map the whole has more digits where 1 stands alone
         basis = trivial.across(np.asarray(units, dtype=float))
         if basis is not None and others.size:
             others = _eigenvalues(balanced, contraction, basis)

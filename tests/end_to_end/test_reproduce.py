@@ -24,7 +24,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 @pytest.mark.usefixtures("pictures")
 def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "paper"
-    assert main(["reproduce", "fig2", "fig1", "--out", str(out), "--quiet"]) == 0
+    assert main(["reproduce", "fig2", "fig1", "--out", str(out)]) == 0
     assert str(out) in capsys.readouterr().out
     tables = {"fig1_forces.csv", "fig2_spectrum.csv", "fig2_modes.csv", "fig2_sketch.csv"}
     pictures = {f"fig{k}.{kind}" for k in (1, 2) for kind in ("png", "svg")}
@@ -42,7 +42,7 @@ def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.slow
 def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
     for name in ("first", "second"):
-        assert main(["reproduce", "fig2", "--out", str(tmp_path / name), "--quiet"]) == 0
+        assert main(["reproduce", "fig2", "--out", str(tmp_path / name)]) == 0
     for path in (tmp_path / "first").iterdir():
         assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
 
@@ -129,7 +129,7 @@ def test_a_computation_that_fails_is_told_in_one_line(
 
 @pytest.mark.slow
 def test_all_figures_and_the_numbers_in_their_data(tmp_path: Path) -> None:
-    assert main(["reproduce", *FIGURES, "--out", str(tmp_path), "--quiet"]) == 0
+    assert main(["reproduce", *FIGURES, "--out", str(tmp_path)]) == 0
     for name in FIGURES:
         for kind in ("png", "svg"):
             assert (tmp_path / f"{name}.{kind}").stat().st_size > 10_000

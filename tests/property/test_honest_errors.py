@@ -115,7 +115,7 @@ def test_estimates_that_are_too_small_are_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(Orbit, "Omega_error", property(lambda self: 0.01 * self.point.error.Omega))
-    arguments = ["honesty", "--cases", "3", "--seed", str(SEED), "--out", str(tmp_path / "out"), "--quiet"]
+    arguments = ["honesty", "--cases", "3", "--seed", str(SEED), "--out", str(tmp_path / "out")]
     assert main(arguments) == 1
     told = capsys.readouterr().out
     assert "not honest: Omega" in told
@@ -132,7 +132,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason(
     monkeypatch.setattr(Orbit, "floquet", fail)
     first = next(index for index in range(CASES) if draw(SEED, index).sites > 1)
     out = tmp_path / "out"
-    arguments = ["honesty", "--cases", "1", "--first", str(first), "--seed", str(SEED), "--out", str(out), "--quiet"]
+    arguments = ["honesty", "--cases", "1", "--first", str(first), "--seed", str(SEED), "--out", str(out)]
     assert main(arguments) == 1
     (row,) = read_rows(out / "honesty.csv")
     assert (row["index"], row["reason"], row["multipliers_true"]) == (str(first), "FlowError: out of reach", "")
@@ -153,7 +153,7 @@ def test_an_interruption_keeps_what_was_computed(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["honesty", "--cases", "5", "--seed", str(SEED), "--out", str(out), "--quiet"]) == 130
+    assert main(["honesty", "--cases", "5", "--seed", str(SEED), "--out", str(out)]) == 130
     assert "after 2 cases" in capsys.readouterr().err
     assert [row["index"] for row in read_rows(out / "honesty.csv")] == ["0", "1"]
     assert (out / "honesty.png").exists()
