@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from casadi_skin.commands.scene_commands import bound, read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.runs.directory import prepare_study
+from casadi_skin.scene import FORMATS
 
 if TYPE_CHECKING:
     from casadi_skin.studies.study import Study
@@ -67,6 +68,8 @@ def add_studies(commands: Commands) -> None:
     for parser in (paper, work, errors, hard):
         default = parser.get_default("out")
         parser.add_argument("--out", type=Path, metavar="DIR", help=f"directory of the results (default: {default})")
+        words = "format of its pictures, once for each that is wanted (default: png)"
+        parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
         parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
         parser.add_argument("--quiet", action="store_true", help="no progress on the terminal")
         parser.set_defaults(act=run_study)
@@ -75,6 +78,7 @@ def add_studies(commands: Commands) -> None:
 def run_study(arguments: argparse.Namespace) -> int:
     """Run the study that the arguments ask for, show its report, and return the exit status."""
     study: Study = arguments.study(arguments)
+    study.formats = arguments.formats or study.formats
     prepare_study(study.directory, arguments.overwrite)
 
     from rich.console import Console

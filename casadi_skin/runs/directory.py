@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from casadi_skin.files import leftovers, replacing
-from casadi_skin.scene import Scene, SceneError, parse_scene
+from casadi_skin.scene import FORMATS, Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
@@ -17,12 +17,13 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
-           "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+           "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit", "curves")
+PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch",
+            "orbit", "curves")  # fmt: skip
 
 
 class DirectoryError(ValueError):
@@ -42,7 +43,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg")), "*.fmu")
+    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in FORMATS), "*.fmu")
     _check_writable(directory)
     left = leftovers(directory, names) if directory.is_dir() else []
     held = _check_free(

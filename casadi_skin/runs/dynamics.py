@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from casadi_skin import figures
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.figures.style import number
@@ -16,6 +15,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
 from casadi_skin.results.evolution import evolution_columns, evolution_rows, evolution_variables
+from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of, origin
 from casadi_skin.scene import DynamicsTable
@@ -91,5 +91,5 @@ def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: E
     write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
     if dynamics.size is not None:
         title += f", perturbed by ${number(dynamics.size)}$" + (f" at site {dynamics.site}" if dynamics.site else "")
-    figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site)
-    figures.save(figure, directory / "dynamics")
+    draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site)
+    picture(request.scene, directory / "dynamics", draw, evolution, title)

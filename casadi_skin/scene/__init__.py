@@ -18,10 +18,19 @@ from casadi_skin.scene.tables import (
     SpectrumTable,
     StabilityTable,
 )
-from casadi_skin.scene.task_tables import C_PARTS, DynamicsTable, ExportTable, SearchCondition, SearchTable
+from casadi_skin.scene.task_tables import (
+    C_PARTS,
+    FORMATS,
+    DynamicsTable,
+    ExportTable,
+    FiguresTable,
+    SearchCondition,
+    SearchTable,
+)
 
 __all__ = [
     "C_PARTS",
+    "FORMATS",
     "PRESETS",
     "PRESET_TOLERANCES",
     "AccuracyTable",
@@ -30,6 +39,7 @@ __all__ = [
     "DynamicsTable",
     "ExportTable",
     "FamilyTable",
+    "FiguresTable",
     "LatticeTable",
     "MethodTable",
     "ModelTable",

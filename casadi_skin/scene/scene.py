@@ -25,7 +25,7 @@ from casadi_skin.scene.tables import (
     StabilityTable,
     Table,
 )
-from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, SearchTable
+from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, FiguresTable, SearchTable
 
 
 class Scene(Table, frozen=True):
@@ -44,6 +44,7 @@ class Scene(Table, frozen=True):
     dynamics: DynamicsTable | None = None
     search: SearchTable | None = None
     export: ExportTable | None = None
+    figures: FiguresTable = msgspec.field(default_factory=FiguresTable)
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
@@ -92,6 +93,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "dynamics": DynamicsTable,
         "search": SearchTable,
         "export": ExportTable,
+        "figures": FiguresTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,
     }

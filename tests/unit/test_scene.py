@@ -41,7 +41,7 @@ NAMES = (
         "stability",
         "dynamics",
     ),
-    *("search", "export", "accuracy", "method"),
+    *("search", "export", "figures", "accuracy", "method"),
 )
 TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
 
