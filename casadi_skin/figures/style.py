@@ -73,7 +73,7 @@ def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: boo
 
 
 def _lay_out(figure: Figure) -> None:
-    """Once and for all, and at the resolution of pictures on their canvas: laying out is slow, and texts are measured once.
+    """Once and for all, on the canvas of pictures at their resolution, so that texts are measured once: it is slow.
 
     An engine that stays with the figure would draw everything twice when it is saved.
     """

@@ -238,9 +238,10 @@ class StabilityDiagram:
         ends = np.array([(t.start.coordinate, t.end.coordinate) for t in self.tongues])
         is_open = np.array([(t.open_start, t.open_end) for t in self.tongues])
         after, before = coordinates[:, None] - ends[:, 0], ends[:, 1] - coordinates[:, None]
-        return np.any(
-            ((after > 0) | (is_open[:, 0] & (after == 0))) & ((before > 0) | (is_open[:, 1] & (before == 0))), axis=1
+        after_start, before_end = (
+            (apart > 0) | (is_open[:, side] & (apart == 0)) for side, apart in enumerate((after, before))
         )
+        return np.asarray(np.any(after_start & before_end, axis=1))
 
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""
