@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from enum import Enum
 from functools import cached_property
 from typing import Self
@@ -14,8 +15,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Solve = Callable[[Array], Array]  # of linear equations, from their right-hand side
 
 EPSILON = float(np.finfo(float).eps)
+
+
+class SingularError(ArithmeticError):
+    """Linear equations cannot be solved to any useful accuracy."""
 
 
 class Scalar(Enum):

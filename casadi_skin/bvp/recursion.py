@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.bvp.problem import Array, Indices, Solve
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, polynomial_terms
-from casadi_skin.solvers.bordered import Solve
 
 _Place = slice | Indices
 

@@ -16,13 +16,12 @@ import numpy as np
 
 from casadi_skin.bvp.fields import border_conditions, unfolded_field
 from casadi_skin.bvp.first_order import FirstOrderProblem
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.segment import SegmentFlow
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.integrators.dop853 import dop853_reason, solve_dop853
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.solvers.bordered import SingularError
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolution

@@ -6,7 +6,6 @@ are lambda (as a residual: the amplitude), then the harmonics 1, 3, ..., 2H - 1 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,21 +14,12 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
 from casadi_skin.certify.odd_system import OddSeries
+from casadi_skin.orbits.certificate import Constants
 
 if TYPE_CHECKING:
     from flint import arb
 
 LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the second derivative is bounded
-
-
-@dataclass(frozen=True)
-class Constants:
-    """What the theorem needs: |A F| <= Y, |I - A DF| <= Z, and W a Lipschitz constant of A DF within `reach`."""
-
-    Y: float
-    Z: float
-    W: float
-    reach: float
 
 
 class FiniteInverse:

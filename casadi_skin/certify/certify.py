@@ -11,10 +11,10 @@ import numpy as np
 from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.certify import balls
-from casadi_skin.certify.bounds import Constants, FiniteInverse, proved_radius, uniqueness_radius
-from casadi_skin.certify.certificate import NO_ABSENCE, Certificate, Interval
+from casadi_skin.certify.bounds import FiniteInverse, proved_radius, uniqueness_radius
 from casadi_skin.certify.model_terms import energy_terms, evaluate, system_of
 from casadi_skin.certify.odd_system import OddSeries, OddSystem, Terms
+from casadi_skin.orbits.certificate import NO_ABSENCE, Certificate, Constants, Interval
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.threads import one_thread

@@ -12,7 +12,8 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.special_points import HOPF
-from casadi_skin.results.quantities import certified, places_of
+from casadi_skin.results.family_quantities import certified
+from casadi_skin.results.quantities import places_of
 from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed

@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import ContinuationSettings, Point, Target
-from casadi_skin.solvers.bordered import SingularError, Solve
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.levels import ErrorEstimate, Levels, step_error
 

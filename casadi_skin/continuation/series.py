@@ -12,12 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.solvers.bordered import SingularError, Solve
 
 SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself

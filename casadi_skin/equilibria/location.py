@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.bvp.problem import EPSILON, Array, SingularError
 from casadi_skin.equilibria.problem import AlgebraicProblem, ExactLevels
 from casadi_skin.equilibria.systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem
-from casadi_skin.solvers.bordered import SingularError
 
 if TYPE_CHECKING:
     from casadi_skin.equilibria.space import EquilibriumSpace

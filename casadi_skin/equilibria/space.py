@@ -10,7 +10,7 @@ from typing import NoReturn
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
@@ -19,7 +19,6 @@ from casadi_skin.equilibria.statics import Spectrum, Statics
 from casadi_skin.equilibria.systems import ExtendedSystem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.levels import ErrorEstimate, Levels
 from casadi_skin.solvers.rounding import RoundedCorrector

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.arguments import number, numbers, short_repr, truth
+from casadi_skin.models.equations import Equations
 from casadi_skin.models.expressions import Expression, expression_of, symbols_of
-
-if TYPE_CHECKING:
-    from casadi_skin.models.ode import OdeModel
 
 NAMES = "names in one line"
 
 
-def declarations(model: OdeModel) -> dict[str, Any]:
+def declarations(model: Equations) -> dict[str, Any]:
     """The fields of a model that are given as lists, functions or numbers, as symbols, expressions and tuples.
 
     Raises TypeError and ValueError, naming the model and the field, for what has no such meaning.
@@ -35,7 +33,7 @@ def declarations(model: OdeModel) -> dict[str, Any]:
         raise type(error)(f"{model.name}: {error}") from error
 
 
-def _symbols(model: OdeModel) -> dict[str, Expression]:
+def _symbols(model: Equations) -> dict[str, Expression]:
     state = symbols_of("state", model.state)
     kind = type(state)
     found = {"state": state}
@@ -61,7 +59,7 @@ def _no_parameters(kind: type[Expression]) -> Expression:
     return ca.MX.sym("p", 0) if kind is ca.MX else ca.SX(0, 1)
 
 
-def _expressions(model: OdeModel, found: Mapping[str, Expression]) -> dict[str, Any]:
+def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str, Any]:
     state = found["state"]
     symbols = [found.get("time", type(state).sym("t")), state, found["parameters"]]
     made: dict[str, Any] = {"rhs": expression_of("rhs", model.rhs, symbols)}
@@ -85,7 +83,7 @@ def _scalar(label: str, expression: Expression) -> Expression:
     return expression
 
 
-def _lists(model: OdeModel, size: int) -> dict[str, Any]:
+def _lists(model: Equations, size: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for label in ("output_scale", "nominal"):
         if (given := getattr(model, label)) is not None:
@@ -116,13 +114,13 @@ def is_name(given: object) -> bool:
 # Shapes and symbols ---------------------------------------------------------------------------------------------------
 
 
-def check_declarations(model: OdeModel) -> None:
+def check_declarations(model: Equations) -> None:
     """Raises ValueError, naming the model, where shapes, names or symbols do not fit each other."""
     for fault in _faults(model):
         raise ValueError(f"{model.name}: {fault}")
 
 
-def _faults(model: OdeModel) -> Iterator[str]:
+def _faults(model: Equations) -> Iterator[str]:
     if model.rhs.shape != model.state.shape:
         yield f"right-hand side of shape {model.rhs.shape}, state {model.state.shape}"
     if (model.velocity is None) != (model.order == 1):
@@ -167,7 +165,7 @@ def _plain(symbol: Expression) -> bool:
     return bool(symbol.is_valid_input())
 
 
-def _numbers(model: OdeModel) -> Iterator[str]:
+def _numbers(model: Equations) -> Iterator[str]:
     """What has one entry a component."""
     parameters = int(model.parameters.numel())
     for label, given, count, entries in (
@@ -182,7 +180,7 @@ def _numbers(model: OdeModel) -> Iterator[str]:
         yield "outputs with several components; accepted: one scalar expression a name"
 
 
-def _names(model: OdeModel) -> Iterator[str]:
+def _names(model: Equations) -> Iterator[str]:
     names = [*model.state_names, *model.parameter_names, *model.outputs]
     strange = [name for name in names if not is_name(name)]
     if strange:
@@ -192,7 +190,7 @@ def _names(model: OdeModel) -> Iterator[str]:
         yield f"{', '.join(twice)} named more than once among states, parameters and outputs"
 
 
-def _strangers(model: OdeModel, symbols: list[Expression]) -> Iterator[str]:
+def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
     """Expressions that depend on what is not declared."""
     named: dict[str, object] = {label: getattr(model, label) for label in ("rhs", "normalisation", "hamiltonian")}
     named |= {f"output {name}": output for name, output in model.outputs.items()}

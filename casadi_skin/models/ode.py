@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import copyreg
 import sys
-from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.models.declarations import check_declarations, declarations
-from casadi_skin.models.expressions import Expression, names_of
+from casadi_skin.models.equations import Equations
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.symmetries import check_symmetries
 
-Array = NDArray[np.float64]
-Signs = tuple[int, ...]
 EPSILON = sys.float_info.epsilon
-ROUND_OFF = 1e-12  # of the size of the right-hand side
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OdeModel:
+class OdeModel(Equations):
     """An ODE in CasADi symbols, of first order x' = f(t, x, p) or second order q'' = f(t, q, p).
 
     `state` is x or q, `velocity` the symbol of q' (second order only), `parameters` p (none by default), `time` the
@@ -43,26 +39,6 @@ class OdeModel:
     Raises ValueError when the shapes, the symbols or the declarations do not fit, TypeError for other kinds of objects.
     """
 
-    name: str
-    state: Expression
-    rhs: Expression
-    parameters: Expression = field(default_factory=lambda: ca.SX(0, 1))
-    order: int = 1
-    velocity: ca.SX | None = None
-    _: KW_ONLY
-    reversal: Signs | None = None
-    half_period: Signs | None = None
-    normalisation: Expression | None = None
-    hamiltonian: Expression | None = None
-    output_scale: tuple[float, ...] | None = None
-    time: Expression | None = None
-    forcing_period: Expression | float | None = None
-    outputs: Mapping[str, Expression] = field(default_factory=dict)
-    nominal: tuple[float, ...] | None = None
-    state_labels: tuple[str, ...] | None = None
-    parameter_labels: tuple[str, ...] | None = None
-    checked: bool = True
-
     def __post_init__(self) -> None:
         for label, value in declarations(self).items():
             object.__setattr__(self, label, value)
@@ -76,41 +52,6 @@ class OdeModel:
         return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
 
     @property
-    def size(self) -> int:
-        """Number of components of `state`."""
-        return int(self.state.numel())
-
-    @property
-    def full_size(self) -> int:
-        """Number of components of the first-order state."""
-        return self.size * self.order
-
-    @property
-    def full_state(self) -> Expression:
-        """The first-order state: x, or positions then velocities."""
-        return self.state if self.velocity is None else ca.vertcat(self.state, self.velocity)
-
-    @property
-    def full_rhs(self) -> Expression:
-        """Time derivative of `full_state`."""
-        return self.rhs if self.velocity is None else ca.vertcat(self.velocity, self.rhs)
-
-    @cached_property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the components of the first-order state."""
-        return names_of(self.full_state, self.state_labels)
-
-    @cached_property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return names_of(self.parameters, self.parameter_labels)
-
-    @property
-    def forced(self) -> bool:
-        """Whether time enters the right-hand side by itself."""
-        return self.time is not None
-
-    @property
     def rounding(self) -> float:
         """Relative error of the right-hand side's values: that of doubles; models whose values are worse tell so."""
         return EPSILON
@@ -119,17 +60,6 @@ class OdeModel:
     def vector_field(self) -> ca.Function:
         """Function (t, x, p) -> dense time derivative of the first-order state x."""
         return self.function("field", ca.densify(self.full_rhs))
-
-    def forcing_period_at(self, parameters: Any) -> float:
-        """The period of the forcing at numbers for all parameters; 0 in a model that is not forced."""
-        if not isinstance(self.forcing_period, ca.SX | ca.MX):
-            return float(self.forcing_period or 0.0)
-        return float(ca.Function("T", [self.parameters], [self.forcing_period])(parameters))
-
-    def function(self, name: str, *results: Expression) -> ca.Function:
-        """Function (t, x, p) of the first-order state x with the given expressions as results."""
-        time = type(self.state).sym("t") if self.time is None else self.time
-        return ca.Function(name, [time, self.full_state, self.parameters], list(results))
 
     @cached_property
     def ends(self) -> tuple[Expression, Expression]:
@@ -191,39 +121,3 @@ class OdeModel:
     def __reduce__(self) -> str | tuple[Any, ...]:
         """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""
         return copyreg.dispatch_table[OdeModel](self)
-
-
-# Symmetries -----------------------------------------------------------------------------------------------------------
-
-
-def check_symmetries(model: OdeModel, trials: int, seed: int) -> None:
-    """Raises ValueError naming the first symmetry or conserved quantity that does not hold at random points."""
-    if model.reversal is None and model.half_period is None and model.hamiltonian is None:
-        return
-    rate = 0.0 if model.hamiltonian is None else ca.jacobian(model.hamiltonian, model.full_state) @ model.full_rhs
-    evaluate = model.function("check", ca.densify(model.full_rhs), ca.densify(rate))
-    generator = np.random.default_rng(seed)
-    for _ in range(trials):
-        time, point, parameter = _finite_point(model, evaluate, generator)
-        value, change = (np.array(r).ravel() for r in evaluate(time, point, parameter))
-        scale = ROUND_OFF * (1.0 + np.abs(value).max())
-        half = 0.5 * model.forcing_period_at(parameter)
-        images = (("reversal", model.reversal, -1, -time), ("half_period", model.half_period, 1, time + half))
-        for label, signs, sense, at in images:
-            if signs is None:
-                continue
-            image = np.array(evaluate(at, np.array(signs) * point, parameter)[0]).ravel()
-            if not np.abs(image - sense * np.array(signs) * value).max() <= scale:
-                raise ValueError(f"{model.name}: the declared {label} is not a symmetry of the right-hand side")
-        if abs(change[0]) > scale * (1.0 + np.abs(point).sum()):
-            raise ValueError(f"{model.name}: the declared hamiltonian is not conserved")
-
-
-def _finite_point(model: OdeModel, evaluate: ca.Function, generator: np.random.Generator) -> tuple[float, Array, Array]:
-    """A random time, state and parameter at which all is finite: positive where roots and logarithms need it."""
-    time = generator.normal()
-    x, p = (generator.normal(size=count) for count in (model.full_size, model.parameters.numel()))
-    for point, parameter in ((x, p), (x, np.abs(p)), (np.abs(x), np.abs(p))):
-        if all(np.all(np.isfinite(np.array(r))) for r in evaluate(time, point, parameter)):
-            return time, point, parameter
-    raise ValueError(f"{model.name}: the right-hand side or the hamiltonian is not finite at a random point")

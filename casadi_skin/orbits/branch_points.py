@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.special_points import BRANCH_POINT
-from casadi_skin.solvers.bordered import SingularError
 
 HALVINGS = 36
 NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Problem, SingularError, Solve
 from casadi_skin.continuation.hermite import interpolant
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
-from casadi_skin.solvers.bordered import SingularError, Solve
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples

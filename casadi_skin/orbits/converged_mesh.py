@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.bvp import mesh
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.levels import Levels
 

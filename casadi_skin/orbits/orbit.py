@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.certificate import Certificate
 from casadi_skin.orbits.coordinates import LOG10, quarter_phases
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.model_coordinates import amplitude_square
@@ -23,9 +24,6 @@ from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
-
-if TYPE_CHECKING:
-    from casadi_skin.certify.certificate import Certificate
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients

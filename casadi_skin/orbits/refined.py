@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from casadi_skin.bvp.problem import Problem, Scalar
+from casadi_skin.bvp.problem import Problem, Scalar, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction
 
 MEANINGLESS = 1e-2  # estimated error of what is called solved but for rounding, and is not

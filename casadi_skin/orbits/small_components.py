@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import Array, SingularError
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
-from casadi_skin.solvers.bordered import SingularError
 
 SMALL = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
 SMALLEST = 1e-250  # of the largest state: below it doubles run out

@@ -74,6 +74,10 @@ class Solution:
             raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
         return self.states[:, names.index(name)]
 
+    def value(self, name: str) -> float:
+        """A quantity that the branch is followed in or can be corrected at, exactly what was asked for where it is."""
+        return self.exact[name] if name in self.exact else self.space.value(name, self.point)
+
     # The discretisation -----------------------------------------------------------------------------------------------
 
     @property

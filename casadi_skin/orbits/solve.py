@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_name, number
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
@@ -20,7 +20,6 @@ from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector

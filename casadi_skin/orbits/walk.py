@@ -131,7 +131,7 @@ class Walk:
         """
         misses, whole = {}, end is End.REACHED and not stopped
         for name, values in self._asked().items():
-            had = {self._value(name, s) for s in solutions}
+            had = {s.value(name) for s in solutions}
             found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}
             if stopped:
                 found = {v for v in found if min(had) <= v <= max(had)}
@@ -145,6 +145,3 @@ class Walk:
         if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
             asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
         return asked
-
-    def _value(self, name: str, solution: Solution) -> float:
-        return solution.exact[name] if name in solution.exact else self.space.value(name, solution.point)

@@ -8,23 +8,15 @@ Govaerts (2000) chapter 3. Everything else goes to SuperLU.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError, Solve
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
 ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
-
-
-class SingularError(ArithmeticError):
-    """The bordered matrix cannot be solved to any useful accuracy."""
-
-
-Solve = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import copy
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
-from casadi_skin.solvers.bordered import BorderedSolver, SingularError
+from casadi_skin.bvp.problem import Array, Problem, SingularError
+from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Correction, Status
 
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from orbit_problems import gauss_problem
 
 from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.problem import SingularError, Solve
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.solvers.bordered import BorderedSolver, SingularError, Solve
+from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Corrector, Status
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector

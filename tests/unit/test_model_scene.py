@@ -14,7 +14,7 @@ from casadi_skin.models.loading import ModelFileError, named, read_source, run_f
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import save_model
 from casadi_skin.results.extremes import extremes
-from casadi_skin.results.quantities import Place
+from casadi_skin.results.quantity import Place
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.first_solution import cycle, first_solution
 from casadi_skin.scene import Scene, SceneError, parse_scene, scene_schema

@@ -26,6 +26,7 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
+from casadi_skin.bvp.problem import SingularError
 from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -37,7 +38,6 @@ from casadi_skin.orbits.follow import follow_family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.bordered import SingularError
 from casadi_skin.solvers.corrector import Status
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector

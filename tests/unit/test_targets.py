@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import Scalar
+from casadi_skin.bvp.problem import Scalar, Solve
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
@@ -24,7 +24,6 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
-from casadi_skin.solvers.bordered import Solve
 from casadi_skin.solvers.levels import ErrorEstimate, Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 

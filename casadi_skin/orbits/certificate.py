@@ -6,12 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.certify.bounds import Constants
 
 Interval = tuple[float, float]
 
 NORM = "|Omega^2| + sum over positions n and odd k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
 NO_ABSENCE = "this is no proof that there is no orbit"
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the theorem needs: |A F| <= Y, |I - A DF| <= Z, and W a Lipschitz constant of A DF within `reach`."""
+
+    Y: float
+    Z: float
+    W: float
+    reach: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,45 @@
+"""Symmetries and conserved quantities that a model declares, evaluated at random points."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.models.equations import Array, Equations
+
+ROUND_OFF = 1e-12  # of the size of the right-hand side
+
+
+def check_symmetries(model: Equations, trials: int, seed: int) -> None:
+    """Raises ValueError naming the first symmetry or conserved quantity that does not hold at random points."""
+    if model.reversal is None and model.half_period is None and model.hamiltonian is None:
+        return
+    rate = 0.0 if model.hamiltonian is None else ca.jacobian(model.hamiltonian, model.full_state) @ model.full_rhs
+    evaluate = model.function("check", ca.densify(model.full_rhs), ca.densify(rate))
+    generator = np.random.default_rng(seed)
+    for _ in range(trials):
+        time, point, parameter = _finite_point(model, evaluate, generator)
+        value, change = (np.array(r).ravel() for r in evaluate(time, point, parameter))
+        scale = ROUND_OFF * (1.0 + np.abs(value).max())
+        half = 0.5 * model.forcing_period_at(parameter)
+        images = (("reversal", model.reversal, -1, -time), ("half_period", model.half_period, 1, time + half))
+        for label, signs, sense, at in images:
+            if signs is None:
+                continue
+            image = np.array(evaluate(at, np.array(signs) * point, parameter)[0]).ravel()
+            if not np.abs(image - sense * np.array(signs) * value).max() <= scale:
+                raise ValueError(f"{model.name}: the declared {label} is not a symmetry of the right-hand side")
+        if abs(change[0]) > scale * (1.0 + np.abs(point).sum()):
+            raise ValueError(f"{model.name}: the declared hamiltonian is not conserved")
+
+
+def _finite_point(
+    model: Equations, evaluate: ca.Function, generator: np.random.Generator
+) -> tuple[float, Array, Array]:
+    """A random time, state and parameter at which all is finite: positive where roots and logarithms need it."""
+    time = generator.normal()
+    x, p = (generator.normal(size=count) for count in (model.full_size, model.parameters.numel()))
+    for point, parameter in ((x, p), (x, np.abs(p)), (np.abs(x), np.abs(p))):
+        if all(np.all(np.isfinite(np.array(r))) for r in evaluate(time, point, parameter)):
+            return time, point, parameter
+    raise ValueError(f"{model.name}: the right-hand side or the hamiltonian is not finite at a random point")

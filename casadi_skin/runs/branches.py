@@ -1,0 +1,187 @@
+"""The branches of a run, followed one after the other, each result kept in the journal as it converges."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+
+from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.follow import following_space
+from casadi_skin.orbits.following import Following
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.progress import Progress
+from casadi_skin.results.branch_records import (
+    BranchRecord,
+    CutRecord,
+    EndRecord,
+    known_of,
+    point_record,
+    stability_record,
+)  # fmt: skip
+from casadi_skin.results.journal import Journal
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.tables import Tables
+from casadi_skin.stability.flow import FlowError
+
+BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
+
+
+@dataclass
+class Branches:
+    """What is followed for a request.
+
+    Attributes:
+        branches, seconds: fill as branches end.
+        failures: why a part is not what was asked for, in a line each.
+        tables: rows of what has been computed.
+    """
+
+    request: Request
+    tables: Tables
+    progress: Progress
+    branches: list[Branch] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def _with_stability(self) -> bool:
+        return self.request.scene.stability is not None
+
+    @property
+    def _with_events(self) -> bool:
+        stability = self.request.scene.stability
+        return stability is not None and stability.events
+
+    def follow_all(self, path: Path) -> None:
+        """Follow every branch, with every solution in the journal at `path` before anything else happens to it."""
+        with Journal(path, msgspec.msgpack.Decoder(BranchRecord)) as journal:
+            if journal.fault:
+                self.progress.tell(f"{path}: {journal.fault}; what follows it is dropped and computed again")
+            try:
+                for name, space in self._spaces(journal):
+                    started = time.perf_counter()
+                    with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
+                        self._follow(name, space, journal)
+                        self._seek_changes(name, self.branches[-1])
+                    self.seconds.append(time.perf_counter() - started)
+            except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
+                self.failures.append(str(error))
+
+    @contextmanager
+    def _named(self, where: str) -> Iterator[None]:
+        """Keep a failure of the block in words, so that the next branch is followed."""
+        try:
+            yield
+        except BUILTIN as error:  # not raised by this package, so that it names nothing
+            self.failures.append(f"{where}numbers leave the range of double precision ({error})")
+        except (ArithmeticError, ValueError) as error:
+            self.failures.append(f"{where}{error}")
+
+    def _seek_changes(self, name: str, branch: Branch) -> None:
+        """Every change of stability of a family, where the scene asks for events."""
+        if branch.with_events and isinstance(branch.space, Family):
+            self.progress.say(f"j = {name}: changes of stability")
+            branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
+
+    def _spaces(self, journal: Journal[BranchRecord]) -> Iterator[tuple[str, SolutionSpace]]:
+        """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
+        for family in self.request.families:
+            self.progress.say(f"j = {family.mode}: building")
+            yield str(family.mode), Family(family)
+        scene, table = self.request.scene, self.request.scene.continuation
+        if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
+            return
+        from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
+
+        simulated = None
+        if scene.orbit is not None:
+            simulated = known_cycle(journal.records, self.request.ode, self.request.parameters)
+            if simulated is None:
+                self.progress.say("simulating")
+                simulated = cycle(self.request)
+                journal.append(cycle_record(simulated))
+        self.progress.say("solving")
+        first = first_solution(self.request, simulated)
+        if table is not None:
+            yield (
+                "branch",
+                following_space(
+                    first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
+                ),
+            )
+            if scene.equilibrium is not None:
+                from casadi_skin.runs.diagram import further_spaces
+
+                yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
+            return
+        branch = self._alone(first)
+        self.tables.add("branch", branch.solutions, branch.space)
+        self.branches.append(branch)
+        self.seconds.append(0.0)
+
+    def _alone(self, solution: Solution) -> Branch:
+        """A single orbit or solution as a branch of one point."""
+        end, words = End.REACHED, ""
+        if self._with_stability and not solution.space.knows_stability:
+            try:
+                found = solution.space.floquets([solution.point])[0]
+                solution = solution_at(solution.space, solution.point, found, solution.exact)
+            except FlowError as error:
+                end, words = End.FLOW, str(error)
+        return Branch(solution.space, (solution,), (), self._with_stability, end, words)
+
+    def _follow(self, name: str, space: SolutionSpace, journal: Journal[BranchRecord]) -> None:
+        """Follow one branch to its end; each result goes to the journal before anything else happens.
+
+        An interruption may come before a result is handed over: its row is added then.
+        """
+        with interrupts_deferred():
+            known = known_of(journal.records, name, space, self._with_stability and not space.knows_stability)
+        if known.fault:
+            words = f"{known.fault} in record {known.kept + 1} of {name}; what follows it is dropped and computed again"
+            self.progress.tell(f"{journal.path}: {words}")
+            journal.append(CutRecord(name, known.kept))
+
+        def keep(point: Point, missed: Sequence[Target]) -> None:
+            journal.append(point_record(name, point, missed, self._with_stability))
+
+        following = Following(
+            space, self._with_stability, self._with_events, known.solutions, known.changes,
+            waiting=known.waiting, missed=known.missed, keep=keep,
+        )  # fmt: skip
+        if known.end is not None:
+            self.tables.add(name, following.solutions, space)
+            self.branches.append(following.finished(known.end.end, known.end.detail, known.end.misses))
+            return
+        before, changes = self.tables.count(name, space), list[StabilityChange]()
+        self.tables.add(name, following.solutions, space)
+        try:
+            for result in following:
+                if isinstance(result, StabilityChange):
+                    changes.append(result)
+                    continue
+                sought_again = result.point.special and not result.point.located  # by the multipliers of its neighbours
+                if isinstance(result, Orbit) and self._with_stability and not sought_again:
+                    journal.append(stability_record(name, result, changes))
+                    changes.clear()
+                self.tables.add(name, [result], space)
+                self.progress.solution(result, len(following.solutions))
+        finally:
+            branch = following.branch()
+            if branch.end is None and not branch.stopped:  # interrupted: its changes of stability are not sought now
+                branch = replace(branch, with_events=False)
+            self.branches.append(branch)
+            self.tables.add(name, branch.solutions[self.tables.count(name, space) - before :], space)
+        journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))
