@@ -67,6 +67,7 @@ class Problem(ABC):
     resolution: int
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
+    in_order: bool = False  # whether unknowns and equations come in an order in which factors of dR/dz are sparse
     constants: Array = np.zeros(0)
 
     @abstractmethod
@@ -169,12 +170,16 @@ class Problem(ABC):
 
         Raises ValueError where their number differs.
         """
-        if constants.shape != self.constants.shape:
-            raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
+        self.check_constants(constants)
         _ = self.symbols, self.pattern, self._buffers  # kept by the copy as well
         other = copy.copy(self)
         other.constants = constants
         return other
+
+    def check_constants(self, constants: Array) -> None:
+        """Raises ValueError for another number of constants than there are."""
+        if constants.shape != self.constants.shape:
+            raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
 
     # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
 

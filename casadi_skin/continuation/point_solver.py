@@ -123,6 +123,29 @@ class PointSolver:
         does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
         relative error, where these have been found. Raises SingularError.
         """
+        return self._confirmed(self._climbed(problem, correction, row, held, known), held)
+
+    def _confirmed(self, point: Point | None, held: Scalar | None) -> Point | None:
+        """The point as the corrector's last word has it; raises SingularError where that refuses it."""
+        confirm = None if point is None else getattr(self.levels.corrector(point.problem), "confirm", None)
+        if point is None or confirm is None:
+            return point
+        problem, z = point.problem, point.z
+        row = self.metric(problem, z) * point.tangent if held is None else problem.row_of(held)
+        correction: Correction = confirm(z, row, float(row @ z))
+        if not correction.converged:
+            raise SingularError(f"{correction.status.value} {correction.message}".strip())
+        return point if correction.z is z else replace(point, z=correction.z)
+
+    def _climbed(
+        self,
+        problem: Problem,
+        correction: Correction,
+        row: Array,
+        held: Scalar | None,
+        known: tuple[Point, float] | None,
+    ) -> Point | None:
+        """As `refined`, before the last word."""
         z, iterations, polished, placed = correction.z, correction.iterations, False, False
         coarser: tuple[float, Point] | None = None  # the same point one level below, with its error
         climbed: list[tuple[int, float]] = []
@@ -165,7 +188,9 @@ class PointSolver:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
         point, relative = self._measured(problem, correction, tangent, held)
         finished = point.at_round_off or relative <= self.settings.tolerance
-        return point if finished else self.refined(problem, correction, row, held, (point, relative))
+        if finished:
+            return self._confirmed(point, held)
+        return self.refined(problem, correction, row, held, (point, relative))
 
     def _measured(
         self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None

@@ -27,6 +27,7 @@ from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
+from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -139,7 +140,9 @@ class BoundarySpace:
     def _corrector(self, problem: Problem) -> Corrector:
         """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
-        return RoundedCorrector(methods.CORRECTORS[self.method.corrector].load()(problem, tolerance, ITERATIONS))
+        name = self.method.corrector
+        make = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
+        return RoundedCorrector(make(problem, tolerance, ITERATIONS))
 
     @cached_property
     def point_solver(self) -> PointSolver:

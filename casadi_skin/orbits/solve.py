@@ -80,7 +80,7 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
     statement, point_solver = space.statement, space.point_solver
     resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
     failures = []
-    for problem in _first_problems(point_solver.levels, resolutions, guess):
+    for problem in _first_problems(statement, point_solver.levels, resolutions, guess):
         z = packed(problem, guess)
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
         if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
@@ -126,7 +126,9 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
     return finished if finished.converged else correction
 
 
-def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
+def _first_problems(
+    statement: Statement, levels: Levels, resolutions: Sequence[int], guess: Guess
+) -> Iterator[BoundaryProblem]:
     """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess.
 
     A guess with jumps, which a uniform mesh would miss, gets a mesh along its length before.
@@ -139,11 +141,10 @@ def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) ->
         problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         yield problem
-    for resolution in JUMPS:
-        problem = levels.problem(resolution)
-        assert isinstance(problem, BoundaryProblem)
-        lengths = along_the_guess(problem.statement, guess, resolution)
+    for resolution, lengths in zip(JUMPS, along_the_guess(statement, guess, JUMPS), strict=False):
         if np.min(lengths) < STEEP / resolution:
+            problem = levels.problem(resolution)
+            assert isinstance(problem, BoundaryProblem)
             yield problem.with_constants(lengths)
     for resolution in resolutions:
         problem = levels.problem(resolution)

@@ -184,7 +184,7 @@ class BorderedSolver:
 
         self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
         try:
-            return splu(self._closed).solve
+            return splu(self._closed, permc_spec="NATURAL" if self.problem.in_order else "COLAMD").solve
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
 
