@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -58,14 +58,18 @@ class CollocationEquations(Problem):
     @cached_property
     def discretisation(self) -> Discretisation:
         """The equations on this number of intervals, shared by all problems of the formulation that have it."""
-        key, shared = (self.resolution, self.degree, self.table.ends.size), self.formulation.shared
-        if key not in shared:
-            shared[key] = Discretisation(self.formulation, self.resolution, self.table)
-        found: Discretisation = shared[key]
+        key, known = (self.resolution, self.degree, self.table.ends.size), self.formulation.discretisations
+        if key not in known:
+            known[key] = Discretisation(self.formulation, self.resolution, self.table)
+        found: Discretisation = known[key]
         return found
 
     @property
-    def pattern(self) -> tuple[Indices, Indices]:  # type: ignore[override]
+    def shared(self) -> dict[Any, Any]:
+        return self.discretisation.shared
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
         return self.discretisation.rows, self.discretisation.columns
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:

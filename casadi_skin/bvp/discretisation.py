@@ -1,10 +1,12 @@
 """Residual and Jacobian of collocation on K intervals, assembled by structure from one mapped function of the model.
 
-No symbolic graph of a mesh: what depends on the number of intervals alone (which entry of the Jacobian comes from where)
-is worked out once, and serves all meshes, solvers and solutions of that number; the lengths of intervals are arguments.
+No symbolic graph of a mesh: what depends on the number of intervals alone, as which entry of the Jacobian comes from
+where, is worked out once, and serves all meshes and solutions of that number; lengths of intervals are arguments.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -39,9 +41,11 @@ class Discretisation:
 
     Attributes:
         rows, columns: places of the non-zeros of the Jacobian, column by column.
+        shared: solvers that have been made for these equations, by name.
     """
 
     def __init__(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
+        self.shared: dict[Any, Any] = {}
         self._n, self._K, self._d, self._R = formulation.states, intervals, table.degree, table.ends.size
         self._m, self._table = int(formulation.scalars.numel()), table
         self._states = self._n * (intervals * self._R + 1)

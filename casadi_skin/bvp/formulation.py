@@ -29,8 +29,8 @@ class Formulation:
     integrands: Expression
 
     @cached_property
-    def shared(self) -> dict[Any, Any]:
-        """What has been made of this formulation and serves all who use it: discretisations, symbols, solvers."""
+    def discretisations(self) -> dict[tuple[int, int, int], Any]:
+        """What has been made of this formulation for numbers of intervals, stages and increments."""
         return {}
 
     @property

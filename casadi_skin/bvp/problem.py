@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -171,7 +171,7 @@ class Problem(ABC):
         Raises ValueError where their number differs.
         """
         self.check_constants(constants)
-        _ = self.symbols, self.pattern, self._buffers  # kept by the copy as well
+        _ = self.symbols, self.pattern, self._buffers, self.shared  # kept by the copy as well
         other = copy.copy(self)
         other.constants = constants
         return other
@@ -180,6 +180,15 @@ class Problem(ABC):
         """Raises ValueError for another number of constants than there are."""
         if constants.shape != self.constants.shape:
             raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        """What is made once for all problems that differ from this one in their constants only, by name."""
+        return self._shared
+
+    @cached_property
+    def _shared(self) -> dict[Any, Any]:
+        return {}
 
     # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
 

@@ -22,6 +22,7 @@ COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less 
 START_ERROR = 1e-4  # of the linear mode where a walk starts
 PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
 MEANINGFUL = 1e-3
+ASYMPTOTIC = 1e-2  # relative error below which what finer levels will do is foreseen
 TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
@@ -171,7 +172,8 @@ class PointSolver:
             else:
                 climbed.append((problem.resolution, relative))
                 _check_gain(climbed, point)
-                finer = self.levels.finer(problem, z)
+                excess = relative / self.settings.tolerance if relative < ASYMPTOTIC else 1.0
+                finer = self.levels.finer(problem, z, excess)
                 if finer is None or self.levels.finer(finer) is None:
                     return None
                 polished, placed, target, coarser = False, False, finer, (relative, point)

@@ -141,7 +141,7 @@ class BoundarySpace:
         """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
-        make = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
+        make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
         return RoundedCorrector(make(problem, tolerance, ITERATIONS))
 
     @cached_property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class ArbitratedCorrector:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self._newton = NewtonCorrector(problem, tolerance, STEPS)
 
-    def on(self, problem: CollocationEquations) -> ArbitratedCorrector:
+    def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
         other = copy.copy(self)
         other.problem, other._newton = problem, self._newton.on(problem)
@@ -31,9 +32,8 @@ class ArbitratedCorrector:
 
     def _ipopt(self, one_scalar: bool) -> IpoptCorrector:
         """Ipopt on equations of this number of intervals, built when it is first needed."""
-        shared = self.problem.formulation.shared
-        sizes = (self.problem.resolution, self.problem.degree, self.problem.table.ends.size)
-        key = ("ipopt", *sizes, one_scalar, self.tolerance, self.max_iterations)
+        shared = self.problem.shared
+        key = ("ipopt", one_scalar, self.tolerance, self.max_iterations)
         if key not in shared:
             shared[key] = IpoptCorrector(self.problem, self.tolerance, self.max_iterations, one_scalar)
         found: IpoptCorrector = shared[key]

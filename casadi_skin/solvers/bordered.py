@@ -111,6 +111,14 @@ class BorderedSolver:
         closed = np.insert(rows, ends[1:], size - 1)
         self._closed = csc_matrix((np.zeros(closed.size), closed, np.append(0, self._closing + 1)), shape=(size, size))
 
+    @staticmethod
+    def of(problem: Problem) -> BorderedSolver:
+        """The one that serves all problems that differ in their constants only."""
+        if "bordered" not in problem.shared:
+            problem.shared["bordered"] = BorderedSolver(problem)
+        found: BorderedSolver = problem.shared["bordered"]
+        return found
+
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
 

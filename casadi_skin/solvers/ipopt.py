@@ -95,7 +95,9 @@ class IpoptCorrector:
 
     Its parameters are row, value and the problem's constants.
 
-    With `one_scalar` rows hold scalars alone, which makes sparser matrices. Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
+    With `one_scalar` rows hold scalars alone, which makes sparser matrices.
+
+    Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
     Ipopt gets the Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no
     objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
     """
