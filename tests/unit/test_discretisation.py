@@ -81,7 +81,7 @@ def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert corrector.confirm(z, row, 0.0).z is z
     moved = corrector.confirm(z + 1e-4 * (row == 0.0), row, 0.0)
     np.testing.assert_allclose(moved.z, z, atol=1e-11)
-    refuse = lambda self, z, *_: Correction(z, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
+    refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
     monkeypatch.setattr(IpoptCorrector, "correct", refuse)
     u, v = ca.SX.sym("u"), ca.SX.sym("v")
     model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
