@@ -7,16 +7,15 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.commands import scene_commands, study_commands
+from casadi_skin.commands import study_commands
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
-from casadi_skin.runs.directory import DirectoryError
-from casadi_skin.scene import SceneError
 
 
 class _Parser(argparse.ArgumentParser):
@@ -49,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    run.set_defaults(act=scene_commands.run)
+    run.set_defaults(act="scene_commands:run")
 
     check = commands.add_parser(
         "check",
@@ -58,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Example: casadi-skin check examples/fput_modes.toml",
     )
     check.add_argument("scene", type=Path, metavar="SCENE.toml")
-    check.set_defaults(act=scene_commands.check)
+    check.set_defaults(act="scene_commands:check")
 
     spectrum = commands.add_parser(
         "spectrum",
@@ -69,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
     spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
-    spectrum.set_defaults(act=scene_commands.spectrum)
+    spectrum.set_defaults(act="scene_commands:spectrum")
 
     study_commands.add_studies(commands)
     return parser
@@ -93,9 +92,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _status(arguments: Sequence[str] | None) -> int:
     """Exit status of a command that has said why it is what it is."""
     parsed = _parser().parse_args(arguments)
+    from casadi_skin.runs.directory import DirectoryError  # here: --help needs nothing of it
+    from casadi_skin.scene import SceneError
+
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        return int(parsed.act(parsed))
+        module, name = parsed.act.split(":")
+        return int(getattr(import_module(f"casadi_skin.commands.{module}"), name)(parsed))
     except (SceneError, DirectoryError, InputError) as error:
         print(f"casadi-skin: {error}", file=sys.stderr)
         return WRONG_INPUT

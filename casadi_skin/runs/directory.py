@@ -9,7 +9,8 @@ from enum import Enum
 from pathlib import Path
 
 from casadi_skin.files import leftovers, replacing
-from casadi_skin.scene import FORMATS, Scene, SceneError, parse_scene
+from casadi_skin.methods import FORMATS
+from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"

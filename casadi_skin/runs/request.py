@@ -6,20 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
-from casadi_skin.orbits.follow import for_stability
-from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.method import Method, Targets
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.scene import OrbitTable, Scene
 from casadi_skin.scene.lattice_tables import LatticeTable, UniformTable
 from casadi_skin.scene.model_tables import CONSERVED
+
+if TYPE_CHECKING:  # what a scene of a chain does not need is not loaded
+    from casadi_skin.lattice.lattice import Lattice
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.orbits.guesses import Guess
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ class Request:
                 self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
                 self.scene.accuracy.certify,
             )  # fmt: skip
-            found.append(for_stability(request, self.scene.method.walker) if whole else request)
+            found.append(request.for_stability(self.scene.method.walker) if whole else request)
         return tuple(found)
 
     @property
@@ -121,6 +122,8 @@ def chain_of(scene: Scene) -> Chain:
 
 def lattice_of(table: LatticeTable) -> Lattice:
     """The lattice of a scene; raises ValueError and TypeError, with the place in the table."""
+    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
+
     sites = [Site(s.name, str(s.onsite), str(s.mass), str(s.damping), str(s.drive)) for s in table.site]
     bonds = []
     for bond in table.bond:

@@ -20,7 +20,6 @@ from casadi_skin.scene.tables import (
 )
 from casadi_skin.scene.task_tables import (
     C_PARTS,
-    FORMATS,
     DynamicsTable,
     ExportTable,
     FiguresTable,
@@ -30,7 +29,6 @@ from casadi_skin.scene.task_tables import (
 
 __all__ = [
     "C_PARTS",
-    "FORMATS",
     "PRESETS",
     "PRESET_TOLERANCES",
     "AccuracyTable",

@@ -13,14 +13,14 @@ from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.scene.tables import Finite, Mode, NamedMode, Positive, Table, Tolerance, one_of
 
 Fmi = Literal["3.0", "2.0"]
-Format = Literal["png", "svg", "pdf"]
 CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
 if TYPE_CHECKING:
     Evolver: TypeAlias = str
+    Format: TypeAlias = str
 else:  # the names of integrators are those of the one registry
     Evolver = Literal[tuple(methods.INTEGRATORS)]
+    Format = Literal[methods.FORMATS]
 FMI_VERSIONS: tuple[str, ...] = get_args(Fmi)
-FORMATS: tuple[str, ...] = get_args(Format)
 C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
 
 _MAX_SAMPLES = 1_000_000
@@ -84,7 +84,10 @@ class FiguresTable(Table, frozen=True):
 
     formats: Annotated[
         tuple[Format, ...],
-        Meta(title="Formats in which each picture is written", description=f"a list of {one_of(FORMATS)}; [] for none"),
+        Meta(
+            title="Formats in which each picture is written",
+            description=f"a list of {one_of(methods.FORMATS)}; [] for none",
+        ),
     ] = ("png",)
 
 
