@@ -78,6 +78,9 @@ TASKS = _registry(  # what an object's method does where the object stands below
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),
     chain_equations=("the equations of motion of a chain", "lattice.chain_equations:ChainEquations"),
     certify=("a proof that an orbit exists", "certify.certify:certify"),
+    certify_stability=("a proof of an orbit's stability", "certify.stability:certify_stability"),
+    certify_change=("a proof of a change of stability", "certify.stability:certify_change"),
+    certify_branch=("a proof that a family is one curve", "certify.stretch:certify_branch"),
     threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")

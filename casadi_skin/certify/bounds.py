@@ -201,45 +201,43 @@ class FiniteInverse:
         squares = np.concatenate([[0.0], np.tile(self.odd**2, n)])
         through_square = arb(float(np.max(columns * squares) * (1.0 + ROUNDING))).max(self.beyond / series.square)
         amplitude = arb(0)
-        curvature = dict[tuple[int, int], arb]()
+        second = dict[tuple[int, int], arb]()
         for (i, j), coefficient in series.system.scaled(None):
             for pair in ((i, j), (j, i)):
-                curvature[pair] = curvature.get(pair, arb(0)) + coefficient
-        for value in curvature.values():
+                second[pair] = second.get(pair, arb(0)) + coefficient
+        for value in second.values():
             amplitude = amplitude.max(abs(value))
         through_amplitude = arb(float(self.norms[0])) * amplitude / self.nu**2
-        return above(through_square + through_amplitude + whole * self._curvature(reach))
-
-    def _curvature(self, reach: float) -> arb:
-        """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
-        from flint import arb
-
-        series = self.series
-        norms = [
-            sum((abs(a) * self.nu ** (2 * i + 1) for i, a in enumerate(row)), arb(reach)) for row in series.coefficients
-        ]
-        second = dict[tuple[int, int], arb]()
-        for row in range(series.system.positions):
-            for factors, coefficient in series.system.scaled(row):
-                for a in range(len(factors)):
-                    for b in range(len(factors)):
-                        if a == b:
-                            continue
-                        value = abs(coefficient)
-                        for place, n in enumerate(factors):
-                            value = value * norms[n] if place not in (a, b) else value
-                        pair = factors[a], factors[b]
-                        second[pair] = second.get(pair, arb(0)) + value
-        largest = arb(0)
-        for value in second.values():
-            largest = largest.max(value)
-        return largest
+        return above(through_square + through_amplitude + whole * curvature(series, self.nu, reach))
 
     def constants(self) -> Constants:
         """The three bounds."""
         largest = max(sum(size(a) for a in row) for row in self.series.coefficients)
         reach = LARGEST_RADIUS * largest
         return Constants(self.Y(), self.Z(), self.W(reach), reach)
+
+
+def curvature(series: OddSeries, nu: arb, reach: float) -> arb:
+    """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
+    from flint import arb
+
+    norms = [sum((abs(a) * nu ** (2 * i + 1) for i, a in enumerate(row)), arb(reach)) for row in series.coefficients]
+    second = dict[tuple[int, int], arb]()
+    for row in range(series.system.positions):
+        for factors, coefficient in series.system.scaled(row):
+            for a in range(len(factors)):
+                for b in range(len(factors)):
+                    if a == b:
+                        continue
+                    value = abs(coefficient)
+                    for place, n in enumerate(factors):
+                        value = value * norms[n] if place not in (a, b) else value
+                    pair = factors[a], factors[b]
+                    second[pair] = second.get(pair, arb(0)) + value
+    largest = arb(0)
+    for value in second.values():
+        largest = largest.max(value)
+    return largest
 
 
 def proved_radius(constants: Constants) -> float | None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.arguments import number, short_repr
+from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius, uniqueness_radius
@@ -54,25 +55,31 @@ def certify(orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT) 
         raise ValueError(f"weight: given {weight!r}; accepted: a finite number > 1")
     if harmonics is not None and (isinstance(harmonics, bool) or not isinstance(harmonics, int) or harmonics < 1):
         raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number >= 1")
+    with flint.ctx.workprec(balls.PRECISION), one_thread():
+        family, attempt = best_attempt(orbit, harmonics, weight)
+        return _certificate(orbit, family, attempt)
+
+
+def best_attempt(orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT) -> tuple[Family, Attempt]:
+    """What proves most of an orbit, in the precision of balls that is set; raises ValueError as `certify` does."""
     if not isinstance(orbit.space, Family):
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
     family = provable(orbit.space)
-    with flint.ctx.workprec(balls.PRECISION), one_thread():
-        system = system_of(family.coordinates, orbit.S)
-        if harmonics is not None:
-            return _certificate(orbit, family, _attempt(orbit, system, harmonics, weight))
-        best, H = None, orbit.harmonics + MARGIN
-        for _ in range(TRIALS):
-            attempt = _attempt(orbit, system, H, weight)
-            if best is None or attempt.better_than(best):
-                best = attempt
-            elif not best.proved and attempt.constants.Z > 0.9 * best.constants.Z:
-                break
-            H = int(np.ceil(GROWTH * H))
-            if (best.proved and best.radius <= FINE * best.size) or 1 + system.positions * H > LARGEST:
-                break
-        assert best is not None
-        return _certificate(orbit, family, best)
+    system = system_of(family.coordinates, orbit.S)
+    if harmonics is not None:
+        return family, _attempt(orbit, system, harmonics, weight)
+    best, H = None, orbit.harmonics + MARGIN
+    for _ in range(TRIALS):
+        attempt = _attempt(orbit, system, H, weight)
+        if best is None or attempt.better_than(best):
+            best = attempt
+        elif not best.proved and attempt.constants.Z > 0.9 * best.constants.Z:
+            break
+        H = int(np.ceil(GROWTH * H))
+        if (best.proved and best.radius <= FINE * best.size) or 1 + system.positions * H > LARGEST:
+            break
+    assert best is not None
+    return family, best
 
 
 def provable(family: Family) -> Family:
@@ -106,6 +113,8 @@ class Attempt:
     radius: float  # about the refined coefficients; nan without a proof
     distance: float
     size: float
+    per_amplitude: float = float("nan")  # |A| on the amplitude's equation: what Y grows by per unit of S
+    tangent: Array | None = None  # derivative of the finite unknowns with respect to S, nearly
     fault: str = ""  # why there are no bounds
 
     @property
@@ -123,24 +132,31 @@ class Attempt:
 def _attempt(orbit: Orbit, system: OddSystem, harmonics: int, weight: float) -> Attempt:
     from flint import arb
 
-    nu, square = arb(weight), arb(orbit.Omega**2)
     sites = np.arange(1, system.positions + 1)
     columns = orbit.coefficients(harmonics, sites).T.tolist()
     coefficients = [[(arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
-    start = OddSeries(system, square, coefficients)
+    return attempt_near(OddSeries(system, arb(orbit.Omega**2), coefficients), weight)
+
+
+def attempt_near(start: OddSeries, weight: float) -> Attempt:
+    """The bounds about the zero of the equations that Newton's method finds near a series."""
+    from flint import arb
+
+    nu = arb(weight)
     try:
-        _check_size(system, harmonics)
+        _check_size(start.system, start.harmonics)
         inverse = FiniteInverse(start, nu)
     except ValueError as error:  # too many unknowns, or a singular matrix
         nan = float("nan")
-        return Attempt(start, weight, Constants(nan, nan, nan, nan), nan, nan, nan, str(error))
+        return Attempt(start, weight, Constants(nan, nan, nan, nan), nan, nan, nan, fault=str(error))
     series = _refined(inverse)
     bounds = FiniteInverse(series, nu, inverse.matrix)
     constants = bounds.constants()
     radius = proved_radius(constants)
     distance = _distance(start, series, nu)
     size = balls.above(_norm(series.square, series.coefficients, nu))
-    return Attempt(series, weight, constants, float("nan") if radius is None else radius, distance, size)
+    proved = float("nan") if radius is None else radius
+    return Attempt(series, weight, constants, proved, distance, size, float(bounds.norms[0]), bounds.matrix[:, 0])
 
 
 def _check_size(system: OddSystem, harmonics: int) -> None:
@@ -226,7 +242,7 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt) -> Certificate:
         harmonics=series.harmonics,
         weight=attempt.weight,
         scale=np.array([float(d) for d in series.system.scale]),
-        reason="" if proved else _reason(attempt),
+        reason="" if proved else reason_of(attempt),
         versions=_versions(),
     )
 
@@ -235,7 +251,7 @@ def _ends(ball: arb) -> Interval:
     return balls.below(ball), balls.above(ball)
 
 
-def _reason(attempt: Attempt) -> str:
+def reason_of(attempt: Attempt) -> str:
     """Which constant is too large, and what would help."""
     c, H = attempt.constants, attempt.series.harmonics
     if attempt.fault:

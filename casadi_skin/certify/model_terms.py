@@ -65,7 +65,7 @@ def potential(forces: Sequence[Terms], first: int) -> Terms | None:
 
     A walk over the linear couplings finds the weights, and every derivative is compared, all in fractions.
     """
-    weights = _weights(forces, first)
+    weights = weights_of(forces, first)
     if weights is None:
         return None
     V: dict[tuple[int, ...], Fraction] = {}
@@ -100,7 +100,7 @@ def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
     return total
 
 
-def _weights(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
+def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
     """M_n with M_m dforce_m/dy_n = M_n dforce_n/dy_m at rest, along a walk; None where a part is not reached."""
     weights: dict[int, Fraction] = {first: Fraction(1)}
     queue = deque([first])

@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.special_points import HOPF
@@ -146,6 +147,10 @@ def _print_proofs(branches: list[Branch]) -> None:
             width = max((c.Omega[1] - c.Omega[0] for c in proved), default=0.0)
             words = f"; Omega enclosed to {width:.1e}, orbits to {max(c.radius for c in proved):.1e}" if proved else ""
             print(f"mode {mode_of(branch)}: {len(proved)} of {len(asked)} orbits proved to exist{words}")
+        if asked and branch.with_stability:
+            verdicts = [orbit.proved_stability.verdict for orbit in asked]
+            counts = ", ".join(f"{verdicts.count(v)} {v}" for v in (STABLE, UNSTABLE, UNDECIDED))
+            print(f"mode {mode_of(branch)}: proved stability: {counts}")
 
 
 def _points(run: Run, branch: Branch) -> Table:

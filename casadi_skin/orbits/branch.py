@@ -16,6 +16,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.orbits.certificate import ProvedStretch
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
@@ -286,6 +287,16 @@ class Branch:
                 for _, point in point_solver.between(before, solution.point, (target,)):
                     yield None, point
             before = solution.point
+
+    def certify(self, start: float, end: float) -> ProvedStretch:
+        """A proof that the family is one curve of orbits from S = `start` to `end`, by `certify_branch`."""
+        stretch: ProvedStretch = methods.TASKS["certify_branch"].load()(self, start, end)
+        return stretch
+
+    def certify_change(self, change: StabilityEdge) -> tuple[float, float] | None:
+        """S on both sides of a change of stability, between which it is proved, by `certify_change`; None without."""
+        ends: tuple[float, float] | None = methods.TASKS["certify_change"].load()(self, change)
+        return ends
 
     def to_xarray(self) -> xarray.Dataset:
         """The branch as an xarray Dataset along `point`, with all that its netCDF file has; needs the extra `xarray`.

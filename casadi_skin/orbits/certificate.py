@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from casadi_skin.bvp.problem import Array
 
 Interval = tuple[float, float]
 
 NORM = "|Omega^2| + sum over positions n and odd k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
+STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "not decided"
 NO_ABSENCE = "this is no proof that there is no orbit"
 
 
@@ -82,3 +86,62 @@ class Certificate:
                 f"Y = {c.Y:.3g}, Z = {c.Z:.3g}, W = {c.W:.3g}; {self.harmonics} odd harmonics, nu = {self.weight!r}",
             ]
         )
+
+
+@dataclass(frozen=True, eq=False)
+class ProvedStability:
+    """What is proved of the Floquet multipliers exp(i pi sigma) over half a period, those of q' left out.
+
+    Attributes:
+        verdict: "stable": all are on the unit circle and simple, each with its conjugate alone between two numbers;
+            "unstable": one is off the circle; or "not decided".
+        brackets: intervals of sigma in (0, 1) with an exponent in each, shape (exponents, 2).
+        signatures: their Krein signatures, +1 or -1, shape (exponents,).
+        exponent: one off the real axis, known within `radius`; nan where none is proved.
+        radius: see exponent.
+        S: the amplitude.
+        reason: why it is not decided; empty where it is.
+    """
+
+    verdict: str
+    brackets: Array
+    signatures: NDArray[np.int64]
+    exponent: complex
+    radius: float
+    S: float
+    reason: str = ""
+
+    def __repr__(self) -> str:
+        where = f"at S = {self.S!r}"
+        if self.verdict == STABLE:
+            plus = int(np.sum(self.signatures > 0))
+            counts = f"{plus} of Krein signature +, {self.signatures.size - plus} of -"
+            return f"proved stable {where}: {self.signatures.size} pairs of simple multipliers on the circle, {counts}"
+        if self.verdict == UNSTABLE:
+            return f"proved unstable {where}: an exponent within {self.radius:.2g} of {self.exponent:.6g}"
+        return f"stability {UNDECIDED} {where}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class ProvedStretch:
+    """A stretch of a family on which there is, for each S, one orbit near the computed ones, and all are one curve.
+
+    Attributes:
+        S_start, S_end: where it starts, and how far it is proved.
+        pieces: intervals of S that it was proved on.
+        reason: why it ends before what was asked; empty where it does not.
+    """
+
+    S_start: float
+    S_end: float
+    pieces: int
+    reason: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was asked is proved."""
+        return not self.reason
+
+    def __repr__(self) -> str:
+        words = f"proved from S = {self.S_start!r} to {self.S_end!r} in {self.pieces} pieces: one orbit for each S"
+        return f"{words}, one curve without fold or branch point" + (f"; {self.reason}" if self.reason else "")

@@ -16,7 +16,7 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.certificate import Certificate
+from casadi_skin.orbits.certificate import Certificate, ProvedStability
 from casadi_skin.orbits.coordinates import LOG10, quarter_phases
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.model_coordinates import amplitude_square
@@ -227,6 +227,12 @@ class Orbit(Solution):
     def certificate(self) -> Certificate:
         """The proof that `certify` makes without options, kept."""
         return self.certify()
+
+    @cached_property
+    def proved_stability(self) -> ProvedStability:
+        """A proof that the orbit is stable, or is not, by `casadi_skin.certify.certify_stability`, kept."""
+        proof: ProvedStability = methods.TASKS["certify_stability"].load()(self)
+        return proof
 
     # Stability ------------------------------------------------------------------------------------------------------
 

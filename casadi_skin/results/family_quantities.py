@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.certificate import Certificate
+from casadi_skin.orbits.certificate import STABLE, UNSTABLE, Certificate
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.multiplier_quantities import multiplier_quantities
@@ -107,6 +107,19 @@ FAMILY_PROOFS: tuple[Quantity, ...] = (
 )  # fmt: skip
 
 
+def _proved_stable(place: Place) -> float:
+    """1 or 0 where it is proved, NaN where it is not decided or no proof was asked for."""
+    if _certificate(place) is None:
+        return math.nan
+    return {STABLE: 1.0, UNSTABLE: 0.0}.get(place.orbit.proved_stability.verdict, math.nan)
+
+
+PROVED_STABILITY = Quantity(
+    "proved_stable", "1 where the orbit is proved to be stable, 0 where unstable; empty where neither is",
+    _proved_stable, may_be_empty=True,
+)  # fmt: skip
+
+
 def energy_of(orbit: Orbit) -> float:
     """The energy; NaN for a model without a conserved quantity, infinite where an infinite tail moves along."""
     try:
@@ -124,7 +137,8 @@ def family_quantities(branch: Branch) -> list[Quantity]:
         words = "; ".join(f"{i}: {regime.value}" for i, regime in enumerate(type(first)))
         quantities.append(Quantity("regime", words, lambda p: _regime(p).name.lower(), where=CSV))
         quantities.append(Quantity("regime", words, lambda p: list(type(_regime(p))).index(_regime(p)), where=NETCDF))
-    quantities += FAMILY_PROOFS if branch.space.request.certify else ()
+    if branch.space.request.certify:
+        quantities += [*FAMILY_PROOFS, *([PROVED_STABILITY] if branch.with_stability else [])]
     quantities += FAMILY_ARRAYS
     harmonics = max((orbit.harmonics for orbit in branch.orbits), default=0)
     if branch.space.symmetry.value == 0.25:

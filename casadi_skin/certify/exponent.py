@@ -1,0 +1,195 @@
+"""One Floquet exponent and its vector, enclosed by the theorem of the orbits: off the real axis there is no stability.
+
+Unknowns x = (sigma, w) complex, F = (c w - 1, lambda (sigma + m)^2 w_m + sum over p of G_p w_(m-p)), m even, in the
+norm |sigma| + sum of |w_nm|. The operator A is an approximate inverse of the finite part |m| <= M, and beyond it
+1/(lambda (sigma + m)^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.certify.balls import ROUNDING, above, below, rounded_up
+from casadi_skin.certify.bounds import proved_radius
+from casadi_skin.certify.linearised import Linearised
+from casadi_skin.orbits.certificate import Constants
+from casadi_skin.stability.reduction import ComplexArray
+
+LARGEST = 2500  # rows of the finite part
+FIRST = 8
+GROWTH = 1.5
+STEPS = 8
+REACH = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the Euclidean sense
+
+
+def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, float] | None:
+    """An exponent near `sigma` with a proved radius; None where no finite part of up to LARGEST rows proves one."""
+    highest, last = FIRST, np.inf
+    while (highest + 1) * problem.positions <= LARGEST:
+        pair = _Pair.near(problem, sigma, highest)
+        if pair is not None:
+            constants = pair.constants()
+            radius = proved_radius(constants)
+            if radius is not None:
+                return pair.sigma, radius
+            if constants.Z < 0.5 and 0.5 * last < constants.Y:  # it is rounding, or another exponent is too near
+                return None
+            last = constants.Y
+        highest = 2 * int(np.ceil(0.5 * GROWTH * highest))
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """An approximate eigenpair with |m| <= highest, and the bounds of the theorem about it."""
+
+    problem: Linearised
+    highest: int
+    sigma: complex
+    w: ComplexArray  # shape (harmonics, positions)
+    inverse: ComplexArray
+
+    @classmethod
+    def near(cls, problem: Linearised, sigma: complex, highest: int) -> _Pair | None:
+        """Newton's method from the null vector of the finite part; None where its matrices are singular."""
+        G, square = _toeplitz(problem.blocks, highest, highest), float(problem.square.mid())
+        try:
+            L = G + np.diag(np.repeat(square * (sigma + _harmonics(highest)) ** 2, problem.positions))
+            w = np.asarray(np.linalg.svd(L)[2][-1].conj(), dtype=complex)
+            for _ in range(STEPS):
+                J, residual = _bordered(G, square, sigma, w, highest, w.conj())
+                step = np.linalg.solve(J, residual)
+                sigma, w = complex(sigma - step[0]), w - step[1:]
+                if np.sum(np.abs(step)) < 1e-15:
+                    break
+            inverse = np.linalg.inv(_bordered(G, square, sigma, w, highest, w.conj())[0])
+        except np.linalg.LinAlgError:
+            return None
+        if not (np.isfinite(sigma) and np.all(np.isfinite(inverse))):
+            return None
+        return cls(problem, highest, sigma, w.reshape(-1, problem.positions), np.asarray(inverse, dtype=complex))
+
+    @cached_property
+    def shifts(self) -> ComplexArray:
+        """sigma + m for each finite unknown of w."""
+        return np.repeat(self.sigma + _harmonics(self.highest), self.problem.positions)
+
+    @cached_property
+    def norms(self) -> Array:
+        """Upper bounds of the norms of the columns of the inverse."""
+        return rounded_up(np.abs(self.inverse).sum(axis=0), len(self.inverse))
+
+    @cached_property
+    def tail(self) -> float:
+        """Upper bound of 1/|lambda (sigma + m)^2| beyond the finite part."""
+        nearest = self.highest + 2 - abs(self.sigma)
+        return float("inf") if nearest <= 0 else (1.0 + 16 * ROUNDING) / (below(self.problem.square) * nearest**2)
+
+    @cached_property
+    def size(self) -> float:
+        """Upper bound of |A| on residuals but the first."""
+        return max(float(np.max(self.norms[1:])), self.tail)
+
+    def _image(self, rows: slice, block: Array | ComplexArray, radius: Array) -> Array:
+        """Norms of the columns of A's finite part times a block given by its rows, in modulus within `radius`."""
+        count = 2 * block.shape[0] + 4
+        product = self.inverse[:, rows] @ block
+        lost = self.norms[rows] @ (count * ROUNDING * np.abs(block) + radius)
+        return rounded_up(np.abs(product).sum(axis=0) + rounded_up(lost, count), len(self.inverse))
+
+    def constants(self) -> Constants:
+        """The three bounds about the true linearised equations."""
+        if not np.isfinite(self.tail):
+            return Constants(np.inf, np.inf, np.inf, REACH)
+        return Constants(self._Y(), self._Z(), self._W(), REACH)
+
+    def _Y(self) -> float:
+        """Upper bound of |A F|."""
+        problem, n = self.problem, self.problem.positions
+        wide = self.highest + 2 * (len(problem.blocks) - 1)
+        G = _toeplitz(problem.blocks, wide, self.highest)
+        w = self.w.ravel()
+        values, moduli = G @ w, np.abs(G) @ np.abs(w)
+        beyond = (wide - self.highest) // 2 * n
+        finite = slice(beyond, beyond + w.size)
+        square = float(problem.square.mid())
+        kinetic = square * self.shifts**2 * w
+        error = (2 * w.size + 32) * ROUNDING * moduli
+        error[finite] += 32 * ROUNDING * np.abs(kinetic)
+        values[finite] += kinetic
+        residual = np.concatenate([[np.vdot(w, w) - 1.0], values[finite]])
+        unsure = np.concatenate([[(2 * w.size + 8) * ROUNDING * float(np.vdot(w, w).real)], error[finite]])
+        image = self._image(slice(None), residual[:, None], unsure[:, None])[0]
+        outside = np.delete(np.abs(values) + error, np.arange(finite.start, finite.stop))
+        length = float(rounded_up(np.abs(w).sum(), w.size))
+        moved = problem.radius * length + self._doubt * float(rounded_up(np.abs(self.shifts**2 * w).sum(), w.size))
+        total = image + self.tail * rounded_up(outside.sum(), outside.size) + self.size * moved
+        return float(rounded_up(np.asarray(total), 16))
+
+    @cached_property
+    def _doubt(self) -> float:
+        """Upper bound of the distance of lambda from the double in its middle."""
+        from flint import arb
+
+        return above(abs(self.problem.square - arb(float(self.problem.square.mid()))))
+
+    def _Z(self) -> float:
+        """Upper bound of |I - A DF|."""
+        problem, n, w = self.problem, self.problem.positions, self.w.ravel()
+        square = float(problem.square.mid())
+        reach = 2 * (len(problem.blocks) - 1)
+        G = _toeplitz(problem.blocks, self.highest, self.highest)
+        J, _ = _bordered(G, square, self.sigma, w, self.highest, w.conj())
+        unsure = 16 * ROUNDING * np.abs(J)
+        identity = np.eye(len(J))
+        product = self.inverse @ J
+        count = 2 * len(J) + 4
+        lost = self.norms @ (count * ROUNDING * np.abs(J) + unsure)
+        inside = rounded_up(np.abs(identity - product).sum(axis=0) + rounded_up(lost, count), len(J))
+        outer = _toeplitz(problem.blocks, self.highest, self.highest + reach)
+        edge = reach // 2 * n
+        outer = np.delete(outer, np.arange(edge, outer.shape[1] - edge), axis=1)
+        across = self._image(slice(1, None), outer, np.zeros(outer.shape)) if outer.size else np.zeros(1)
+        sizes = problem.sizes
+        rows = self.tail * float(rounded_up(sizes[0] + 2.0 * sizes[1:].sum(), sizes.size))
+        squares = max(float(np.max(self.norms[1:] * np.abs(self.shifts) ** 2)), 1.0 / below(problem.square))
+        along = self.size * float(rounded_up(2.0 * np.abs(self.shifts * w).sum(), w.size))
+        moved = problem.radius * self.size + self._doubt * max(squares, along)
+        return float(rounded_up(np.asarray(max(np.max(inside), np.max(across)) + rows + moved), 32))
+
+    def _W(self) -> float:
+        """Lipschitz constant of A DF within REACH."""
+        length = float(rounded_up(np.abs(self.w).sum(), self.w.size))
+        beyond = np.sqrt(self.tail / below(self.problem.square)) * (1.0 + 8 * ROUNDING)
+        linear = max(float(np.max(self.norms[1:] * np.abs(self.shifts))), float(beyond))
+        total = above(self.problem.square) * (2.0 * linear + self.size * (REACH + 2.0 * (length + REACH)))
+        return float(rounded_up(np.asarray(total), 32))
+
+
+def _harmonics(highest: int) -> Array:
+    return np.arange(-highest, highest + 1, 2, dtype=float)
+
+
+def _toeplitz(blocks: Array, highest_row: int, highest_column: int) -> Array:
+    """The blocks G_(m - j) for |m| and |j| up to two even numbers."""
+    n = blocks.shape[1]
+    rows, columns = _harmonics(highest_row), _harmonics(highest_column)
+    distance = np.abs(rows[:, None] - columns).astype(int) // 2
+    padded = np.concatenate([blocks, np.zeros((1, n, n))])
+    matrix = padded[np.minimum(distance, len(blocks))]
+    return np.asarray(matrix.transpose(0, 2, 1, 3).reshape(rows.size * n, columns.size * n))
+
+
+def _bordered(
+    G: Array, square: float, sigma: complex, w: ComplexArray, highest: int, c: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """The finite part of DF and of F at (sigma, w)."""
+    shifts = np.repeat(sigma + _harmonics(highest), w.size // (highest + 1))
+    J = np.zeros((w.size + 1, w.size + 1), dtype=complex)
+    J[0, 1:], J[1:, 0] = c, 2.0 * square * shifts * w
+    J[1:, 1:] = G + np.diag(square * shifts**2)
+    return J, np.concatenate([[c @ w - 1.0], J[1:, 1:] @ w])

@@ -1,0 +1,92 @@
+"""The equations linearised about a proved orbit: an enclosure of their coefficients, symmetric where forces are.
+
+lambda v'' = G(theta) v with G = Dphi(q) = sum over even p of G_p exp(i p theta), G_-p = G_p real. The orbit itself is
+known within a radius of the centre, which moves every G_p and lambda: `radius` and `square` hold that too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.certify.balls import Enclosed, above, below, rounded_up
+from casadi_skin.certify.bounds import curvature
+from casadi_skin.certify.model_terms import potential, weights_of
+from casadi_skin.certify.odd_system import OddSeries, OddSystem
+
+if TYPE_CHECKING:
+    from flint import arb
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Enclosures of the coefficients about the true orbit.
+
+    Attributes:
+        blocks: doubles near G_0, G_2, ..., shape (number, positions, positions).
+        radius: bound of the norm of the difference of G and the true one: largest sum over rows and p of moduli in a
+            column; where symmetric, of the norm in the Euclidean sense at every theta as well.
+        square: ball of lambda.
+        symmetric: whether blocks and truth are symmetric matrices.
+    """
+
+    blocks: Array
+    radius: float
+    square: arb
+    symmetric: bool
+
+    @property
+    def positions(self) -> int:
+        return int(self.blocks.shape[1])
+
+    @property
+    def sizes(self) -> Array:
+        """Upper bounds of the norms of the G_p, both Euclidean and by columns, without `radius`."""
+        return _norms(np.abs(self.blocks))
+
+
+def linearised(series: OddSeries, nu: arb, radius: float, reach: float) -> Linearised:
+    """The coefficients at the true orbit, which lies within `radius` of a series.
+
+    In positions in which the matrices are symmetric where the linear couplings have such; `reach` is at least `radius`.
+    """
+    from flint import arb
+
+    n, scale = series.system.positions, _symmetric_scale(series.system)
+    symmetric = scale is not None
+    scale = [arb(1)] * n if scale is None else scale
+    rows = [series.derivatives(m) for m in range(n)]
+    count = max((len(g) for row in rows for g in row.values()), default=1)
+    blocks, radii = np.zeros((count, n, n)), np.zeros((count, n, n))
+    for m, row in enumerate(rows):
+        for k, g in row.items():
+            enclosed = Enclosed.of([value * scale[m] / scale[k] for value in g])
+            blocks[: len(g), m, k], radii[: len(g), m, k] = enclosed.middle, enclosed.radius
+    if symmetric:  # the true matrices are, so that the other triangle encloses an entry as well
+        lower = np.tril(blocks) + np.tril(blocks, -1).swapaxes(1, 2)
+        radii, blocks = radii + 2.0 * np.abs(lower - blocks), lower
+    own = np.concatenate([radii[:1], 2.0 * radii[1:]]).sum(axis=0)
+    moved = curvature(series, nu, reach) * arb(radius) * arb(max(map(above, scale))) / arb(min(map(below, scale)))
+    return Linearised(
+        blocks, above(arb(float(_norms(own[None])[0])) + moved), series.square + arb(0, radius), symmetric
+    )
+
+
+def _symmetric_scale(system: OddSystem) -> list[arb] | None:
+    """Factors s_n with s_n phi_n(q) the negative gradient of a potential of s_n q_n; None where there is none."""
+    from flint import arb, fmpq
+
+    weights = weights_of(system.forces, 0)
+    if weights is None or potential(system.forces, 0) is None:
+        return None
+    factors = [arb(fmpq(w.numerator, w.denominator)).sqrt() * d for w, d in zip(weights, system.scale, strict=True)]
+    return [factor / factors[0] for factor in factors]
+
+
+def _norms(matrices: Array) -> Array:
+    """Upper bounds of the norms of matrices of numbers >= 0, Euclidean and by columns, shape (matrices,)."""
+    largest = np.maximum(matrices.sum(axis=1).max(axis=1), matrices.sum(axis=2).max(axis=1))
+    return rounded_up(largest, matrices.shape[1])

@@ -1,0 +1,119 @@
+"""`certify_stability`: a proof that an orbit is stable, or that it is not, from its linearised equations in balls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.certify import balls
+from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
+from casadi_skin.certify.exponent import enclosed_exponent
+from casadi_skin.certify.inertia import negative_eigenvalues
+from casadi_skin.certify.linearised import Linearised, linearised
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.tongues import StabilityEdge
+from casadi_skin.threads import one_thread
+
+NEAREST = 1e-8  # relative distance from a change at which proofs are tried first
+WIDER = 10.0
+TRIED = 3  # exponents farthest from the axis
+
+
+def certify_stability(orbit: Orbit) -> ProvedStability:
+    """Prove that an orbit is stable, or that it is unstable, to small disturbances of any symmetry.
+
+    Arguments:
+        orbit: an orbit that `certify` accepts.
+
+    Returns:
+        The verdict with what proves it; "not decided" where exponents are too near to each other or to those of q',
+        as at the edges of tongues, or where the orbit itself is not proved.
+
+    Raises:
+        ValueError: the model has no such forces or the orbit no such symmetry, in one line.
+        ImportError: python-flint (the extra "certify") is missing.
+    """
+    flint = balls.flint()
+    with flint.ctx.workprec(balls.PRECISION), one_thread():
+        family, attempt = best_attempt(orbit)
+        if not attempt.proved:
+            return _undecided(orbit, f"the orbit is not proved: {reason_of(attempt)}")
+        problem = linearised(attempt.series, flint.arb(WEIGHT), attempt.radius, attempt.constants.reach)
+        floquet = orbit.floquet()
+        if not isinstance(floquet, ReversibleFloquet) or family.coordinates.mode.size != floquet.mu.size + 1:
+            return _undecided(orbit, "its multipliers were not computed from the whole lattice's reversal")
+        if floquet.stable:
+            return _stable(orbit, problem, np.sort(np.arccos(np.clip(1.0 + 2.0 * floquet.mu.real, -1.0, 1.0)) / np.pi))
+        return _unstable(orbit, problem, floquet)
+
+
+def certify_change(branch: Branch, change: StabilityEdge) -> tuple[float, float] | None:
+    """Prove that a family changes its stability between two values of S, as near to a change as proofs tell them apart.
+
+    Arguments:
+        branch: a family of a model that `certify` accepts.
+        change: one of `branch.changes`.
+
+    Returns:
+        S on either side, in ascending order, proved stable at one and unstable at the other; None where no pair out to
+        a quarter of the tongue's width is. That both lie on one curve of orbits is what `certify_branch` proves.
+
+    Raises:
+        ValueError, ImportError: as `certify`.
+    """
+    distance = max(NEAREST * change.S, 2.0 * change.error)
+    while distance <= max(0.25 * change.width, 2.0 * NEAREST * change.S):
+        ends = change.S - distance, change.S + distance
+        verdicts = {branch.at(S=S).proved_stability.verdict for S in ends}
+        if verdicts == {STABLE, UNSTABLE}:
+            return ends
+        distance *= WIDER
+    return None
+
+
+def _undecided(orbit: Orbit, reason: str) -> ProvedStability:
+    nothing = complex(np.nan, np.nan)
+    return ProvedStability(UNDECIDED, np.zeros((0, 2)), np.zeros(0, np.int64), nothing, np.nan, orbit.S, reason)
+
+
+def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
+    """Numbers of negative eigenvalues between exponents: as many changes as there are pairs leave none elsewhere."""
+    if not problem.symmetric:
+        return _undecided(orbit, "the equations are reversible only: no signatures hold multipliers on the circle")
+    ends = np.concatenate([[0.0], sigma, [1.0]])
+    between = 0.5 * (ends[:-1] + ends[1:])
+    counts = []
+    for place, low, high in zip(between.tolist(), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        count = negative_eigenvalues(problem, place)
+        if count is None:
+            return _undecided(orbit, f"exponents at sigma = {low:.9g} and {high:.9g} are too near to tell them apart")
+        counts.append(count)
+    changes = np.diff(counts)
+    if not np.all(changes % 2):
+        low, high = between[np.flatnonzero(changes % 2 == 0)[0] :][:2].tolist()
+        return _undecided(orbit, f"no exponent is proved between sigma = {low:.9g} and {high:.9g}")
+    brackets = np.stack([between[:-1], between[1:]], axis=1)
+    nothing = complex(np.nan, np.nan)
+    return ProvedStability(STABLE, brackets, -np.sign(changes).astype(np.int64), nothing, np.nan, orbit.S)
+
+
+def _unstable(orbit: Orbit, problem: Linearised, floquet: ReversibleFloquet) -> ProvedStability:
+    """An enclosure off the real axis of one of the exponents that are farthest from it."""
+    sigma = _exponents(floquet)
+    order = np.argsort(-np.abs(sigma.imag))[:TRIED]
+    for start in sigma[order].tolist():
+        found = enclosed_exponent(problem, start)
+        if found is not None and abs(found[0].imag) > found[1]:
+            none = np.zeros((0, 2)), np.zeros(0, np.int64)
+            return ProvedStability(UNSTABLE, *none, *found, orbit.S)
+    farthest = complex(sigma[order[0]])
+    return _undecided(orbit, f"no enclosure of the exponent near sigma = {farthest:.6g} is off the real axis")
+
+
+def _exponents(floquet: ReversibleFloquet) -> ComplexArray:
+    """sigma of the multipliers exp(i pi sigma) over half a period, one of each pair."""
+    return np.asarray(np.log(floquet.root**2) / (1j * np.pi))

@@ -1,0 +1,190 @@
+"""Proofs of stability: what is known otherwise agrees with them, and no bound is too small."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from casadi_skin import Chain, follow_family
+
+flint = pytest.importorskip("flint")
+
+from casadi_skin.certify import balls  # noqa: E402
+from casadi_skin.certify.certify import best_attempt  # noqa: E402
+from casadi_skin.certify.exponent import _bordered, _Pair, _toeplitz, enclosed_exponent  # noqa: E402
+from casadi_skin.certify.inertia import _count, negative_eigenvalues  # noqa: E402
+from casadi_skin.certify.linearised import Linearised, linearised  # noqa: E402
+from casadi_skin.certify.stretch import _distance, _joined, _piece  # noqa: E402
+
+
+def hill(blocks):
+    return Linearised(np.asarray(blocks, float), 0.0, flint.arb(1), True)
+
+
+def dense(problem, sigma, highest):
+    G = _toeplitz(problem.blocks, highest, highest)
+    shifts = np.repeat(sigma + np.arange(-highest, highest + 1, 2), problem.positions)
+    return G + np.diag(float(problem.square.mid()) * shifts**2)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Two equal sites: both in phase, the difference obeys v'' = -(4 + 3 g y^2) v (Lame's equation with n = 2)."""
+    return follow_family(Chain(2, 1.0, 0.0, 1.0), mode=1, amplitude_max=12.0, tolerance=1e-11, stability=True)
+
+
+def exponent_of_difference(orbit):
+    """sigma of the difference of the two sites, from its equation and the orbit's integrated together."""
+
+    def rhs(t, x):
+        y, w, v1, u1, v2, u2 = x
+        k = 4.0 + 3.0 * y * y
+        return [w, -2.0 * y - y**3, u1, -k * v1, u2, -k * v2]
+
+    start = [float(orbit.evaluate(0.0)[0, 0]), 0.0, 1.0, 0.0, 0.0, 1.0]
+    end = solve_ivp(rhs, (0.0, 0.5 * orbit.period), start, rtol=1e-13, atol=1e-13, method="DOP853").y[:, -1]
+    return np.arccos(complex(0.5 * (end[2] + end[5]))) / np.pi
+
+
+def test_brackets_hold_the_exponent_of_lames_equation(pair):
+    for S in (0.5, 3.0, 12.0):
+        orbit = pair.at(S=S)
+        proof, sigma = orbit.proved_stability, exponent_of_difference(orbit)
+        assert proof.verdict == "stable"
+        assert proof.brackets[0, 0] < sigma.real < proof.brackets[0, 1]
+        assert abs(sigma.imag) < 1e-9
+
+
+def test_signatures_are_those_of_linear_modes_at_small_amplitude():
+    chain, mode = Chain(5, 1.0, 0.25, -1.0), 1
+    orbit = follow_family(chain, mode=mode, amplitude_max=1e-4, tolerance=1e-10).at(S=1e-4)
+    proof = orbit.proved_stability
+    assert proof.verdict == "stable"
+    omega = np.sqrt(1.0 + 2.0 - 2.0 * np.sqrt(1 - 0.25**2) * np.cos(np.arange(1, 6) * np.pi / 6))
+    turns = np.delete(omega / omega[mode - 1], mode - 1) % 2.0
+    expected = sorted((min(s, 2.0 - s), 1 if s < 1.0 else -1) for s in turns)
+    for (low, high), signature, (sigma, sign) in zip(proof.brackets, proof.signatures, expected, strict=True):
+        assert low < sigma < high
+        assert signature == sign
+
+
+def test_one_site_is_stable_without_any_other_multiplier():
+    proof = (
+        follow_family(Chain(1, 1.0, 0.0, 1.0), mode=1, amplitude_max=2.0, tolerance=1e-10).at(S=2.0).proved_stability
+    )
+    assert (proof.verdict, len(proof.brackets)) == ("stable", 0)
+
+
+def test_a_change_of_stability_is_proved_and_the_unstable_side_agrees_with_an_integration():
+    chain = Chain(3, 1.0, 0.25, 1.0)
+    branch = follow_family(chain, mode=2, amplitude_max=1.0, tolerance=1e-9, stability=True)
+    (change,) = branch.changes
+    low, high = branch.certify_change(change)
+    assert low < change.S < high < low + 1e-4
+    assert branch.at(S=low).proved_stability.verdict == "stable"
+    proof = branch.at(S=1.0).proved_stability
+    assert proof.verdict == "unstable"
+    orbit, K = branch.at(S=1.0), np.array([[3.0, -0.75, 0.0], [-1.25, 3.0, -0.75], [0.0, -1.25, 3.0]])
+
+    def rhs(t, x):
+        y, V = x[:3], x[6:].reshape(6, 6)
+        return np.concatenate([x[3:6], -K @ y - y**3, np.vstack([V[3:], -(K + 3.0 * np.diag(y**2)) @ V[:3]]).ravel()])
+
+    start = np.concatenate([orbit.evaluate(0.0)[0].ravel()[:3], np.zeros(3), np.eye(6).ravel()])
+    end = solve_ivp(rhs, (0.0, 0.5 * orbit.period), start, rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
+    assert np.max(np.abs(end[:6] + start[:6])) < 1e-8
+    multipliers = np.linalg.eigvals(end[6:].reshape(6, 6))
+    expected = np.exp(1j * np.pi * proof.exponent)
+    assert np.min(np.abs(multipliers - expected)) < 1e-6 + 10.0 * proof.radius
+
+
+# The bounds -----------------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_negative_eigenvalues_are_those_of_large_matrices():
+    generator = np.random.default_rng(1)
+    with flint.ctx.workprec(balls.PRECISION):
+        for _ in range(20):
+            blocks = generator.normal(size=(4, 3, 3)) * np.array([8.0, 3.0, 1.0, 0.3])[:, None, None]
+            problem = hill(blocks + blocks.swapaxes(1, 2))
+            sigma = float(generator.uniform(0.05, 0.95))
+            expected = int(np.sum(np.linalg.eigvalsh(dense(problem, sigma, 60)) < 0.0))
+            assert negative_eigenvalues(problem, sigma) == expected
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("coupling", [0.5, 2.0, 6.0])
+def test_no_finite_part_is_trusted_with_an_eigenvalue_that_the_tail_moves(coupling, sign):
+    """The nearest eigenvalue to 0 of the whole is moved there, to less than what the tail does to the finite part."""
+    with flint.ctx.workprec(balls.PRECISION):
+        for highest in (4, 6, 8):
+            for part in (0.01, 0.3, 0.9):
+                free = hill([[[0.0]], [[coupling]], [[0.4 * coupling]]])
+                whole = np.linalg.eigvalsh(dense(free, 0.3, 80))
+                moved = whole[2] - np.linalg.eigvalsh(dense(free, 0.3, highest))[2]
+                shift = -whole[2] + sign * part * abs(moved)
+                problem = hill([[[shift]], [[coupling]], [[0.4 * coupling]]])
+                expected = int(np.sum(np.linalg.eigvalsh(dense(problem, 0.3, 80)) < 0.0))
+                assert _count(problem, 0.3, highest)[0] in (None, expected)
+
+
+def test_doubt_about_the_orbit_counts():
+    with flint.ctx.workprec(balls.PRECISION):
+        near = hill([[[-(0.3**2) + 1e-6]], [[0.0]]])
+        assert negative_eigenvalues(near, 0.3) is not None
+        assert negative_eigenvalues(replace(near, radius=2e-6), 0.3) is None
+        assert negative_eigenvalues(replace(near, square=flint.arb(1, 3e-5)), 0.3) is None
+
+
+def test_enclosed_exponents_are_bounded_by_dense_operators_and_disturbances():
+    orbit = follow_family(Chain(2, 1.0, 0.2, 1.0), mode=2, amplitude_max=6.0, tolerance=1e-10).at(S=6.0)
+    with flint.ctx.workprec(balls.PRECISION):
+        _, attempt = best_attempt(orbit)
+        problem = linearised(attempt.series, flint.arb(1.02), attempt.radius, attempt.constants.reach)
+        mu = orbit.floquet().mu[0]
+        start = complex(np.log((np.sqrt(mu + 0j) + np.sqrt(1 + mu + 0j)) ** 2) / (1j * np.pi))
+        pair = _Pair.near(problem, start, 12)
+        constants, n = pair.constants(), problem.positions
+        wide = 40  # the whole operator, nearly
+        G = _toeplitz(problem.blocks, wide, wide)
+        square = float(problem.square.mid())
+        inner = (wide - 12) // 2 * n
+        w = np.zeros(G.shape[0], complex)
+        w[inner : inner + pair.w.size] = pair.w.ravel()
+        DF, F = _bordered(G, square, pair.sigma, w, wide, w.conj())
+        shifts = np.repeat(pair.sigma + np.arange(-wide, wide + 1, 2), n)
+        A = np.diag(np.concatenate([[1.0], 1.0 / (square * shifts**2)])).astype(complex)
+        place = np.concatenate([[0], 1 + inner + np.arange(pair.w.size)])
+        A[np.ix_(place, place)] = pair.inverse
+        norm = np.abs(np.eye(len(A)) - A @ DF).sum(axis=0).max()
+        assert norm <= constants.Z
+        assert norm > 0.1 * constants.Z
+        assert np.abs(A @ F).sum() <= constants.Y
+        sigma, radius = enclosed_exponent(problem, start)
+        disturbed = replace(pair, sigma=pair.sigma + 1e-6)
+        for factor in (1.0, 0.5):
+            moved = disturbed.constants()
+            assert factor * 1e-6 * (1.0 - moved.Z) < moved.Y
+        assert abs(sigma - pair.sigma) < 1e-6 + radius
+
+
+# Stretches ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_stretch_of_a_family_is_proved_and_pieces_of_two_families_are_not_joined():
+    branch, other = (
+        follow_family(Chain(2, 1.0, 0.25, 1.0), mode=m, amplitude_max=0.6, tolerance=1e-10) for m in (1, 2)
+    )
+    stretch = branch.certify(0.5, 0.51)
+    assert stretch.complete
+    assert stretch.pieces > 1
+    with flint.ctx.workprec(balls.PRECISION):
+        pieces = [_piece(S, best_attempt(b.at(S=S))[1]) for b, S in ((branch, 0.5), (branch, 0.5005), (other, 0.5005))]
+        assert _joined(pieces[0], pieces[1])
+        assert not _joined(pieces[0], pieces[2])
+        squares = [float(p.attempt.series.square.mid()) for p in pieces]
+        assert _distance(pieces[0].attempt, pieces[2].attempt, 0.0) > abs(squares[0] - squares[2]) > 0.1
+        assert not _joined(replace(pieces[0], half=1e-9), replace(pieces[1], half=1e-9))
+    with pytest.raises(ValueError, match=r"start, end: given 0\.5, 0\.4; accepted: 0 < start < end"):
+        branch.certify(0.5, 0.4)
