@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, number
+from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -23,8 +24,10 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solvers.watch import TimeLimitError, watched
 
-OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker")
+OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker", "time_limit", "progress")
+NOT_METHODS = ("tolerance", "time_limit", "progress")
 TRIES = 6  # resolutions on which a first solution is sought
 JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
 STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
@@ -40,7 +43,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    return tolerance, boundary_method({k: v for k, v in options.items() if k != "tolerance" and v is not None})
+    return tolerance, boundary_method({k: v for k, v in options.items() if k not in NOT_METHODS and v is not None})
 
 
 def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
@@ -59,7 +62,8 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
             shape (times, states); a simulation; another solution.
         options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
             free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
-            `corrector`, `intervals` of the first mesh.
+            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function that is told
+            in words how far the solution is.
 
     Returns:
         The solution with its estimated errors.
@@ -68,11 +72,24 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         ValueError: an argument is out of range.
         BoundaryError: no solution is found to the tolerance.
     """
+    limit, tell = options.get("time_limit"), options.get("progress")
+    if limit is not None and not number("time_limit", limit) > 0.0:
+        raise ValueError(f"time_limit: given {limit!r}; accepted: a number of seconds > 0")
+    if tell is not None and not callable(tell):
+        raise TypeError(f"progress: given {short_repr(tell)}; accepted: a function of words")
     if statement.optimises or statement.bounds:
+        if limit is not None or tell is not None:
+            raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
         optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
         return optimum
     space = space_of(statement, guess, options)
-    return Solution(space, first_point(space, guess))
+    with watched(limit, tell) if limit is not None or tell is not None else nullcontext():
+        try:
+            return Solution(space, first_point(space, guess))
+        except TimeLimitError as error:
+            raise BoundaryError(
+                f"{statement.model.name}: {error}; try a guess nearer by, or a larger tolerance"
+            ) from None
 
 
 def first_point(space: BoundarySpace, guess: Guess) -> Point:

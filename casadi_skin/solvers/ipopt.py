@@ -13,6 +13,7 @@ from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
+from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
 
 _STATUS = {
     SOLVED: Status.CONVERGED,
@@ -80,6 +81,8 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         row, value, scale = held[:size], held[size], held[size + 1]
         found = [None if result is None else np.frombuffer(result) for result in results]
         try:
+            if is_over():  # which ends the iteration
+                raise TimeLimitError
             residual, nonzeros = self._evaluate(z, held[size + 2 :])
         except (ArithmeticError, RuntimeError):
             residual, nonzeros = np.full(size - 1, np.nan), np.full(self._open.size, np.nan)
@@ -156,12 +159,15 @@ class IpoptCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
+        words = f"Ipopt, {self.problem.size} unknowns"
+        heed(words)
         scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
         with interrupts_deferred():
             buffer, trigger, start, held, found = self._buffers
             start[:], size = guess, self.problem.size
             held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, self.problem.constants
             trigger()
+        heed(words)
         stats = buffer.stats()
         words = str(stats["return_status"])
         status = _STATUS.get(words, Status.DIVERGED)

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Correction, Status
+from casadi_skin.solvers.watch import heed
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
 SLOW = 0.1  # of the step before: a longer one with old factors asks for new ones
@@ -34,6 +35,7 @@ class NewtonCorrector:
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
         last, reuse, solve = np.inf, False, None
         for iteration in range(1, self.max_iterations + 1):
+            heed(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
             try:
                 residual, nonzeros = self.problem.evaluate(z)
                 if solve is None or not reuse:

@@ -13,6 +13,7 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundaryError
 from casadi_skin.orbits.solve import space_of
+from casadi_skin.solvers import ipopt, watch
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.ipopt import IpoptCorrector
@@ -101,3 +102,25 @@ def test_solving_again_builds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ca, "nlpsol", build)
     monkeypatch.setattr(Problem, "symbols", property(build))
     assert problem.solve(guess).parameters == first.parameters
+
+
+def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
+    told: list[str] = []
+    problem, guess = oscillator(), lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]
+    problem.solve(guess, progress=told.append)
+    assert "step 1 of Newton's method" in told[0]
+    assert "Ipopt" in told[-1]
+    with pytest.raises(BoundaryError, match=r"the time allowed, 1e-06 s, is over, at step 1 of Newton's method"):
+        problem.solve(guess, time_limit=1e-6)
+    with pytest.raises(ValueError, match="time_limit: given -1; accepted: a number of seconds > 0"):
+        problem.solve(guess, time_limit=-1)
+
+
+def test_ipopt_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, guess = line()
+    row, corrector = problem.parameter_row(), IpoptCorrector(problem)
+    calls = iter(range(1000))
+    monkeypatch.setattr(watch, "is_over", lambda: next(calls) > 1)
+    monkeypatch.setattr(ipopt, "is_over", watch.is_over)
+    with watch.watched(10.0), pytest.raises(watch.TimeLimitError, match="the time allowed, 10 s, is over, at Ipopt"):
+        corrector.correct(guess, row, 0.0)
