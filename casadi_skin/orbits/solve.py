@@ -83,13 +83,13 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
         return optimum
     space = space_of(statement, guess, options)
-    with watched(limit, tell) if limit is not None or tell is not None else nullcontext():
-        try:
+    watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
+    try:
+        with watch:
             return Solution(space, first_point(space, guess))
-        except TimeLimitError as error:
-            raise BoundaryError(
-                f"{statement.model.name}: {error}; try a guess nearer by, or a larger tolerance"
-            ) from None
+    except TimeLimitError as error:
+        advice = "try a guess nearer by, or a larger tolerance"
+        raise BoundaryError(f"{statement.model.name}: {error}; {advice}") from None
 
 
 def first_point(space: BoundarySpace, guess: Guess) -> Point:

@@ -10,13 +10,10 @@ import numpy as np
 from casadi_skin import methods
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.orbits.boundary_space import DEGREE, FIRST
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.find_orbit import UNFOLDING
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
@@ -296,6 +293,10 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
+    from casadi_skin.bvp.stated_problem import PERIOD
+    from casadi_skin.orbits.boundary_space import DEGREE, FIRST
+    from casadi_skin.orbits.find_orbit import UNFOLDING
+
     method, model, problem = request.scene.methods, request.ode, request.problem
     intervals, degree = method.intervals or FIRST, method.degree or DEGREE
     table = methods.COLLOCATION_TABLES[str(method.transcription)].load()(degree)
