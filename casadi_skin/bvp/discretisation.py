@@ -46,6 +46,7 @@ class Discretisation:
 
     def __init__(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
         self.shared: dict[Any, Any] = {}
+        self._at, self._last = (np.empty(0), np.empty(0)), (np.empty(0), np.empty(0))
         self._n, self._K, self._d, self._R = formulation.states, intervals, table.degree, table.ends.size
         self._m, self._table = int(formulation.scalars.numel()), table
         self._states = self._n * (intervals * self._R + 1)
@@ -94,7 +95,18 @@ class Discretisation:
         return parts
 
     def __call__(self, z: Array, lengths: Array) -> tuple[Array, Array]:
-        """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`."""
+        """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
+
+        The last ones are kept: a solution is measured where it was solved.
+        """
+        if not (np.array_equal(z, self._at[0]) and np.array_equal(lengths, self._at[1])):
+            found = self._assembled(z, lengths)
+            for array in found:
+                array.flags.writeable = False
+            self._at, self._last = (z.copy(), lengths.copy()), found
+        return self._last
+
+    def _assembled(self, z: Array, lengths: Array) -> tuple[Array, Array]:
         n, K, d, R, m = self._n, self._K, self._d, self._R, self._m
         values, scalars = z[: self._states].reshape(-1, n), z[self._states :]
         starts = np.cumsum(lengths) - lengths
