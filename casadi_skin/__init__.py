@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from casadi_skin.export.fmu.archive import export_fmu
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
+    from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.maps.run_map import run_map
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
     from casadi_skin.models.saved import read_model, save_model
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.find_orbit import find_orbit
     from casadi_skin.orbits.follow import follow_family
     from casadi_skin.orbits.orbit import Orbit
+    from casadi_skin.results.saving import read_result, save_result
 
 __all__ = [
     "Bond",
@@ -32,6 +35,7 @@ __all__ = [
     "Branch",
     "Chain",
     "Lattice",
+    "LongLattice",
     "OdeModel",
     "Orbit",
     "Site",
@@ -46,7 +50,10 @@ __all__ = [
     "follow_family",
     "import_fmu",
     "read_model",
+    "read_result",
+    "run_map",
     "save_model",
+    "save_result",
     "search_orbit",
     "simulate",
     "smallest_kick",
@@ -61,6 +68,7 @@ def __getattr__(name: str) -> Any:
         "Branch": "orbits.branch",
         "Chain": "lattice.chain",
         "Lattice": "lattice.lattice",
+        "LongLattice": "lattice.long_lattice",
         "OdeModel": "models.ode",
         "Orbit": "orbits.orbit",
         "Site": "lattice.lattice",
@@ -74,7 +82,10 @@ def __getattr__(name: str) -> Any:
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",
         "read_model": "models.saved",
+        "run_map": "maps.run_map",
+        "read_result": "results.saving",
         "save_model": "models.saved",
+        "save_result": "results.saving",
         "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick.smallest_kick",

@@ -13,7 +13,8 @@ from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.commands import study_commands
+from casadi_skin.commands import map_command, start_commands, study_commands
+from casadi_skin.commands.json_output import add_output
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
 
@@ -27,7 +28,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="casadi-skin",
         description="Periodic orbits of lattices and of any model: families, branches, stability, pictures.",
-        epilog="Exit status: 0 done, 1 failed or ended early, 2 wrong input, 130 interrupted.",
+        epilog="Example: casadi-skin new chain && casadi-skin run chain.toml. Exit status: 0 done, 1 failed or ended "
+        "early, 2 wrong input, 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"casadi-skin {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -47,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with a run that was killed, interrupted or ended early"
     )
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
-    run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_output(run)
     run.set_defaults(act="scene_commands:run")
 
     check = commands.add_parser(
@@ -57,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Example: casadi-skin check examples/fput_modes.toml",
     )
     check.add_argument("scene", type=Path, metavar="SCENE.toml")
+    add_output(check)
     check.set_defaults(act="scene_commands:check")
 
     spectrum = commands.add_parser(
@@ -68,9 +71,12 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
     spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
+    add_output(spectrum)
     spectrum.set_defaults(act="scene_commands:spectrum")
 
+    map_command.add_map(commands)
     study_commands.add_studies(commands)
+    start_commands.add_first_steps(commands, parser)
     return parser
 
 
@@ -97,8 +103,11 @@ def _status(arguments: Sequence[str] | None) -> int:
 
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        module, name = parsed.act.split(":")
-        return int(getattr(import_module(f"casadi_skin.commands.{module}"), name)(parsed))
+        act = parsed.act
+        if isinstance(act, str):
+            module, name = act.split(":")
+            act = getattr(import_module(f"casadi_skin.commands.{module}"), name)
+        return int(act(parsed))
     except (SceneError, DirectoryError, InputError) as error:
         print(f"casadi-skin: {error}", file=sys.stderr)
         return WRONG_INPUT

@@ -17,9 +17,9 @@ class Progress:
     """One line on standard error with the place on a branch, points and step; only on a terminal and unless `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self._quiet = quiet
+        self._quiet, self.on_terminal = quiet, not quiet and sys.stderr.isatty()
         self._status: Status | None = None
-        if not quiet and sys.stderr.isatty():  # rich takes time to load
+        if self.on_terminal:  # rich takes time to load
             from rich.console import Console
 
             self._status = Console(stderr=True).status("building", spinner="line")

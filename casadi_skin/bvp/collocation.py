@@ -106,7 +106,7 @@ class CollocationEquations(Problem):
         places = self.places
         repeated = ca.repmat(scalars, 1, K * d)
         at_stages = values[:, stage.tolist()]
-        F, dF_dx, dF_dscalars = self.formulation.field_function.map(K * d)(places, at_stages, repeated)
+        F, dF_dx, dF_dscalars = self.formulation.at_stages(places, at_stages, repeated)
         # Increments from stage derivatives: (K d) x (K rows), each interval scaled by its length.
         weights = ca.kron(ca.diag(self.constants_symbol), ca.DM(table.extended.T))
         collocation = values[:, target.tolist()] - values[:, start.tolist()] - F @ weights

@@ -48,6 +48,20 @@ class Formulation:
         """Function (s, x, sigma) -> (F, sparse dF/dx, dense dF/dsigma)."""
         return self._along("field", self.field, sparse=True)
 
+    def at_stages(self, places: ca.MX, states: ca.MX, scalars: ca.MX) -> list[ca.MX]:
+        """F, dF/dx and dF/dsigma at several stages, one column each.
+
+        An SX function gives all at once. Of a program values have a function of their own: CasADi evaluates all of an
+        MX function, also results that nobody asks for.
+        """
+        count, function = states.size2(), self.field_function
+        found = list(function.map(count)(places, states, scalars))
+        if not function.is_a("SXFunction"):
+            arguments = [self.s, self.x, self.scalars]
+            values = ca.Function("values", arguments, [ca.densify(self.field)])
+            found[0] = values.map(count)(places, states, scalars)
+        return found
+
     @cached_property
     def integrand_function(self) -> ca.Function:
         """Function (s, x, sigma) -> (e, dense de/dx, dense de/dsigma)."""

@@ -188,7 +188,7 @@ class Statement:
         time = t0 + s * (t1 - t0)
         border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
         mean = self.along("mean", _stacked(kind, self.integrals))
-        field = (t1 - t0) * model.vector_field(time, x, p)
+        field = (t1 - t0) * model.field_at(time, x, p)
         return Formulation(s, x, last, scalars, field, border(x, last, p), (t1 - t0) * mean(time, x, p))
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from casadi_skin.commands.json_output import print_json, print_results
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.runs.directory import Existing, check_same_source, prepare
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
@@ -25,12 +26,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
-    name_program(scene, arguments.scene, arguments.quiet)
+    name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
     if not prepare(directory, scene, text, existing):
-        if not arguments.quiet:
+        if arguments.json:
+            print_results(directory, True, ())
+        elif not arguments.quiet:
             print(f"{directory} holds the complete run already")
         return DONE
 
@@ -46,7 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
             status, stopped = INTERRUPTED, "interrupted"
         except OSError as error:
             status, stopped = FAILED, f"casadi-skin: {error.filename or directory}: {error.strerror or error}"
-    if not arguments.quiet:
+    if arguments.json:
+        print_results(directory, status == DONE, [stopped] if stopped else run.reasons())
+    elif not arguments.quiet:
         print_summary(run)
     if stopped:
         print(f"{stopped}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
@@ -59,16 +64,25 @@ def run(arguments: argparse.Namespace) -> int:
 def check(arguments: argparse.Namespace) -> int:
     """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
     scene, _ = read_scene(arguments.scene)
-    name_program(scene, arguments.scene)
+    name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
     from casadi_skin.runs.plan import plan_lines
 
     try:
         lines = plan_lines(request)
+        if scene.map is not None:
+            from casadi_skin.maps.plan import map_lines
+
+            lines += map_lines(scene, request, arguments.scene)
+    except SceneError as error:
+        raise SceneError(f"{arguments.scene}: {error}") from None
     except (ValueError, TypeError) as error:  # of a search that cannot be meant
         raise InputError(f"{arguments.scene}: [search] {error}") from error
-    for subject, words in lines:
-        print(f"{subject:<14}{words}")
+    if arguments.json:
+        print_json([{"subject": subject, "words": words} for subject, words in lines])
+    elif not arguments.quiet:
+        for subject, words in lines:
+            print(f"{subject:<14}{words}")
     return DONE
 
 
@@ -86,9 +100,13 @@ def spectrum(arguments: argparse.Namespace) -> int:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
     from casadi_skin.orbits.spectrum import linear_frequencies
 
-    print("j omega_j")
-    for mode, omega in enumerate(linear_frequencies(request.model, request.parameters), start=1):
-        print(f"{mode} {omega:.15g}")
+    frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
+    if arguments.json:
+        print_json({"omega": frequencies})
+    elif not arguments.quiet:
+        print("j omega_j")
+        for mode, omega in enumerate(frequencies, start=1):
+            print(f"{mode} {omega:.15g}")
     if arguments.out is not None:
         from casadi_skin.runs.writing import write_spectrum
 
@@ -102,11 +120,15 @@ def read_scene(path: Path) -> tuple[Scene, str]:
     return parse_scene(text, str(path)), text
 
 
-def name_program(scene: Scene, path: Path, quiet: bool = False) -> None:
-    """Print which Python file a scene is about to run, if any: a program may do anything, a saved model nothing."""
+def name_program(scene: Scene, path: Path, quiet: bool = False, apart: bool = False) -> None:
+    """Print which Python file a scene is about to run, if any: a program may do anything, a saved model nothing.
+
+    `apart` is on standard error, where standard output is for results alone.
+    """
     if scene.model is not None and scene.model.file.endswith(".py") and not quiet:
         name = str(path.parent / scene.model.file)
-        print(f"{'program':<14}{name if name.isprintable() else repr(name)} is run as Python", flush=True)
+        words = f"{'program':<14}{name if name.isprintable() else repr(name)} is run as Python"
+        print(words, flush=True, file=sys.stderr if apart else sys.stdout)
 
 
 def bound(scene: Scene, path: Path) -> Request:

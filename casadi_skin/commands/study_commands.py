@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from casadi_skin.commands.json_output import add_output, print_results
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 from casadi_skin.methods import FORMATS
 
@@ -23,6 +24,7 @@ def add_studies(commands: Commands) -> None:
         "reproduce",
         help="the paper's figures and claims, recomputed",
         description="Recompute the figures of arXiv:2512.17483, fig1 to fig7, and check its claims.",
+        epilog="Example: casadi-skin reproduce fig3 claims --out results/paper",
     )
     paper.add_argument("targets", nargs="*", metavar="TARGET", help="fig1 ... fig7, claims (default: all)")
     paper.set_defaults(study=_paper, out=Path("results/paper"))
@@ -31,6 +33,7 @@ def add_studies(commands: Commands) -> None:
         "tradeoff",
         help="what accuracy costs, method by method",
         description="Measure time, memory and true errors of every method and tolerance on one family.",
+        epilog="Example: casadi-skin tradeoff examples/softening_end_breather.toml --quick",
     )
     work.add_argument(
         "scene",
@@ -48,6 +51,7 @@ def add_studies(commands: Commands) -> None:
         "honesty",
         help="whether estimated errors are honest, on random cases",
         description="Compare estimated with true errors of random orbits; exit status 1 where they are not honest.",
+        epilog="Example: casadi-skin honesty --cases 20 --seed 1",
     )
     errors.add_argument("--cases", type=int, default=200, metavar="K", help="number of cases (default: 200)")
     errors.add_argument("--seed", type=int, default=0, metavar="K", help="of the draw (default: 0)")
@@ -59,6 +63,7 @@ def add_studies(commands: Commands) -> None:
         help="hard cases: where results hold, and where they are refused",
         description="Check orbits and multipliers at the extremes of every parameter by independent means; exit "
         "status 1 where a case neither holds nor is refused as expected.",
+        epilog="Example: casadi-skin extremes --quick",
     )
     hard.add_argument("--quick", action="store_true", help="the shorter cases alone")
     hard.set_defaults(study=_stress_test, out=Path("results/extremes"))
@@ -69,7 +74,7 @@ def add_studies(commands: Commands) -> None:
         words = "format of its pictures, once for each that is wanted (default: png)"
         parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
         parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
-        parser.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+        add_output(parser)
         parser.set_defaults(act="study_commands:run_study")
 
 
@@ -80,8 +85,6 @@ def run_study(arguments: argparse.Namespace) -> int:
     study: Study = arguments.study(arguments)
     study.formats = arguments.formats or study.formats
     prepare_study(study.directory, arguments.overwrite)
-
-    from rich.console import Console
 
     from casadi_skin.progress import Progress
 
@@ -95,13 +98,26 @@ def run_study(arguments: argparse.Namespace) -> int:
             words = f"interrupted after {study.done} {study.part}" if interrupted else f"casadi-skin: {error}"
             print(f"{words}; the results so far are in {study.directory}", file=sys.stderr)
             return INTERRUPTED if interrupted else FAILED
+    faults = [str(fault) for fault in study.faults]
+    if arguments.json:
+        print_results(study.directory, not faults, faults)
+    elif not arguments.quiet:
+        _print_report(study)
+    if arguments.json or arguments.quiet:  # the report would have told them
+        for fault in faults:
+            print(f"casadi-skin: {fault}", file=sys.stderr)
+    return FAILED if faults else DONE
+
+
+def _print_report(study: Study) -> None:
+    from rich.console import Console
+
     for item in study.report():
         if isinstance(item, str):
             print(item)
         else:
             Console().print(item)
     print(f"{study.done} {study.part}; {len(study.files)} files in {study.directory}")
-    return FAILED if study.faults else DONE
 
 
 # The study of a command ---------------------------------------------------------------------------------------------

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.special_points import HOPF
+from casadi_skin.orbits.special_points import DOUBLING, HOPF, TORUS
 from casadi_skin.results.family_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.runs.writing import mode_of
@@ -41,7 +40,7 @@ def print_summary(run: Run) -> None:
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
-    elif isinstance(branches[0].solutions[0] if branches else None, Equilibrium):
+    elif branches and run.request.scene.has_diagram:
         Console().print(_diagram(run, branches))
     elif branches:
         Console().print(_points(run, branches[0]))
@@ -110,11 +109,12 @@ def _diagram(run: Run, branches: list[Branch]) -> Table:
         first, last = branch.solutions[0], branch.solutions[-1]
         rows.append(("start", first.parameters, "", _stability(branch, 0)))
         for point in branch.special_points:
-            words = point.criticality if point.kind == HOPF else ""
+            words = point.criticality if point.kind in (HOPF, DOUBLING, TORUS) else ""
             rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
         if len(branch) > 1:
             rows.append(("end", last.parameters, "", _stability(branch, -1)))
-        what = "cycles" if isinstance(first, Orbit) else "curve" if branch.space.free else "equilibria"
+        curve = bool(getattr(branch.space, "kind", ""))
+        what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "equilibria"
         for kind, values, error, words in rows:
             shown = [f"{values[key]:.10g}" for key in (name, *([second.parameter] if second else [])) if key]
             table.add_row(f"{number + 1}: {what}", kind, *shown, error, words)

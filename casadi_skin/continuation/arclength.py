@@ -65,9 +65,8 @@ class ArclengthContinuation:
                 return
             self.history = (*self.history, following)[-HISTORY:]
             yield following.snapped(self.settings.at)
-            lowest = self.settings.parameter_min
-            if sign * following.parameter <= lowest * abs(self.settings.parameter_max):
-                self.end = End.RETURNED if lowest == 0.0 else End.AWAY
+            if sign * following.parameter <= self.settings.lowest * abs(self.settings.parameter_max):
+                self.end = End.RETURNED if self.settings.parameter_min == 0.0 else End.AWAY
                 return
         self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
 

@@ -39,6 +39,10 @@ class PointSolver:
     def metric(self, problem: Problem, z: Array) -> Array:
         return problem.metric(z, abs(self.settings.parameter_max))
 
+    def distance(self, problem: Problem, z: Array, other: Array) -> float:
+        """Distance of two states in the metric at the first one."""
+        return float(np.sqrt(np.sum(self.metric(problem, z) * (other - z) ** 2)))
+
     def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
         """Solver of the Jacobian at z closed by `row`; raises SingularError."""
         return self.levels.solver(problem).factor(z, problem.evaluate(z)[1], row)
@@ -101,7 +105,7 @@ class PointSolver:
         if not correction.converged or problem.frequency(correction.z) <= 0:
             self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
             return None
-        distance = float(np.sqrt(np.sum(self.metric(problem, guess) * (correction.z - guess) ** 2)))
+        distance = self.distance(problem, guess, correction.z)
         allowed = self.settings.guard_distance * reach
         if distance <= allowed:
             return correction

@@ -54,6 +54,7 @@ class ContinuationSettings:
     min_step: float = 1e-7
     max_points: int = 20_000
     parameter_min: float = 0.0  # of parameter_max: the walk ends where it comes back to this
+    closing: bool = False  # from there it goes on as far to the other side, for what may close
     tiny_first: bool = True  # a point next to the start is among the first ones, where that has no amplitude
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
@@ -64,6 +65,11 @@ class ContinuationSettings:
         """Where the walk ends, whichever comes first."""
         end = Target(Scalar.PARAMETER, self.parameter_max)
         return (end,) if self.Omega_end is None else (end, Target(Scalar.OMEGA, self.Omega_end))
+
+    @property
+    def lowest(self) -> float:
+        """Of parameter_max: where the walk ends at the latest when it comes back."""
+        return -1.0 if self.closing else self.parameter_min
 
     @property
     def wanted(self) -> dict[Target, bool]:
@@ -78,9 +84,15 @@ class End(Enum):
     NO_STEP = "no step, however short, stays on the family"
     RESOLUTION = "the orbit needs a finer discretisation than the finest there is"
     RETURNED = "the family came back to zero amplitude"
-    AWAY = "the branch went as far to the other side as the value asked for is to this side"
+    CLOSED = "the branch closed on itself: it is a closed curve, and all of it is there"
+    AWAY = "the branch came back and went on beyond its start, as far as it was to go there"
     HOPF = "the cycle shrinks to an equilibrium at a Hopf point"
     TAKENS = "the Hopf points end at a Bogdanov-Takens point, with frequency zero"
+    BAUTIN = "the cycles shrink to an equilibrium at a generalized Hopf point"
+    HOPF_HOPF = "the cycles shrink to an equilibrium at a Hopf-Hopf point"
+    ZERO_HOPF = "the cycles shrink to an equilibrium at a zero-Hopf point"
+    RESONANCE_ONE = "the tori end at a 1:1 resonance"
+    RESONANCE_TWO = "the tori end at a 1:2 resonance"
     POINTS = "the limit on the number of points was reached"
     LIMIT = "S no longer changes in double precision while the period grows"
     FLOW = "the flow map of the variational system cannot reach the tolerance"
@@ -138,7 +150,8 @@ def known_end(settings: ContinuationSettings, points: Sequence[Point]) -> End | 
     last = points[-1]
     if any(float(last.z[i]) == value for i, value in (end.unknown(last.problem) for end in settings.ends)):
         return End.REACHED
-    returned = len(points) > 1 and np.sign(settings.parameter_max) * last.parameter <= 0
+    lowest = settings.lowest * abs(settings.parameter_max)
+    returned = len(points) > 1 and np.sign(settings.parameter_max) * last.parameter <= lowest
     return End.RETURNED if returned else None
 
 

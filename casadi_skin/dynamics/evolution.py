@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
+from casadi_skin.result import Result
 
 FEWEST = 40  # output times that a cycle is looked for in
 AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
@@ -21,7 +22,7 @@ CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's s
 
 
 @dataclass(frozen=True, eq=False)
-class Evolution:
+class Evolution(Result):
     """States of a model in time; dimensionless, or in the units of the model.
 
     Attributes:
@@ -44,6 +45,11 @@ class Evolution:
     coordinates: str
     evaluations: int
     step: float | None = None
+
+    def __repr__(self) -> str:
+        name = getattr(self.model, "name", None) or repr(self.model)
+        times = f"{self.t.size} times from {self.t[0]:g} to {self.t[-1]:g}"
+        return f"<Evolution of {name}: {times}, {self.states.shape[1]} components, by {self.method}>"
 
     @property
     def model(self) -> Any:
@@ -201,6 +207,9 @@ class Cycle:
     evolution: Evolution
     start: float
     period: float
+
+    def __repr__(self) -> str:
+        return f"<Cycle: from t = {self.start:.6g}, period {self.period:.10g}>"
 
     @property
     def times(self) -> Array:

@@ -16,6 +16,7 @@ from casadi_skin.integrators.trajectory import IntegrationError, Integrator, Tra
 from casadi_skin.models.ode import OdeModel
 
 SYMPLECTIC = "symplectic"
+FAR = 1e6  # times the largest component, beyond which a state has escaped
 
 
 def evolve(
@@ -89,9 +90,31 @@ def _evolved(
     how = (method, tolerance, coordinates, trajectory.evaluations, trajectory.step)
     evolution = Evolution(equations, times[: len(states)], states, *how)
     if failure is not None:
-        why = f"; {equations.escape}" if equations.escape else ""
+        reason = equations.escape or escape_of(equations, states[-1] if len(states) else start, times[-1])
+        why = f"; {reason}" if reason else ""
         raise EvolutionError(f"{failure}{why}", evolution if len(states) else None) from failure
     return evolution
+
+
+def escape_of(equations: EquationsOfMotion, state: Array, duration: float) -> str:
+    """Which component runs to infinity from a state in finite time, in words; empty where none does soon."""
+    from scipy.integrate import solve_ivp
+
+    field, values = equations.physical.vector_field, equations.values
+    far = FAR * max(1.0, float(np.max(np.abs(state))))
+
+    def passed(time: float, x: Array) -> float:
+        return float(np.max(np.abs(x[: equations.positions or None]))) - far
+
+    passed.terminal = True  # type: ignore[attr-defined]
+    with np.errstate(all="ignore"):
+        found = solve_ivp(
+            lambda time, x: np.array(field(time, x, values)).ravel(), (0.0, duration), state, "DOP853",
+            events=passed, rtol=1e-6, max_step=duration,
+        )  # fmt: skip
+    if found.status != 1:
+        return ""
+    return f"{equations.names[int(np.argmax(np.abs(found.y[: equations.positions or None, -1])))]} runs to infinity"
 
 
 def _integrator(method: str, step: float | None) -> Integrator:

@@ -9,22 +9,20 @@ axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
-from casadi_skin.equilibria.crossings import End, Stretch, crossings, end_of, height, matched
+from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.location import HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.statics import ComplexArray
+from casadi_skin.equilibria.stretch import Stretch, crossings, height
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import NotLocatedError
-
-if TYPE_CHECKING:
-    from casadi_skin.equilibria.curve import CurveSpace
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
@@ -33,13 +31,21 @@ VANISHES = 1e-4  # of its terms: the first Lyapunov coefficient where it has a r
 Test = Callable[[Point], float]
 
 
-def special_on_curve(space: CurveSpace, before: Point, after: Point) -> Iterator[Point]:
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Folds or Hopf points (`kind`) that are followed, by their equations."""
+
+    equations: EquilibriumEquations
+    kind: str
+
+
+def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
     found = [_root(space, before, after, kind, test) for kind, test in _tests(space, before, after)]
     yield from (point for _, point in sorted(found, key=lambda entry: entry[0]) if not _is_pole(space, point))
 
 
-def _is_pole(space: CurveSpace, point: Point) -> bool:
+def _is_pole(space: Followed, point: Point) -> bool:
     """Whether the first Lyapunov coefficient changes its sign through infinity, as it does at a zero-Hopf point."""
     if point.special != BAUTIN:
         return False
@@ -47,12 +53,11 @@ def _is_pole(space: CurveSpace, point: Point) -> bool:
     return bool(abs(np.sum(terms)) > VANISHES * np.sum(np.abs(terms)))
 
 
-def _tests(space: CurveSpace, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
+def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
     """Kinds of the points that are passed, each with a function that changes its sign there."""
     hopf = space.kind == HOPF
-    curve, length = space.point_solver.curve(before, after)
-    ends = [_others(space, end_of(p, curve.slope(s))) for p, s in ((before, 0.0), (after, length))]
-    stretch = Stretch(ends[0], ends[1], curve, length)
+    whole = Stretch.of((space.equations.sample(before), space.equations.sample(after)), "real parts")
+    stretch = whole.without(lambda sample: _critical(space, sample.point, sample.values))
     if hopf and _kappa(before) * _kappa(after) < 0.0:
         yield TAKENS, _kappa
         return
@@ -60,12 +65,11 @@ def _tests(space: CurveSpace, before: Point, after: Point) -> Iterator[tuple[str
         quadratic = _quadratic(space, before)
         if quadratic(before) * quadratic(after) < 0.0:
             yield CUSP, quadratic
-    order = matched(stretch)
-    reals, pairs = crossings(stretch, order)
+    reals, pairs = crossings(stretch)
     for _ in reals:
         yield (ZERO_HOPF if hopf else TAKENS), _tracked(space, 0j)
     for place in pairs:
-        at = 1j * height(stretch.first.values[place], stretch.last.values[order][place])
+        at = 1j * height(stretch.first.values[place], stretch.last.values[stretch.order][place])
         yield (HOPF_HOPF if hopf else ZERO_HOPF), _tracked(space, at)
     if hopf:
 
@@ -79,9 +83,9 @@ def _tests(space: CurveSpace, before: Point, after: Point) -> Iterator[tuple[str
             return
 
 
-def _quadratic(space: CurveSpace, reference: Point) -> Test:
+def _quadratic(space: Followed, reference: Point) -> Test:
     """The quadratic coefficient of a fold, with the left null vector turned as at a reference."""
-    n = space.statics.size
+    statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
 
     def left(point: Point) -> Array:
         return np.asarray(np.linalg.svd(jacobian_of(cast(ExtendedSystem, point.problem), point.z))[0][:, -1])
@@ -89,8 +93,8 @@ def _quadratic(space: CurveSpace, reference: Point) -> Test:
     first = left(reference)
 
     def test(point: Point) -> float:
-        problem, psi, v = cast(ExtendedSystem, point.problem), left(point), space.sizes * point.z[n : 2 * n]
-        curved = space.statics.second(problem.state(point.z), problem.parameters(point.z), v, v).real / space.sizes
+        problem, psi, v = cast(ExtendedSystem, point.problem), left(point), sizes * point.z[n : 2 * n]
+        curved = statics.second(problem.state(point.z), problem.parameters(point.z), v, v).real / sizes
         return float(psi @ curved) * float(np.sign(psi @ first))
 
     return test
@@ -100,14 +104,7 @@ def _kappa(point: Point) -> float:
     return cast(HopfSystem, point.problem).kappa(point.z)
 
 
-def _others(space: CurveSpace, end: End) -> End:
-    """An end without its critical eigenvalues: the zero of a fold, the pair of a Hopf point."""
-    keep = np.ones(end.values.size, dtype=bool)
-    keep[_critical(space, end.point, end.values)] = False
-    return replace(end, values=end.values[keep], rates=end.rates[keep])
-
-
-def _critical(space: CurveSpace, point: Point, values: ComplexArray) -> list[int]:
+def _critical(space: Followed, point: Point, values: ComplexArray) -> list[int]:
     """Places of the critical eigenvalues."""
     if space.kind != HOPF:
         return [int(np.argmin(np.abs(values)))]
@@ -119,7 +116,7 @@ def _critical(space: CurveSpace, point: Point, values: ComplexArray) -> list[int
     return [first, int(np.argmin(rest))]
 
 
-def _tracked(space: CurveSpace, at: complex) -> Test:
+def _tracked(space: Followed, at: complex) -> Test:
     """The real part of the eigenvalue, but the critical ones, that is nearest to a place on the imaginary axis.
 
     Near zero its sum with the zero of a fold is taken, which is smooth where both are one.
@@ -136,27 +133,27 @@ def _tracked(space: CurveSpace, at: complex) -> Test:
     return test
 
 
-def _lyapunov(space: CurveSpace, point: Point) -> Array:
+def _lyapunov(space: Followed, point: Point) -> Array:
     """The terms of the first Lyapunov coefficient at a point of a curve of Hopf points."""
     problem = cast(ExtendedSystem, point.problem)
     x, p = problem.state(point.z), problem.parameters(point.z)
-    A = space.statics.jacobian(x, p)
+    A = space.equations.statics.jacobian(x, p)
     near = cast(HopfSystem, problem)
     omega, q, adjoint = critical_pair(A, near.rate * float(np.sqrt(max(near.kappa(point.z), 0.0))))
-    return lyapunov_terms(space.statics, x, p, A, omega, q, adjoint)
+    return lyapunov_terms(space.equations.statics, x, p, A, omega, q, adjoint)
 
 
-def _root(space: CurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point]:
+def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point]:
     """The point between two where a test vanishes, with its place; raises NotLocatedError."""
     from scipy.optimize import brentq
 
-    known = {0.0: before, 1.0: after}
+    known, solver = {0.0: before, 1.0: after}, space.equations.point_solver
 
     def value(fraction: float) -> float:
         if fraction not in known:
-            point = space.point_solver.along(before, after, fraction)
+            point = solver.along(before, after, fraction)
             if point is None:
-                raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
+                raise NotLocatedError(f"a point of kind {kind} cannot be located: {solver.failure}")
             known[fraction] = point
         return test(known[fraction])
 
@@ -165,7 +162,7 @@ def _root(space: CurveSpace, before: Point, after: Point, kind: str, test: Test)
     point = known[root]
     beside = sorted(known, key=lambda fraction: abs(fraction - root))[1]
     width = abs(float(known[beside].z[-1] - point.z[-1])) if abs(beside - root) < 1e-6 else FINE
-    _, length = space.point_solver.curve(before, after)
+    _, length = solver.curve(before, after)
     moved = min(width, 10.0 * FINE * length) + point.error.relative(1.0)
     error = replace(point.error, parameter=float(moved))
     return root, replace(point, error=error, requested=False, walked=False, special=kind)

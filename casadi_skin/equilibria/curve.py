@@ -11,11 +11,12 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.equilibria.codimension_two import TAKENS, special_on_curve
+from casadi_skin.equilibria.codimension_two import TAKENS, Followed, special_on_curve
+from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import FOLD, HOPF, SYSTEMS, jacobian_of
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
-from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace, corrector_of
+from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import following_settings
@@ -59,7 +60,7 @@ class CurveSpace(EquilibriumSpace):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Points of codimension two on the stretch between two points, in order."""
-        yield from special_on_curve(self, before, after)
+        yield from special_on_curve(Followed(self, self.kind), before, after)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""
@@ -74,6 +75,7 @@ def curve(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
@@ -83,7 +85,7 @@ def curve(
         point: the fold or Hopf point.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
-        at, max_points, max_step, until, progress: as in `follow`.
+        at, max_points, max_step, back_to, until, progress: as in `follow`.
 
     Returns:
         The curve as a branch of equilibria; its special points are those of codimension two: "cusp", "bogdanov-takens",
@@ -94,12 +96,19 @@ def curve(
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError: the curve cannot be started.
     """
-    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
 
 
 def curve_space(
-    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float],
+    max_points: int,
+    max_step: float,
+    back_to: float | None = None,
 ) -> CurveSpace:
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     solution = point.solution
@@ -108,7 +117,9 @@ def curve_space(
     if parameter == point.parameter:
         others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
     return replace(_started(point, parameter, float(to), tuple(float(value) for value in at)), settings=settings)
 
 
@@ -124,7 +135,7 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     second = Course(point.parameter, p0, p0 + (course.to - course.start))
     rate = point.frequency if point.kind == HOPF else 1.0
     space = CurveSpace(
-        statics, old.tolerance, old.corrector, sizes, parameter, to, at, kind=point.kind, second=second, rate=rate
+        statics, old.tolerance, old.corrector, sizes, parameter, to, at=at, kind=point.kind, second=second, rate=rate
     )
     try:
         _ = space.problem.function

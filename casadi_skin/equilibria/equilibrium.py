@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.problem import AlgebraicProblem
 from casadi_skin.equilibria.statics import ComplexArray, Spectrum
 from casadi_skin.orbits.solution import Solution, as_times
 
-if TYPE_CHECKING:
-    from casadi_skin.equilibria.space import EquilibriumSpace
+
+class HasSpectrum(Protocol):
+    """What an equilibrium asks of the space that it belongs to, beside what any solution does."""
+
+    def spectrum(self, point: Point) -> Spectrum:
+        """Eigenvalues at a point."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +67,7 @@ class Equilibrium(Solution):
     @property
     def spectrum(self) -> Spectrum:
         """Eigenvalues with their errors."""
-        return cast("EquilibriumSpace", self.space).spectrum(self.point)
+        return cast(HasSpectrum, self.space).spectrum(self.point)
 
     @property
     def eigenvalues(self) -> ComplexArray:

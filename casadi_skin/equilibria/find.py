@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from casadi_skin import methods
 from casadi_skin.arguments import by_name, check_name, number, short_repr, whole
 from casadi_skin.bvp.problem import Array
+from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import sizes_of
-from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace, corrector_of
+from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.solvers.corrector import Correction

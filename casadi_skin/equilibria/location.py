@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, SingularError
+from casadi_skin.equilibria.equations import EquilibriumEquations, corrector_of
 from casadi_skin.equilibria.problem import AlgebraicProblem, ExactLevels
 from casadi_skin.equilibria.systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem
-
-if TYPE_CHECKING:
-    from casadi_skin.equilibria.space import EquilibriumSpace
 
 FOLD, BRANCH_POINT, HOPF = "fold", "branch point", "hopf"
 SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}
@@ -41,12 +38,12 @@ class Located:
         return float(self.system.rate * np.sqrt(self.system.kappa(self.solution)))
 
 
-def system_of(space: EquilibriumSpace, kind: str, rate: float) -> ExtendedSystem | None:
+def system_of(equations: EquilibriumEquations, kind: str, rate: float) -> ExtendedSystem | None:
     """The extended system for special points of a kind on a branch; None where derivatives it needs are not there."""
-    known = space.systems
+    known = equations.systems
     if kind not in known:
-        assert space.course is not None
-        system = SYSTEMS[kind](space.statics, space.sizes, (space.course,), rate=rate)
+        assert equations.course is not None
+        system = SYSTEMS[kind](equations.statics, equations.sizes, (equations.course,), rate=rate)
         try:
             _ = system.function
         except (RuntimeError, NotImplementedError):  # the model is a black box with first derivatives alone
@@ -56,20 +53,20 @@ def system_of(space: EquilibriumSpace, kind: str, rate: float) -> ExtendedSystem
     return known[kind]
 
 
-def locate(space: EquilibriumSpace, kind: str, y: Array, s: float, near: complex | None = None) -> Located | None:
+def locate(
+    equations: EquilibriumEquations, kind: str, y: Array, s: float, near: complex | None = None
+) -> Located | None:
     """The special point of a kind near (y, s); None where Newton's method finds none there.
 
     `near` tells which pair of eigenvalues a Hopf point has.
     """
-    from casadi_skin.equilibria.space import corrector_of
-
-    matrix = jacobian_of(space.problem, np.append(y, s))
-    system = system_of(space, kind, abs(near or 0.0) or 1.0)
+    matrix = jacobian_of(equations.problem, np.append(y, s))
+    system = system_of(equations, kind, abs(near or 0.0) or 1.0)
     if system is None:
         return None
     try:
         problem, z = system.started(matrix, y, np.array([s]), near)
-        correction = corrector_of("newton", space.tolerance, problem).correct(z, problem.parameter_row(), 0.0)
+        correction = corrector_of("newton", equations.tolerance, problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:
             return None
         return measured(problem, correction.z, kind)

@@ -195,9 +195,16 @@ class AlgebraicProblem(Problem):
 
     def dense(self, z: Array) -> Array:
         """The Jacobian, each equation relative to its largest derivative, shape (size - 1, size)."""
+        return self._matrix(self.evaluate(z)[1])
+
+    def jacobian(self, z: Array) -> Array:
+        """The Jacobian of the equations as they are written, shape (size - 1, size)."""
+        return self._matrix(self._buffers.evaluate(z, self.constants)[1])
+
+    def _matrix(self, nonzeros: Array) -> Array:
         rows, columns = self.pattern
         matrix = np.zeros((self.size - 1, self.size))
-        matrix[rows, columns] = self.evaluate(z)[1]
+        matrix[rows, columns] = nonzeros
         return matrix
 
 

@@ -9,94 +9,43 @@ from typing import NoReturn
 
 import numpy as np
 
-from casadi_skin import methods
-from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.bvp.problem import Indices, Scalar, SingularError
 from casadi_skin.continuation.arclength import ArclengthContinuation
-from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
-from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
+from casadi_skin.equilibria.detection import special_between
+from casadi_skin.equilibria.equations import EquilibriumEquations
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.statics import Spectrum, Statics
-from casadi_skin.equilibria.systems import ExtendedSystem
-from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.solvers.corrector import Correction, Corrector
-from casadi_skin.solvers.levels import ErrorEstimate, Levels
-from casadi_skin.solvers.rounding import RoundedCorrector
+from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.stability.result import Floquet
 
-ITERATIONS = 60
-LONGEST = 1.0 / 30.0  # of the way of the parameter: a step, so that eigenvalues do not come and go within it
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
-BESIDE = 0.1  # of a step from a special point: where the search for other ones starts
+BESIDE = 0.01  # of a step from a special point: where the search for other ones starts
 
 
 class EquilibriumError(ArithmeticError):
     """No equilibrium was found: the message names the equation and the place in one line."""
 
 
-def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
-    """A corrector by name, asked for a hundredth of the tolerance where rounding allows it."""
-    fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
-    return RoundedCorrector(methods.CORRECTORS[name].load()(problem, fine, ITERATIONS))
-
-
 @dataclass(frozen=True, eq=False)
-class EquilibriumSpace:
+class EquilibriumSpace(EquilibriumEquations):
     """Equilibria of a model; where `parameter` is named they are followed in it from a start.
 
     Attributes:
-        statics: the model at rest; values of its parameters are those at the start of a branch.
-        tolerance: relative error of the state.
-        corrector: name of the corrector.
-        sizes: what components of the state are measured by.
-        parameter: the parameter that is followed, from its value to `to`; empty where none is.
-        at: values of it at which equilibria are wanted.
+        at: values of the parameter at which equilibria are wanted.
         first: the start of the branch.
-        settings: of the continuation.
         leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
     """
 
-    statics: Statics
-    tolerance: float
-    corrector: str
-    sizes: Array
-    parameter: str = ""
-    to: float = 1.0
     at: tuple[float, ...] = ()
     first: Point | None = None
-    settings: ContinuationSettings | None = None
     leaves: bool = False
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     S_rate: float = field(default=1.0, init=False)
-
-    @property
-    def model(self) -> OdeModel:
-        """The model as it was given."""
-        return self.statics.model
-
-    @property
-    def course(self) -> Course | None:
-        """How the parameter followed goes; None where none is."""
-        return Course(self.parameter, self.statics.values[self.parameter], self.to) if self.parameter else None
-
-    # Equations ------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def problem(self) -> AlgebraicProblem:
-        """The equations, with u that follows the parameter."""
-        return AlgebraicProblem(self.statics, self.sizes, (), self.course)
-
-    @cached_property
-    def levels(self) -> Levels:
-        """The one level that there is."""
-        return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
-
-    @cached_property
-    def point_solver(self) -> PointSolver:
-        """What makes equilibria at the tolerance."""
-        settings = self.settings or ContinuationSettings(1.0, self.tolerance)
-        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST))
 
     def refined(self, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
@@ -144,17 +93,16 @@ class EquilibriumSpace:
         z = np.append(solution.point.problem.state(solution.point.z) / sizes, 0.0)
         statics = Statics(self.model, solution.parameters)
         first = replace(solution.point, z=z)
-        return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, at, first, settings)
+        return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, settings, at, first)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Special points on the stretch between two points, in order; raises NotLocatedError."""
-        from casadi_skin.equilibria.detection import special_between
-
-        if self.leaves and not np.any(before.z != self.start.z):  # a special point itself, which is known
-            beside = self.point_solver.along(before, after, BESIDE)
-            if beside is None:
-                return
-            before = beside
+        for place, point in ((BESIDE, before), (1.0 - BESIDE, after)):
+            if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
+                beside = self.point_solver.along(before, after, place)
+                if beside is None:
+                    return
+                before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after)
 
     def target(self, name: str, value: float) -> Target:
@@ -201,8 +149,6 @@ class EquilibriumSpace:
 
     def solution(self, point: Point, exact: Mapping[str, float] | None) -> Solution:
         """The equilibrium of a point."""
-        from casadi_skin.equilibria.equilibrium import Equilibrium
-
         if exact is None:
             exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
         return Equilibrium(self, point, exact)
@@ -246,11 +192,6 @@ class EquilibriumSpace:
         found = self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
         self._spectra[:] = [*self._spectra[-7:], (point, found)]
         return found
-
-    @cached_property
-    def systems(self) -> dict[str, ExtendedSystem | None]:
-        """Extended systems that have been built, by kind; None where derivatives that they need are not there."""
-        return {}
 
     @cached_property
     def _spectra(self) -> list[tuple[Point, Spectrum]]:

@@ -14,17 +14,22 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.result import Result
 
 ComplexArray = NDArray[np.complex128]
 SAFETY = 4.0  # of the estimated errors of eigenvalues
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(Result):
     """Eigenvalues by descending real part, with estimated absolute errors; both of shape (components,)."""
 
     values: ComplexArray
     errors: Array
+
+    def __repr__(self) -> str:
+        words = "stable" if self.stable else "unstable"
+        return f"<Spectrum: {self.values.size} eigenvalues, largest real part {self.values.real.max():.6g}; {words}>"
 
     @property
     def stable(self) -> bool:

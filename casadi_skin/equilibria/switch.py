@@ -41,6 +41,7 @@ def switch(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -60,6 +61,7 @@ def switch(
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
             component that changes most grows is 1.
         at, max_points, max_step, until, events, progress: as in `follow`.
+        back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
         stability: whether multipliers are computed for each cycle.
         tolerance: of cycles, as in `find_orbit`.
 
@@ -72,14 +74,15 @@ def switch(
         BoundaryError, EquilibriumError: the branch cannot be started.
     """
     space = leaving_space(
-        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance
-    )
+        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
+        back_to=back_to,
+    )  # fmt: skip
     return run_following(Following(space, stability, events, until=until), progress)
 
 
 def leaving_space(
     point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
-    max_step: float, tolerance: float,
+    max_step: float, tolerance: float, back_to: float | None = None,
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
@@ -90,18 +93,20 @@ def leaving_space(
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
     values = tuple(float(value) for value in at)
+    both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
     if isinstance(solution, Orbit):
-        turns, both = (2 if point.kind == DOUBLING else 1), replace(settings, parameter_min=-1.0)
+        turns = 2 if point.kind == DOUBLING else 1
         return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
     if point.kind == HOPF and isinstance(solution, Equilibrium):
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
-        cycles = replace(settings, parameter_min=-1.0)
-        return born_at(statics, solution.positions, parameter, float(to), values, cycles, tolerance)
+        return born_at(statics, solution.positions, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
-        return _other_solutions(solution, parameter, float(to), values, replace(settings, parameter_min=-1.0), side)
+        return _other_solutions(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
 
 
@@ -149,7 +154,7 @@ def other_branch(
     tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
     z = np.append(solution.positions / sizes, 0.0)
     leaving = EquilibriumSpace(
-        statics, space.tolerance, space.corrector, sizes, parameter, to, at, None, settings, leaves=True
+        statics, space.tolerance, space.corrector, sizes, parameter, to, settings, at, leaves=True
     )
     weights = leaving.point_solver.metric(leaving.problem, z)
     tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
@@ -177,7 +182,7 @@ def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
 def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
     problem, z = space.problem, point.z
-    left, _, right = np.linalg.svd(_unscaled(problem, z))
+    left, _, right = np.linalg.svd(problem.jacobian(z))
     first, second, psi = right[-1], right[-2], left[:, -1]
     quadratic = _second_derivatives(problem)
 
@@ -195,14 +200,6 @@ def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     along = point.tangent / np.linalg.norm(point.tangent)
     unit = [direction / np.linalg.norm(direction) for direction in directions]
     return min(unit, key=lambda direction: abs(float(direction @ along)))
-
-
-def _unscaled(problem: AlgebraicProblem, z: Array) -> Array:
-    """The Jacobian of the equations as they are written, shape (n, n + 1)."""
-    rows, columns = problem.pattern
-    matrix = np.zeros((problem.size - 1, problem.size))
-    matrix[rows, columns] = problem._buffers.evaluate(z, problem.constants)[1]
-    return matrix
 
 
 def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:

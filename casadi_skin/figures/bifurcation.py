@@ -31,6 +31,26 @@ MARKS = {  # the symbols of the field, as far as there are any
     "zero-hopf": ("P", "black"),
     "generalized hopf": ("*", "black"),
     "hopf-hopf": ("X", "black"),
+    "cusp of cycles": ("v", "white"),
+    "generalized period doubling": ("<", "white"),
+    "chenciner": (">", "white"),
+    "1:1 resonance": ("$1$", "black"),
+    "1:2 resonance": ("$2$", "black"),
+    "1:3 resonance": ("$3$", "black"),
+    "1:4 resonance": ("$4$", "black"),
+    "fold-flip": ("p", "white"),
+    "fold-torus": ("H", "white"),
+    "flip-torus": ("8", "white"),
+    "torus-torus": ("X", "white"),
+}
+DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
+CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
+    ("fold", False): ("folds", "-"),
+    ("hopf", False): ("Hopf points", DASHED),
+    ("fold", True): ("folds of cycles", "-"),
+    ("period doubling", True): ("period doublings", DASHED),
+    ("torus", True): ("tori", DOTTED),
+    ("edge of a tongue", True): ("edges of tongues", "-"),
 }
 PLAIN = ("d", "0.8")
 
@@ -72,7 +92,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
 
 
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
-    """Curves of folds and Hopf points in the plane of two parameters, with their points of codimension two.
+    """Curves of special points in the plane of two parameters, with their points of codimension two.
 
     Arguments:
         curves: what `point.curve` gives, all in the same two parameters.
@@ -84,25 +104,20 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     Raises:
         ValueError: a branch is no curve in these two parameters.
     """
-    planes = {(curve.parameter, *curve.space.free) for curve in curves if len(curve)}
+    planes = {(curve.parameter, *curve.space.free[:1]) for curve in curves if getattr(curve.space, "kind", "")}
     if len(planes) != 1 or len(next(iter(planes))) != 2:
         raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
     second, first = next(iter(planes))
-    kinds = {"fold": ("-", 1.8), "hopf": ((0, (4.0, 1.4)), 1.8)}
     with style():
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
-        for curve in curves:
-            kind = str(getattr(curve.space, "kind", ""))
-            dashes, width = kinds[kind]
+        looks = [(str(curve.space.kind), isinstance(curve.solutions[0], Orbit)) for curve in curves]  # type: ignore[attr-defined]
+        order = [look for look in CURVES if look in looks]
+        for curve, look in zip(curves, looks, strict=True):
+            words, dashes = CURVES[look]
             path = np.column_stack([curve[first], curve[second]])
-            axes.plot(
-                *path.T,
-                ls=dashes,
-                lw=width,
-                color=colours(2)[int(kind == "hopf")],
-                label=f"{kind}s" if kind == "fold" else "Hopf points",
-            )
+            colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
+            axes.plot(*path.T, ls=dashes, lw=1.8, color=colour, label=words)
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))
         axes.set_title(_title(curves[0], title, (first, second)))

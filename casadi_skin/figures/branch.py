@@ -48,6 +48,8 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         raise ValueError(f"branch: given {given}; accepted: a branch of orbits or solutions in a parameter")
     state = plain(space.state_names[0])
     low, high = np.array([[side[0] for side in extremes(solution)] for solution in branch.solutions]).T
+    from matplotlib.lines import Line2D
+
     panels: list[tuple[str, list[Array]]] = [(f"{state}: largest and smallest value", [high, low])]
     panels += _second_panel(branch, space)
     with style():
@@ -58,6 +60,9 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
                 path = np.column_stack([branch.values, curve])
                 draw_lines(panel, branch, path, stability_pieces(branch, path), colour)
                 draw_marks(panel, branch, path, "black")
+            if len(curves) == 2:
+                handles = [Line2D([], [], color=colour, lw=2.0) for colour in colours(2)]
+                panel.legend(handles, ["largest", "smallest"], loc="best")
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))
         axes[0].set_title(_title(branch.solutions[0], title, (space.parameter, *space.statement.free)))

@@ -97,5 +97,5 @@ def draw_marks(axes: Axes, branch: Branch, path: Array, colour: Any) -> None:
     marked = [lead + i for i, solution in enumerate(branch.solutions) if solution.point.requested]
     if marked:
         axes.plot(*path[marked].T, "o", ms=4, mfc="white", mec=colour, label="requested", zorder=6, clip_on=False)
-    if branch.end not in (End.REACHED, End.RETURNED) and not branch.stopped:
+    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not branch.stopped:
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)

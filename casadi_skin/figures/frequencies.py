@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
     from casadi_skin.orbits.branch import Branch
 
+FLAT = 0.02  # of the height of a picture: a change of frequency that it does not show
+APART = 30.0  # ratio of shifts that one linear scale does not show
+NEAR = 1e-2  # of the largest S: where logarithmic scales begin
 LABELS = 24  # as many as fit one above the other beside the frequencies
 
 
@@ -82,10 +85,42 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
         axes.annotate(names[i], tuple(ends[i]), (6, 0), textcoords="offset points", zorder=8, **common)
 
 
+def _hardly_move(paths: Sequence[Array]) -> bool:
+    """Whether one of several families changes its frequency by less than a picture of all of them shows."""
+    moved = [float(np.ptp(path[:, 1])) for path in paths]
+    return len(paths) > 1 and min(moved) < FLAT * float(np.ptp(np.concatenate(paths)[:, 1]))
+
+
+def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
+    """Omega - omega_j of families against S; their sizes on logarithmic scales where these differ too much."""
+    paths = [family_path(branch, True) for branch in branches]
+    ends = np.array([path[-1] for path in paths])
+    sizes = np.abs(ends[:, 1])
+    apart = bool(sizes.max() > APART * sizes.min() > 0.0)
+    for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
+        pieces = family_pieces(branch, path, True)
+        shown = [(stable, np.abs(piece) if apart else piece) for stable, piece in pieces]
+        draw_lines(axes, branch, np.abs(path) if apart else path, shown, colour)
+        draw_marks(axes, branch, np.abs(path) if apart else path, colour)
+    right = float(ends[:, 0].max())
+    axes.set(xlabel=amplitude_label(branches[0].space.model), xlim=(0.0, right))
+    if not apart:
+        axes.set_ylabel(r"frequency shift $\Omega - \omega_j$")
+        label_ends(axes, branches, ends)
+        return
+    limits = 0.1 * NEAR * sizes.min(), 2.0 * sizes.max()
+    label = r"frequency shift $|\Omega - \omega_j|$"
+    axes.set(xscale="log", yscale="log", xlim=(NEAR * right, right), ylim=limits, ylabel=label)
+    for branch, end, size in zip(branches, ends, sizes, strict=True):
+        name = f"$j = {family(branch).coordinates.mode_number}$"
+        axes.annotate(name, (end[0], size), (6, 0), textcoords="offset points", va="center", annotation_clip=False)
+
+
 def frequency_figure(branches: Sequence[Branch]) -> Figure:
     """Omega against S of families, stable solid and unstable dashed (paper, Fig. 3a and d).
 
-    Of one family whose frequency hardly moves, Omega - omega_j is shown.
+    Of one family whose frequency hardly moves, Omega - omega_j is shown; where one of several hardly moves,
+    all these shifts stand beside the frequencies.
 
     Arguments:
         branches: one or more families of one model at the same values of its parameters.
@@ -98,9 +133,10 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
     """
     model, parameters = common_model(branches)
     with style():
-        figure = blank(6.0, 4.6)
-        axes = figure.add_subplot()
         paths = [family_path(branch, False) for branch in branches]
+        beside = _hardly_move(paths)
+        figure = blank(11.0 if beside else 6.0, 4.6)
+        axes = figure.add_subplot(1, 1 + beside, 1)
         shift = len(branches) == 1 and bool(np.ptp(paths[0][:, 1]) < 1e-4 * paths[0][0, 1])
         if shift:
             paths = [family_path(branches[0], True)]
@@ -117,6 +153,8 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin))
         axes.set_title(title(model, parameters))
         label_ends(axes, branches, np.array([path[-1] for path in paths]))
+        if beside:
+            _draw_shifts(figure.add_subplot(1, 2, 2), branches)
         mode = family(branches[0]).coordinates.mode_number
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=amplitude_label(model), ylabel=label)

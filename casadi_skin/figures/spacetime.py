@@ -6,6 +6,7 @@ few states of a small model of first order are drawn as lines.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution
+from casadi_skin.dynamics.distance import distance_from_orbit
 from casadi_skin.figures.style import DASHES, blank, colours, finished, plain, position_label, style
 from casadi_skin.figures.style import title as model_title
 
@@ -21,9 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
+    from casadi_skin.orbits.orbit import Orbit
+
 COLOURS = "cividis"  # blue to grey to yellow; perceptually uniform, and the same to colour-blind readers
 MOST_COLUMNS = 4000  # more samples than that no page resolves
 MOST_PERIODS = 100  # of the lowest linear frequency; beyond, the extent of the oscillations is shown
+PHASES = 64  # at which an orbit is looked at for its largest displacement
 WINDOWS = 200  # over which that extent is taken
 FEW = 6  # states of a model of first order that are drawn as lines
 
@@ -35,6 +40,7 @@ def spacetime_figure(
     profile: bool = False,
     energy: bool = False,
     kicked_site: int | None = None,
+    orbit: Orbit | None = None,
 ) -> Figure:
     """Displacements of all positions in time, and in long runs the largest |y_n| of 200 windows of time.
 
@@ -48,6 +54,8 @@ def spacetime_figure(
         energy: whether the relative change of the energy (see `Evolution.energy_drift`) stands below it, where the
             model declares one.
         kicked_site: number of the position to mark, from 1.
+        orbit: where the motion started, or near it: colours reach as far as the orbit does, and the distance from it
+            stands below.
 
     Returns:
         The figure.
@@ -58,23 +66,24 @@ def spacetime_figure(
     energy, few = energy and evolution.has_energy, _has_few_states(evolution)
     profile = profile and not few
     with style():
-        figure = blank(6.4 + 1.1 * profile, 3.4 + 1.1 * energy)
-        widths, heights = ([1.0, 6.0] if profile else [1.0]), ([3.0, 1.0] if energy else [1.0])
+        below = [draw for draw, wanted in ((_draw_energy, energy), (_distance_of(orbit), orbit is not None)) if wanted]
+        figure = blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
+        widths, heights = ([1.0, 6.0] if profile else [1.0]), [3.0, *(1.0 for _ in below)]
         grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
         main = last = figure.add_subplot(grid[0, -1])
         if few:
             _draw_states(main, evolution)
         else:
-            image = draw_spacetime(main, evolution)
-            beyond = bool(np.abs(_shown(evolution)).max() > _largest(evolution))
+            image = draw_spacetime(main, evolution, orbit)
+            beyond = bool(np.abs(_shown(evolution)).max() > 1.02 * _largest(evolution, orbit))
             extend = "both" if beyond else "neither"
             figure.colorbar(image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend)
         if profile:
             _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
-        if energy:
-            last = figure.add_subplot(grid[1, -1], sharex=main)
-            _draw_energy(last, evolution)
-            main.tick_params(labelbottom=False)
+        for row, draw in enumerate(below, start=1):
+            last.tick_params(labelbottom=False)
+            last = figure.add_subplot(grid[row, -1], sharex=main)
+            draw(last, evolution)
         last.set_xlabel(_time_label(evolution))
         if kicked_site is not None and not few:
             main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
@@ -112,11 +121,11 @@ def _draw_states(axes: Axes, evolution: Evolution) -> None:
     axes.set(xlim=(t[0], t[-1] if t.size > 1 else t[0] + 1.0), ylabel=words)
 
 
-def draw_spacetime(axes: Axes, evolution: Evolution) -> QuadMesh:
+def draw_spacetime(axes: Axes, evolution: Evolution, orbit: Orbit | None = None) -> QuadMesh:
     """Displacements as colour, time to the right and positions upwards; the returned image takes a colour bar."""
     from matplotlib.ticker import MaxNLocator
 
-    shown, largest = _shown(evolution), _largest(evolution)
+    shown, largest = _shown(evolution), _largest(evolution, orbit)
     lowest = -largest
     if _is_long(evolution):
         edges, low, high = _extent(evolution.t, shown)
@@ -136,9 +145,12 @@ def _rows_label(evolution: Evolution) -> str:
     return position_label(evolution.model) if evolution.equations.positions else "state $n$"
 
 
-def _largest(evolution: Evolution) -> float:
-    """What the brightest colour is: at most the edge of a position's well, beyond which it escapes."""
-    return min(float(np.abs(_shown(evolution)).max()) or 1.0, evolution.equations.well)
+def _largest(evolution: Evolution, orbit: Orbit | None = None) -> float:
+    """What the brightest colour is: as far as the orbit goes, at most the edge of a well beyond which states escape."""
+    shown = _shown(evolution)
+    if orbit is not None:
+        shown = orbit.evaluate(orbit.period * np.arange(PHASES) / PHASES)[:, : shown.shape[1]]
+    return min(float(np.abs(shown).max()) or 1.0, evolution.equations.well)
 
 
 def _draw_profile(axes: Axes, evolution: Evolution) -> None:
@@ -151,6 +163,22 @@ def _draw_profile(axes: Axes, evolution: Evolution) -> None:
     axes.xaxis.set_label_position("top")
     axes.tick_params(labelleft=False, labelbottom=False, labeltop=True)
     axes.margins(x=0.15)
+
+
+def _distance_of(orbit: Orbit | None) -> Callable[[Axes, Evolution], None]:
+    """Draws the distance of a motion from an orbit, on a logarithmic scale."""
+
+    def draw(axes: Axes, evolution: Evolution) -> None:
+        from matplotlib.ticker import NullFormatter
+
+        assert orbit is not None
+        distance = distance_from_orbit(orbit, evolution)
+        known = np.isfinite(distance) & (distance > 0.0)
+        axes.plot(evolution.t[known], distance[known], lw=0.8, color="black")
+        axes.set(yscale="log", ylabel="distance")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+
+    return draw
 
 
 def _draw_energy(axes: Axes, evolution: Evolution) -> None:

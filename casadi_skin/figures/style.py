@@ -42,7 +42,7 @@ def style() -> AbstractContextManager[None]:
     settings: RcStyleType = {
         "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 10.0, "axes.titlesize": 10.0,
         "figure.titlesize": 10.0, "legend.fontsize": 9.0, "legend.frameon": False, "axes.linewidth": 0.7,
-        "axes.formatter.limits": (-3, 4), "svg.hashsalt": "casadi_skin",
+        "axes.formatter.limits": (-3, 4), "axes.formatter.useoffset": False, "svg.hashsalt": "casadi_skin",
         "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
     }  # fmt: skip
     return matplotlib.style.context(settings, after_reset=True)

@@ -153,5 +153,5 @@ def stiff_cvodes(
     time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", parameters.size)
     local = max(STIFF_SHARE * tolerance, TIGHTEST)
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
-    dae = {"t": time, "x": x, "p": p, "ode": model.vector_field(time, x, p)}
+    dae = {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
     return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)

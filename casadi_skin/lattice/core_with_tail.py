@@ -14,8 +14,8 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
-from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
+from casadi_skin.lattice.tail_parameter import Regime, TailParameter
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.orbits.coordinates import normalised
 from casadi_skin.theory import multiple_scales
 

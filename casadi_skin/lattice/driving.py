@@ -33,12 +33,12 @@ def forcing_period_of(equations: Equations, given: str | None) -> ca.SX | None:
     if given is not None:
         formula = read_formula("forcing_period", given, tuple(equations.declaration.scalars))
         period = expression(formula, equations.symbols)
-        (value,) = equations.at_nominal([period])
+        (value,) = equations.at_nominal(period)
         if not 0 < value[0] < np.inf:
             raise ValueError(f"forcing_period: given {given!r}, which is {value[0]:g}; accepted: a finite number > 0")
         return period
     rates = list(_rates(equations))
-    (values,) = equations.at_nominal(rates)
+    (values,) = equations.at_nominal(ca.vertcat(*rates))
     values = np.abs(values)
     if np.ptp(values) > SAME * np.max(values) or not np.all(np.isfinite(values)) or not np.max(values) > 0:
         words = " and ".join(f"{value:g}" for value in np.unique(values)[:3])
@@ -52,12 +52,10 @@ def _rates(equations: Equations) -> Iterator[ca.SX]:
     for s in range(len(declaration.sites)):
         formula = declaration.formulas["site", s, "drive"]
         for argument in _arguments(formula.tree, f'site {s + 1} drive: given "{formula.text}"'):
-            for cell in declaration.all_cells():
-                rate = ca.jacobian(expression(argument, equations.values(cell) | {"t": t}), t)
-                if ca.depends_on(rate, t):
-                    raise ValueError(f'site {s + 1} drive: given "{formula.text}"; {ACCEPTED}')
-                if not rate.is_zero():
-                    yield rate
+            rates = ca.jacobian(expression(argument, equations.values(equations.cells) | {"t": t}), t)
+            if ca.depends_on(rates, t):
+                raise ValueError(f'site {s + 1} drive: given "{formula.text}"; {ACCEPTED}')
+            yield from (rate for rate in ca.vertsplit(ca.densify(rates)) if not rate.is_zero())
 
 
 def _arguments(tree: Tree, given: str) -> Iterator[Tree]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,83 +14,98 @@ from casadi_skin.lattice.expressions import expression
 
 
 class Equations:
-    """The equations of motion of a declared lattice, in CasADi symbols."""
+    """The equations of motion of a declared lattice, in CasADi symbols: formulas of all cells at once, as columns."""
 
     def __init__(self, declaration: Declaration) -> None:
         self.declaration = declaration
+        self.cells = list(declaration.all_cells())
         places = [
             "_".join([*([site.name] if len(declaration.sites) > 1 else []), *(str(k + 1) for k in cell)])
-            for cell in declaration.all_cells()
+            for cell in self.cells
             for site in declaration.sites
         ]
         self.y, self.v = (ca.vertcat(*(ca.SX.sym(f"{x}_{place}") for place in places)) for x in "yv")
-        self.t, self._d = ca.SX.sym("t"), ca.SX.sym("d")
-        self._y, self._v = ca.vertsplit(self.y), ca.vertsplit(self.v)
+        self.t = ca.SX.sym("t")
         self.parameters = ca.vertcat(*(ca.SX.sym(name) for name in declaration.scalars))
         self.parameters = self.parameters if declaration.scalars else ca.SX(0, 1)
         self.nominal = tuple(declaration.scalars.values())
         self.symbols = dict(zip(declaration.scalars, ca.vertsplit(self.parameters), strict=True))
-        self._values: dict[tuple[int, ...], dict[str, ca.SX]] = {}
-        self._gains: dict[tuple[int, tuple[int, ...]], tuple[ca.SX, ca.SX]] = {}
         self.links: tuple[Link, ...] = tuple(declaration.links())
         self._check_at_rest()
 
-    # Formulas at a cell -----------------------------------------------------------------------------------------------
+    # Formulas at cells ------------------------------------------------------------------------------------------------
 
-    def values(self, cell: tuple[int, ...]) -> dict[str, ca.SX]:
-        """What parameters and indices stand for in a cell."""
-        if cell not in self._values:
-            values = dict(self.symbols) | {name: ca.SX(k + 1) for name, k in zip(INDICES, cell, strict=False)}
-            for name, value in self.declaration.by_cell.items():
-                values[name] = ca.SX(value[cell]) if isinstance(value, np.ndarray) else expression(value, values)
-            self._values[cell] = values
-        return self._values[cell]
+    def values(self, cells: Sequence[tuple[int, ...]]) -> dict[str, ca.SX]:
+        """What parameters and indices stand for in some cells: a column, or one value where it is the same in all."""
+        along = np.array(cells, dtype=float).reshape(len(cells), -1).T
+        values = dict(self.symbols) | {name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(INDICES, along, strict=False)}
+        for name, value in self.declaration.by_cell.items():
+            if isinstance(value, np.ndarray):
+                values[name] = ca.SX(ca.DM([value[cell] for cell in cells]))
+            else:
+                values[name] = expression(value, values)
+        return values
 
-    def at(self, kind: str, number: int, field: str, cell: tuple[int, ...], **variables: ca.SX) -> ca.SX:
-        """A formula of a site or a bond in a cell."""
-        return expression(self.declaration.formulas[kind, number, field], self.values(cell) | variables)
+    def at(self, kind: str, number: int, field: str, cells: Sequence[tuple[int, ...]], **variables: ca.SX) -> ca.SX:
+        """A formula of a site or a bond in some cells, a column."""
+        values = self._everywhere if cells is self.cells else self.values(cells)
+        found = expression(self.declaration.formulas[kind, number, field], values | variables)
+        return ca.densify(ca.repmat(found, len(cells), 1) if found.numel() == 1 else found)
 
-    def of_sites(self, field: str) -> list[ca.SX]:
-        """A formula of all sites, at their own position, velocity and time."""
-        found = []
-        for cell in self.declaration.all_cells():
-            for s in range(len(self.declaration.sites)):
-                i = self.declaration.index(cell, s)
-                found.append(self.at("site", s, field, cell, y=self._y[i], v=self._v[i], t=self.t))
+    @cached_property
+    def _everywhere(self) -> dict[str, ca.SX]:
+        return self.values(self.cells)
+
+    def of_sites(self, field: str) -> ca.SX:
+        """A formula of all sites, at their own position, velocity and time, a column."""
+        count, found = len(self.declaration.sites), ca.SX.zeros(self.declaration.size)
+        for s in range(count):
+            found[s::count] = self.at("site", s, field, self.cells, y=self.y[s::count], v=self.v[s::count], t=self.t)
         return found
 
-    def extension(self, link: Link) -> ca.SX:
-        """d = y_end - y_start, with 0 at a wall."""
-        end, start = (ca.SX(0) if i is None else self._y[i] for i in (link.end, link.start))
-        return end - start
+    def links_of(self, bond: int) -> list[Link]:
+        """The links of a bond, in the order of cells."""
+        return [link for link in self.links if link.bond == bond]
 
-    def gains(self, link: Link) -> tuple[ca.SX, ca.SX]:
-        """The gains at the start and at the end of a bond."""
-        if (link.bond, link.cell) not in self._gains:
-            first, second = (self.at("bond", link.bond, f"gain {k}", link.cell) for k in (1, 2))
-            self._gains[link.bond, link.cell] = first, second
-        return self._gains[link.bond, link.cell]
+    def extensions(self, links: Sequence[Link]) -> ca.SX:
+        """d = y_end - y_start, with 0 at a wall, a column."""
+        positions, wall = ca.vertcat(self.y, 0), self.declaration.size
+        start, end = [link.start for link in links], [link.end for link in links]
+        there, here = (positions[[wall if i is None else i for i in ends]] for ends in (end, start))
+        return there - here
+
+    @cached_property
+    def gains(self) -> list[tuple[ca.SX, ca.SX]]:
+        """The gains at the start and at the end of every link."""
+        found: list[tuple[ca.SX, ca.SX]] = []
+        for b in range(len(self.declaration.bonds)):
+            cells = [link.cell for link in self.links_of(b)]
+            columns = (ca.vertsplit(self.at("bond", b, f"gain {k}", cells)) if cells else [] for k in (1, 2))
+            found += list(zip(*columns, strict=True))
+        return found
 
     # The whole lattice ------------------------------------------------------------------------------------------------
 
     @cached_property
-    def masses(self) -> list[ca.SX]:
-        """Mass of every site."""
+    def masses(self) -> ca.SX:
+        """Mass of every site, a column."""
         return self.of_sites("mass")
 
     @cached_property
     def accelerations(self) -> ca.SX:
         """y'' of every site."""
         onsite, damping, drive = (self.of_sites(field) for field in ("onsite", "damping", "drive"))
-        forces = [f - k - c * v for f, k, c, v in zip(drive, onsite, damping, self._v, strict=True)]
-        for link in self.links:
-            force = self.at("bond", link.bond, "force", link.cell, d=self.extension(link))
-            gains = self.gains(link)
-            if link.start is not None:
-                forces[link.start] += gains[0] * force
-            if link.end is not None:
-                forces[link.end] -= gains[1] * force
-        return ca.vertcat(*(force / mass for force, mass in zip(forces, self.masses, strict=True)))
+        forces = drive - onsite - damping * self.v
+        for b in range(len(self.declaration.bonds)):
+            links = self.links_of(b)
+            force = self.at("bond", b, "force", [link.cell for link in links], d=self.extensions(links))
+            gains = [self.gains[k] for k, link in enumerate(self.links) if link.bond == b]
+            for side, sign in ((1, -1.0), (0, 1.0)):
+                ends = [(link.start, link.end)[side] for link in links]
+                moved = [k for k, i in enumerate(ends) if i is not None]
+                gain = ca.vertcat(ca.SX(0, 1), *(gains[k][side] for k in moved))
+                forces[[ends[k] for k in moved]] += sign * (gain * force[moved])
+        return forces / self.masses
 
     @cached_property
     def damped(self) -> bool:
@@ -108,20 +124,19 @@ class Equations:
 
     # Checks -----------------------------------------------------------------------------------------------------------
 
-    def at_nominal(self, *results: Any) -> list[Any]:
+    def at_nominal(self, *results: ca.SX) -> list[Any]:
         """Expressions in parameters as arrays, at the declared values."""
-        function = ca.Function("f", [self.parameters], [ca.vertcat(*result) for result in results])
+        function = ca.Function("f", [self.parameters], [ca.densify(result) for result in results])
         found = function(self.nominal) if results else []
         found = found if isinstance(found, list | tuple) else [found]
         return [np.array(value).ravel() for value in found]
 
     def _check_at_rest(self) -> None:
         """Raises ValueError, with the place, for what is not finite at rest, and masses and gains that are none."""
-        declaration, cells = self.declaration, list(self.declaration.all_cells())
+        declaration = self.declaration
         for kind, number, field in declaration.formulas:
             variables = dict.fromkeys("yvdt", ca.SX(0))
-            found = [self.at(kind, number, field, cell, **variables) for cell in cells]
-            (values,) = self.at_nominal(found)
+            (values,) = self.at_nominal(self.at(kind, number, field, self.cells, **variables))
             text, place = declaration.formulas[kind, number, field].text, f"{kind} {number + 1} {field}"
             bad, accepted = ~np.isfinite(values), "a formula that is finite at rest"
             if field == "mass" and not bad.any():
@@ -130,7 +145,7 @@ class Equations:
                 bad, accepted = values == 0, "gains that are not 0, so that a bond acts both ways"
             if bad.any():
                 k = int(np.argmax(bad))
-                where = ", ".join(str(i + 1) for i in cells[k])
+                where = ", ".join(str(i + 1) for i in self.cells[k])
                 raise ValueError(
                     f'{place}: given "{text}", which is {values[k]:g} in cell {where}; accepted: {accepted}'
                 )

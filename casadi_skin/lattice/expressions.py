@@ -15,10 +15,11 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "number": ca.SX, "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
     "neg": operator.neg, **{name: getattr(ca, "fabs" if name == "abs" else name) for name in FUNCTIONS},
 }  # fmt: skip
-# Antiderivatives F of f(u) du.
+# Antiderivatives F of f(u) du, which keep their digits near u = 0 where they can.
 ANTIDERIVATIVES: Mapping[str, Callable[[ca.SX], ca.SX]] = {
-    "sin": lambda u: -ca.cos(u), "cos": ca.sin, "exp": ca.exp, "sinh": ca.cosh, "cosh": ca.sinh,
-    "tan": lambda u: -ca.log(ca.cos(u)), "tanh": lambda u: ca.log(ca.cosh(u)), "sqrt": lambda u: u**1.5 / 1.5,
+    "sin": lambda u: 2.0 * ca.sin(u / 2) ** 2, "cos": ca.sin, "exp": ca.expm1, "cosh": ca.sinh,
+    "sinh": lambda u: 2.0 * ca.sinh(u / 2) ** 2, "tan": lambda u: -ca.log1p(-(ca.sin(u) ** 2)) / 2,
+    "tanh": lambda u: ca.log(ca.cosh(u)), "sqrt": lambda u: u**1.5 / 1.5,
     "atan": lambda u: u * ca.atan(u) - ca.log(1 + u**2) / 2, "abs": lambda u: u * ca.fabs(u) / 2,
     "log": lambda u: u * ca.log(u) - u, "asin": lambda u: u * ca.asin(u) + ca.sqrt(1 - u**2),
     "acos": lambda u: u * ca.acos(u) - ca.sqrt(1 - u**2),

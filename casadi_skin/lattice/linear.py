@@ -165,17 +165,31 @@ def bands(
     if differing:
         raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
     beta = _beta(lattice) if open_ends else np.ones(len(declaration.cells))
-    waves, terms = _wave_numbers(len(declaration.cells), points), list(_bond_terms(lattice, parameters or {}))
+    waves = _wave_numbers(len(declaration.cells), points)
+    squares = np.linalg.eigvals(cell_matrices(lattice, beta * np.exp(1j * waves), parameters)).astype(complex)
+    return Bands(waves, np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), tuple(beta.tolist()))
+
+
+def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str, float] | None = None) -> ComplexArray:
+    """Matrices whose eigenvalues are omega^2 of waves that change by a factor beta from cell to cell.
+
+    Arguments:
+        lattice: a lattice whose cells are all alike.
+        betas: factors along each direction, shape (many, directions).
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        Shape (many, sites of a cell, sites of a cell).
+    """
     onsite, masses = (_of_cell(lattice, parameters or {}, field) for field in ("onsite", "mass"))
-    K = np.zeros((len(waves), onsite.size, onsite.size), complex) + np.diag(onsite)
-    for i, j, offset, first, second in terms:
-        phase = np.exp(waves @ (1j * np.array(offset))) * np.prod(beta ** np.array(offset, dtype=float))
+    K = np.zeros((len(betas), onsite.size, onsite.size), complex) + np.diag(onsite)
+    for i, j, offset, first, second in _bond_terms(lattice, parameters or {}):
+        factor = np.prod(betas ** np.array(offset, dtype=float), axis=1)
         K[:, i, i] += first
         K[:, j, j] += second
-        K[:, i, j] -= first * phase
-        K[:, j, i] -= second / phase
-    squares = np.linalg.eigvals(K / masses[:, None]).astype(complex)
-    return Bands(waves, np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), tuple(beta.tolist()))
+        K[:, i, j] -= first * factor
+        K[:, j, i] -= second / factor
+    return np.asarray(K / masses[:, None])
 
 
 def cells_differ_by(lattice: Lattice) -> list[str]:

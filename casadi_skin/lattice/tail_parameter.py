@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.tail import Tail, Wave
+
+
+class Regime(Enum):
+    """What the linear tail of a long lattice does, in words."""
+
+    PINNED = "the frequency is pinned to the edge of the band"
+    BOUND = "the breather is bound to the edge of the lattice"
+    THIRD = "three times the frequency is pinned to the band: the third harmonic fills the tail"
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,18 @@ class TailParameter:
     def __post_init__(self) -> None:
         if self.edge > 0 and 9.0 * self.tail.edge_squared(1) <= self.tail.edge_squared(-1):
             raise ValueError("three times the lowest frequency lies in the band: nothing of the tail is bound")
+
+    @property
+    def coupling(self) -> float:
+        """Coupling of neighbouring sites in the gauge."""
+        return self.tail.coupling
+
+    def regime(self, values: TailValues) -> Regime:
+        """Whether Omega, or three times it, is pinned to the band."""
+        edge = self.tail.edge_angle
+        if values.psi[0] > edge:
+            return Regime.PINNED
+        return Regime.THIRD if values.psi[1] > edge else Regime.BOUND
 
     @cached_property
     def _turn(self) -> tuple[float, float]:
@@ -106,7 +127,7 @@ class TailParameter:
         by_psi = -4.0 * edge * tail.coupling * tail.outside_slope(wave) / k0**2  # d Omega^2 / d psi_k0
         ks = 2 * np.arange(self.harmonics) + 1
         edges = np.where(ks == 1, self.edge, -1)
-        psi, slopes = np.empty(ks.size), np.empty(ks.size)  # and d psi_k / d Omega^2
+        psi, slopes = np.zeros(ks.size), np.zeros(ks.size)  # and d psi_k / d Omega^2
         for h, k in enumerate(ks.tolist()):
             if k != k0:
                 other = self._beside(k, squared)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -11,14 +11,14 @@ import numpy as np
 from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
 from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.lattice.tail_parameter import TailParameter, TailValues
+from casadi_skin.lattice.tail_parameter import Regime, TailValues
 from casadi_skin.models.ode import OdeModel
 
 
 class _TailFunction(ca.Callback):  # type: ignore[misc]
     """u -> Omega, across, down and their derivatives, as one function among CasADi's; NaN where nothing is bound."""
 
-    def __init__(self, tail: TailParameter) -> None:
+    def __init__(self, tail: TailUnknown) -> None:
         ca.Callback.__init__(self)
         self._tail = tail
         self.construct("tail", {})
@@ -40,25 +40,44 @@ class _TailFunction(ca.Callback):  # type: ignore[misc]
         return [v.Omega, v.Omega_slope, v.across, v.across_slope, v.down, v.down_slope]
 
 
-class Regime(Enum):
-    """What the linear tail of a long chain does, in words."""
+class TailUnknown(Protocol):
+    """The unknown u in place of Omega, of a chain's tail or of that of a lattice."""
 
-    PINNED = "the frequency is pinned to the edge of the band"
-    BOUND = "the breather is bound to the edge of the chain"
-    THIRD = "three times the frequency is pinned to the band: the third harmonic fills the tail"
+    @property
+    def harmonics(self) -> int:
+        """Number of odd harmonics."""
+        ...
+
+    @property
+    def coupling(self) -> float:
+        """Strength of the bond between core and tail, in the gauge."""
+        ...
+
+    def values(self, u: float) -> TailValues:
+        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
+        ...
+
+    def of_frequency(self, Omega: float) -> float:
+        """u where the frequency is `Omega`; NaN where there is none."""
+        ...
+
+    def regime(self, values: TailValues) -> Regime:
+        """What the tail does."""
+        ...
 
 
 class CoreWithTailProblem(TrigonometricProblem):
-    """Unknowns are the core's positions at the nodes, u of `TailParameter` in place of Omega, and the free parameter.
+    """Unknowns are the core's positions at the nodes, u in place of Omega, and the free parameter.
 
-    The model is that of the core by itself, first site next to the tail; `coupling` is what it lacks there. Equations
-    of the first site are those of its harmonics, times cos(psi): regular where the tail resonates.
+    The model is that of the core by itself; its site `attached` is next to the tail, and lacks the bond to it.
+    Equations of that site are those of its harmonics, times cos(psi): regular where the tail resonates.
     """
 
-    def __init__(self, model: OdeModel, harmonics: int, tail: TailParameter) -> None:
+    def __init__(self, model: OdeModel, harmonics: int, tail: TailUnknown, attached: int = 0) -> None:
         super().__init__(model, harmonics)
-        self.tail = tail
-        self.half_bandwidth = 2 * harmonics - 1 if model.size > 1 else harmonics
+        self.tail, self.attached = tail, attached
+        if model.size > 1:
+            self.half_bandwidth = (self.half_bandwidth or 0) + harmonics - 1
 
     def values(self, z: Array) -> TailValues:
         """The tail at z; raises ArithmeticError where a harmonic that should be bound is in the band."""
@@ -79,17 +98,15 @@ class CoreWithTailProblem(TrigonometricProblem):
 
     def regime(self, z: Array) -> Regime:
         """What the tail does at z."""
-        psi, edge = self.values(z).psi, self.tail.tail.edge_angle
-        if psi[0] > edge:
-            return Regime.PINNED
-        return Regime.THIRD if psi[1] > edge else Regime.BOUND
+        return self.tail.regime(self.values(z))
 
     @cached_property
     def _function_of_tail(self) -> _TailFunction:
         return _TailFunction(self.tail)
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        H, size, s = self.resolution, self.size, self.tail.tail.coupling
+        H, size, s = self.resolution, self.size, self.tail.coupling
+        before, after = self.attached * H, (self.attached + 1) * H
         core_z, core_R, core_J = super()._equations()
         core = ca.Function("core", [core_z], [core_R, core_J])
         z = ca.MX.sym("z", size)
@@ -97,18 +114,18 @@ class CoreWithTailProblem(TrigonometricProblem):
         R, J = core(ca.vertcat(z[: self.states], Omega, z[self.parameter_index]))
 
         to_coefficients = ca.MX(ca.DM(self._to_coefficients))
-        balance, a = to_coefficients @ R[:H], to_coefficients @ z[:H]
+        balance, a = to_coefficients @ R[before:after], to_coefficients @ z[before:after]
         from_tail = s / Omega**2 * across * a  # the force that the core's own equations lack, over Omega^2
-        residual = ca.vertcat(down * balance - from_tail, R[H:])
+        residual = ca.vertcat(R[:before], down * balance - from_tail, R[after:])
 
-        first = ca.diag(down) @ to_coefficients
-        transform = ca.diagcat(first, ca.MX.eye(size - 1 - H))
+        own = ca.diag(down) @ to_coefficients
+        transform = ca.diagcat(ca.MX.eye(before), own, ca.MX.eye(size - 1 - after))
         chain_rule = ca.diagcat(ca.MX.eye(self.states), Omega_slope, ca.MX.eye(1))
         by_states = s / Omega**2 * ca.diag(across) @ to_coefficients
         by_u = down_slope * balance - s / Omega**2 * across_slope * a + 2.0 * Omega_slope / Omega * from_tail
-        extra = ca.horzcat(-by_states, ca.MX(H, self.states - H), by_u, ca.MX(H, 1))
-        jacobian = transform @ J @ chain_rule + ca.vertcat(extra, ca.MX(size - 1 - H, size))
-        return z, residual, jacobian
+        beside = ca.MX(H, before), -by_states, ca.MX(H, self.states - after), by_u, ca.MX(H, 1)
+        extra = ca.vertcat(ca.MX(before, size), ca.horzcat(*beside), ca.MX(size - 1 - after, size))
+        return z, residual, transform @ J @ chain_rule + extra
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""

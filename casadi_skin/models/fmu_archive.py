@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,6 +20,7 @@ LARGEST_DESCRIPTION = 1 << 26  # bytes
 MOST_ELEMENTS = 1_000_000  # of XML in a description
 MOST_VARIABLES = 100_000
 MOST_STATES = 2_000
+LARGEST_REFERENCE = (1 << 32) - 1  # what FMI's functions take
 DEEPEST = 100  # elements of XML within each other
 CHUNK = 1 << 16  # bytes
 _ENDINGS = {"linux": "so", "darwin": "dylib"}
@@ -44,6 +46,10 @@ def platform_folder(fmi: str) -> str:
 def library_ending() -> str:
     """Ending of shared libraries on this platform, without a dot; raises ValueError as `system_name`."""
     return _ENDINGS[system_name()]
+
+
+class FmuWarning(UserWarning):
+    """What is strange in an FMU and does not matter for the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +84,9 @@ def unpack(path: str | Path) -> Unpacked:
             wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
             library = _library(path, description, archive.names, temporary.path)
             archive.write(temporary.path, lambda name: name.startswith(wanted))
+            if archive.repeated:
+                names = ", ".join(sorted(archive.repeated)[:3])
+                warnings.warn(f"{path}: in it more than once, and not unpacked: {names}", FmuWarning, stacklevel=3)
         except BaseException:
             temporary.remove()
             raise
@@ -101,7 +110,10 @@ def read_description(path: Path, folder: Path) -> Any:
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")
     if description.modelExchange is None:
-        raise ValueError(f"{path}: no Model Exchange, Co-Simulation alone; accepted: an FMU with Model Exchange")
+        tool = " ".join(str(description.generationTool or "its tool").split())[:80]
+        why = "its solver is inside, and there is no right-hand side to ask for"
+        way = f"one with Model Exchange, as {tool} may export it; fmpy.simulate_fmu runs this one"
+        raise ValueError(f"{path}: no Model Exchange, Co-Simulation alone: {why}; accepted: {way}")
     return description
 
 
@@ -115,7 +127,10 @@ class _Counter:
     def doctype(self, *declaration: object) -> None:
         raise ValueError("refused, it declares entities")
 
-    def start(self, name: str, attributes: object) -> None:
+    def start(self, name: str, attributes: Mapping[str, str]) -> None:
+        reference = attributes.get("valueReference", "0")
+        if not (reference.isdecimal() and len(reference) <= 10 and int(reference) <= LARGEST_REFERENCE):
+            raise ValueError(f"refused, value reference {reference[:20]!r}; accepted: 0 to {LARGEST_REFERENCE}")
         self.elements += 1
         self.variables += self.open[1:] == ["ModelVariables"]
         self.states += self.open[1:] == ["ModelStructure", "Derivatives"] or name == "ContinuousStateDerivative"

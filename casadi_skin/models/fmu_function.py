@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.models.fmu_derivatives import Derivatives, Pattern
-from casadi_skin.models.fmu_instance import Array
+from casadi_skin.models.fmu_derivatives import Derivatives
+from casadi_skin.models.fmu_variables import Array, Pattern
 
 View = memoryview | None  # CasADi gives None for an argument that is zero and for a result that nobody wants
 
@@ -20,7 +20,7 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
     def __init__(self, name: str, derivatives: Derivatives, forced: bool) -> None:
         ca.Callback.__init__(self)
         self.derivatives = derivatives
-        self.sizes = (1, len(derivatives.states), len(derivatives.instance.parameters))
+        self.sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
         self._jacobian = _FmuJacobian(f"{name}_jacobian", self, forced)
         self.construct(name, {})
 
@@ -34,15 +34,14 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         return ca.Sparsity.dense(self.sizes[i], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(len(self.derivatives.references), 1)
+        return ca.Sparsity.dense(self.derivatives.size, 1)
 
     def has_eval_buffer(self) -> bool:
         return True
 
     def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
-        result = _array(results[0])
-        if result.size:
-            result[:] = self.derivatives.value(*_point(arguments, self.sizes))
+        if results[0]:
+            np.frombuffer(results[0])[:] = self.derivatives.value(*_point(arguments, self.sizes))
         return 0
 
     def has_jacobian(self) -> bool:
@@ -64,13 +63,12 @@ class _FmuJacobian(ca.Callback):  # type: ignore[misc]
     def __init__(self, name: str, function: FmuFunction, forced: bool) -> None:
         ca.Callback.__init__(self)
         self._derivatives, self._sizes, self._forced = function.derivatives, function.sizes, forced
-        rows = len(self._derivatives.references)
+        rows = self._derivatives.size
         self._sparsities = (
             ca.Sparsity.dense(rows, 1) if forced else ca.Sparsity(rows, 1),
             _sparsity(self._derivatives.pattern),
             ca.Sparsity.dense(rows, self._sizes[2]),
         )
-        self._places = tuple(np.nonzero(self._derivatives.pattern.T))  # of the non-zeros, by columns
         # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
         self.construct(name, {"enable_fd": True})
 
@@ -81,7 +79,7 @@ class _FmuJacobian(ca.Callback):  # type: ignore[misc]
         return 3
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((*self._sizes, len(self._derivatives.references))[i], 1)
+        return ca.Sparsity.dense((*self._sizes, self._derivatives.size)[i], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return self._sparsities[i]
@@ -91,25 +89,25 @@ class _FmuJacobian(ca.Callback):  # type: ignore[misc]
 
     def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
         at, derivatives = _point(arguments, self._sizes), self._derivatives
-        by_time, by_states, by_parameters = map(_array, results)
-        if by_time.size:
-            by_time[:] = derivatives.time_derivative(*at)[:, 0]
-        if by_states.size:
-            by_states[:] = derivatives.states_jacobian(*at).T[self._places]
-        if by_parameters.size:
-            by_parameters[:] = derivatives.parameters_jacobian(*at).T.ravel()
+        asked = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
+        for result, jacobian in zip(results, asked, strict=True):
+            if result:
+                np.frombuffer(result)[:] = jacobian(*at)
         return 0
 
 
 def _point(arguments: Sequence[View], sizes: Sequence[int]) -> tuple[float, Array, Array]:
     """Time, state and parameters of a function's arguments."""
-    given = zip(arguments[:3], sizes, strict=True)
-    t, x, p = (np.zeros(size) if view is None else _array(view).copy() for view, size in given)
-    return float(t[0]), x, p
+    t, x, p = arguments[0], arguments[1], arguments[2]
+    return (
+        0.0 if t is None else float(np.frombuffer(t)[0]),
+        np.zeros(sizes[1]) if x is None else np.frombuffer(x),
+        _array(p) if p is not None else np.zeros(sizes[2]),
+    )
 
 
 def _array(view: View) -> Array:
-    return np.frombuffer(view, dtype=float) if view is not None and len(view) else np.empty(0)
+    return np.frombuffer(view) if view else np.empty(0)
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:

@@ -1,318 +1,198 @@
-"""A running instance of an FMU for Model Exchange: its right-hand side and outputs at any time, state and parameters.
+"""An FMU at any time, state, parameters and inputs: several instances of it, one for each set of parameters in use.
 
-The C interfaces of FMI 2.0 and 3.0 are called through fmpy. States are in the order of the FMU's derivatives.
+To go from one set of parameters to another and back, as differences do at every node, then costs no initialisation.
 """
 
 from __future__ import annotations
 
-import ctypes
-import os
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.models.fmu_archive import Unpacked
+from casadi_skin.models.fmu_component import Buffer, CallError, Component, Loaded, Values, complain, refused
+from casadi_skin.models.fmu_variables import Array, Group, Variables
 
-Array = NDArray[np.float64]
-MOST_EVENT_ITERATIONS = 100
-MOST_COMPLAINTS = 20
-
-_DISCARD = 2  # the status of values that cannot be computed, in FMI 2.0 and 3.0
+SHIFTED = 6  # sets of values that differences with three steps take for each parameter
+MOST_COMPONENTS = 64
 
 
 class FmuInstance:
-    """One instance, unpacked in a temporary folder that is removed with it.
+    """The FMU in its temporary folder, which is removed with it.
 
-    `parameters` are fmpy's variables that are given values; `complaints` the last messages of the FMU. Raises
-    ValueError, in one line, where it cannot be loaded or initialised, or has events.
+    `given` are what gets values, in the order of `p` of its methods; states are in the FMU's order. `complaints` are
+    the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has events.
     """
 
-    def __init__(self, unpacked: Unpacked, parameters: Sequence[Any]) -> None:
-        self.path, self.folder, self.description = unpacked.path, unpacked.folder, unpacked.description
-        self.parameters = tuple(parameters)
-        self.complaints: list[str] = []
+    def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
+        self.path, self.folder, self.variables = unpacked.path, unpacked.folder, variables
+        self.given = variables.given
         self._lock = threading.Lock()  # two threads of a map must not set the one state
-        self._given: Array | None = None  # the parameters that it has, None where it is to be initialised
-        self._fresh = True  # instantiated, and nothing else
-        self._two = str(self.description.fmiVersion).startswith("2")
-        self._n = len(self.description.derivatives)
-        self._fmu = self._loaded(unpacked)
-        self._finalizer = weakref.finalize(self, _close, self._fmu, unpacked.remove)
-        self._x, self._result = _Numbers(self._n), _Numbers(self._n)
-        self._placed: tuple[float, bytes] | None = None  # time and state that it has
-        self._requests: dict[tuple[tuple[int, ...], tuple[int, ...]], _Request] = {}
-        self._references = [int(v.valueReference) for v in self.parameters]
-        self.start_parameters = np.array([_start(v) for v in self.parameters])
+        self._loaded = Loaded.of(unpacked)
+        self.complaints = self._loaded.complaints
+        self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
+        self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
+        once = unpacked.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
+        self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED * self._held.size + 2)
+        self._components: dict[bytes, Component] = {}  # by their parameters
+        self._finalizer = weakref.finalize(self, _close, self._components, self._loaded, unpacked.remove)
+        self._requests: dict[Group, Values] = {}
+        self._buffers: dict[tuple[str, int, int], Buffer] = {}
+        self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and what tells them
+        self.start_given = np.array([element.start for element in self.given])
         try:
-            self._restart(self.start_parameters)
-            self.start = self._states()
+            component = self._instantiated()
         except Exception as error:
-            raise self._refused("it cannot be initialised", error) from error
+            raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+        held = self.start_given[self._held]
+        self._components[held.tobytes()] = component
+        try:
+            component.restart(held)
+            self.start = component.states()
+        except Exception as error:
+            raise refused(self.path, "it cannot be initialised", error, self.complaints) from error
 
     def close(self) -> None:
-        """Free the instance and remove its folder; done when nothing refers to it any more, or at the end."""
+        """Free the instances and remove the folder; done when nothing refers to it any more, or at the end."""
         self._finalizer()
 
     # Values -----------------------------------------------------------------------------------------------------------
 
-    def derivatives(self, t: float, x: Array, p: Array) -> Array:
-        """x' at a time, state and parameters; NaN where the FMU cannot compute it."""
-        with self._lock:
-            if self._move(t, x, p) and self._ask(self._derivatives):
-                return self._result.array.copy()
-            return np.full(self._n, np.nan)
+    def at(self, wanted: Group | None, t: Sequence[float], x: Array, p: Array) -> Array:
+        """x', or values of variables, at several points; NaN where the FMU cannot compute them.
 
-    def outputs(self, references: tuple[int, ...], t: float, x: Array, p: Array) -> Array:
-        """Values of variables by their references; NaN where the FMU cannot compute them."""
-        with self._lock:
-            request = self._request(references, ())
-            if self._move(t, x, p) and self._ask(self._values, request):
-                return request.result.array.copy()
-            return np.full(len(references), np.nan)
-
-    def directional(
-        self, unknowns: tuple[int, ...], knowns: tuple[int, ...], seeds: Array, t: float, x: Array, p: Array
-    ) -> Array:
-        """Directional derivatives of unknowns, one column a column of `seeds`, shape (unknowns, seeds); NaN where none.
-
-        All knowns are given in each call, most with seed 0: some FMUs go on with seeds of the call before.
+        There is a row for each point in `p`, and in `x` too unless it is the same for all.
         """
         with self._lock:
-            result = np.full((len(unknowns), seeds.shape[1]), np.nan)
-            request = self._request(unknowns, knowns)
-            if self._move(t, x, p):
-                for k in range(seeds.shape[1]):
-                    request.seed.array[:] = seeds[:, k]
-                    if not self._ask(self._directional, request):
-                        break
-                    result[:, k] = request.result.array
-            return result
+            request = None if wanted is None else self._request(wanted)
+            rows, same = len(p), len(x) == 1
+            points = self._buffer("points", len(x), x.shape[1])
+            result = self._buffer("result", rows, x.shape[1] if request is None else request.size)
+            points.array[:] = x
+            keys, inputs = self._keys(p), p[:, self._moved] if self._moved.size else None
+            here, there = points.address, result.address
+            for k in range(rows):
+                component = self._components.get(keys[k]) or self._at(keys[k], p[k])
+                try:
+                    if component is None:
+                        result.array[k] = np.nan
+                    else:
+                        component.place(t[k], here, None if inputs is None else inputs[k])
+                        if request is None:
+                            component.rates(there)
+                        else:
+                            component.values(request, there)
+                except CallError as error:
+                    assert component is not None
+                    result.array[k] = np.nan
+                    self._failed(component, error)
+                here, there = here if same else here + points.stride, there + result.stride
+            return result.array.copy() if request is None else result.array[:, request.places]
 
-    def _request(self, unknowns: tuple[int, ...], knowns: tuple[int, ...]) -> _Request:
-        """Arrays of C for one set of variables, made once."""
-        if (unknowns, knowns) not in self._requests:
-            self._requests[unknowns, knowns] = _Request(
-                (ctypes.c_uint32 * len(unknowns))(*unknowns),
-                (ctypes.c_uint32 * len(knowns))(*knowns),
-                _Numbers(len(knowns)),
-                _Numbers(len(unknowns)),
-            )
-        return self._requests[unknowns, knowns]
+    def directional(self, unknowns: Group, knowns: Group, seeds: Buffer, t: float, x: Array, p: Array) -> Array:
+        """Directional derivatives of unknowns along the rows of `seeds`, shape (seeds, unknowns); NaN where none.
 
-    # The interface ----------------------------------------------------------------------------------------------------
-
-    def _loaded(self, unpacked: Unpacked) -> Any:
-        from fmpy.fmi1 import FMICallException
-        from fmpy.fmi2 import FMU2Model
-        from fmpy.fmi3 import FMU3Model
-
-        self._call_failed = FMICallException
-        description, here = self.description, Path.cwd()
-        try:
-            fmu = (FMU2Model if self._two else FMU3Model)(
-                guid=description.guid if self._two else description.instantiationToken,
-                modelIdentifier=description.modelExchange.modelIdentifier,
-                unzipDirectory=str(unpacked.folder),
-                libraryPath=str(unpacked.library),
-            )
-        except Exception as error:  # fmpy raises whatever the loader meets
-            raise self._refused("its binary cannot be loaded", error) from error
-        finally:
-            os.chdir(here)  # fmpy goes into the library's folder, and stays there when the loader fails
-        try:
-            self._instantiate(fmu)
-        except Exception as error:
-            raise self._refused("it cannot be instantiated", error) from error
-        return fmu
-
-    def _instantiate(self, fmu: Any) -> None:
-        # The message is last in FMI 2.0 and 3.0. The callback must not keep the instance alive.
-        complaints = self.complaints
-
-        def keep(*arguments: Any) -> None:
-            _append(complaints, bytes(arguments[-1] or b"").decode(errors="replace"))
-
-        if self._two:
-            fmu.instantiate(callbacks=_callbacks(keep))
-        else:
-            fmu.instantiate(logMessage=keep)
-
-    def _refused(self, what: str, error: Exception | None) -> ValueError:
-        words = " ".join(f"{error or ''} {'; '.join(self.complaints[-3:])}".split())
-        return ValueError(f"{self.path}: {what}{': ' if words else ''}{words[:300]}")
-
-    def _restart(self, p: Array) -> None:
-        """Initialise anew with the given parameters and go to Continuous-Time Mode."""
-        fmu = self._fmu
-        if not self._fresh:
+        A seed has a number for each entry of the knowns' variables: all are given in each call, most with seed 0, as
+        some FMUs go on with seeds of the call before.
+        """
+        with self._lock:
+            wanted, known, count = self._request(unknowns), self._request(knowns), len(seeds.array)
+            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, wanted.size)
+            point.array[:] = x
+            key = self._keys(p[None])[0]
+            component = self._components.get(key) or self._at(key, p)
+            if component is None:
+                return np.full((count, unknowns.places.size), np.nan)
             try:
-                fmu.reset()
-            except self._call_failed:
-                (fmu.fmi2FreeInstance if self._two else fmu.fmi3FreeInstance)(fmu.component)
-                self._instantiate(fmu)
-        self._given, self._fresh, self._placed = None, False, None
-        if self._two:
-            fmu.setupExperiment(startTime=0.0)
-        self._set(np.arange(len(self.parameters)), p)
-        if self._two:
-            fmu.enterInitializationMode()
-        else:
-            fmu.enterInitializationMode(startTime=0.0)
-        fmu.exitInitializationMode()
-        self._events()
-        fmu.enterContinuousTimeMode()
-        self._given = p.copy()
+                component.place(t, point.address, p[self._moved] if self._moved.size else None)
+                for k in range(count):
+                    places = seeds.address + k * seeds.stride, result.address + k * result.stride
+                    component.directional(wanted, known, *places)
+            except CallError as error:
+                result.array[:] = np.nan
+                self._failed(component, error)
+            return result.array[:, wanted.places]
 
-    def _events(self) -> None:
-        """Iterate events until none is left."""
-        for _ in range(MOST_EVENT_ITERATIONS):
-            if self._two:
-                again, stop, _, _, timed, _ = self._fmu.newDiscreteStates()
-            else:
-                again, stop, _, _, timed, _ = self._fmu.updateDiscreteStates()
-            if stop or timed:
-                raise self._refused("it has events at times, or ends by itself; accepted: a model without events", None)
-            if not again:
-                return
-        raise self._refused("its events do not end", None)
+    def _buffer(self, name: str, rows: int, columns: int) -> Buffer:
+        """Rows that C and numpy share, made once for each size."""
+        found = self._buffers.get((name, rows, columns))
+        if found is None:
+            found = self._buffers[name, rows, columns] = Buffer(rows, columns)
+        return found
 
-    def _move(self, t: float, x: Array, p: Array) -> bool:
-        """Bring the instance to a time, state and parameters; False where it refuses them.
+    def _request(self, group: Group) -> Values:
+        """Arrays of C for one set of variables, made once."""
+        if group not in self._requests:
+            self._requests[group] = Values.of(group)
+        return self._requests[group]
+
+    def _keys(self, p: Array) -> list[bytes]:
+        """What tells the parameters of the rows of p; the same rows often come again."""
+        packed = len(p), p.tobytes()
+        if self._packed[0] != packed:
+            self._packed = packed, [row.tobytes() for row in p[:, self._held]]
+        return self._packed[1]
+
+    # Instances --------------------------------------------------------------------------------------------------------
+
+    def _instantiated(self) -> Component:
+        held, moved = (tuple(self.given[k] for k in places) for places in (self._held, self._moved))
+        return Component(self._loaded, len(self.variables.states), held, moved)
+
+    def _at(self, key: bytes, p: Array) -> Component | None:
+        """An instance that gets the parameters of this key; None where the FMU refuses them.
 
         Raises ValueError after `close`: what would be called is no longer there.
         """
         if not self._finalizer.alive:
             raise ValueError(f"{self.path}: closed; accepted: calls before that")
-        if not self._ask(self._parameterise, p):
-            self._restart(self.start_parameters)  # it may be left in Event Mode
-            return False
-        return self._ask(self._place, t, x)
-
-    def _ask(self, function: Any, *arguments: Any) -> bool:
-        """Call the FMU; False where it does not answer: then it is initialised anew, unless it only discards values."""
+        component, fresh = self._spare()
         try:
-            function(*arguments)
-        except self._call_failed as error:
-            self._placed = None
-            _append(self.complaints, str(error))
-            if error.status != _DISCARD:
-                self._restart(self.start_parameters)
-            return False
-        return True
+            (component.restart if fresh else component.change)(p[self._held])
+        except CallError as error:
+            self._failed(component, error)
+            return None
+        self._components[key] = component
+        return component
 
-    def _parameterise(self, p: Array) -> None:
-        if self._given is not None and np.array_equal(p, self._given):
+    def _spare(self) -> tuple[Component, bool]:
+        """An instance that is new, or the one that has had its parameters longest; and whether it is new."""
+        if len(self._components) < self._most:
+            try:
+                return self._instantiated(), True
+            except Exception as error:  # fmpy raises a bare one; the instances that there are do as well
+                if not self._components:
+                    raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+                self._most = len(self._components)
+        return self._components.pop(next(iter(self._components))), False
+
+    def _failed(self, component: Component, error: CallError) -> None:
+        """Keep the message; initialise the instance anew unless the FMU only discards values."""
+        complain(self.complaints, str(error))
+        known = next((key for key, other in self._components.items() if other is component), None)
+        if error.discarded and known is not None:
             return
-        changed = np.arange(len(p)) if self._given is None else np.flatnonzero(p != self._given)
-        kinds = {(self.parameters[i].causality, self.parameters[i].variability) for i in changed}
-        if self._given is None or any(c == "parameter" and v != "tunable" for c, v in kinds):
-            self._restart(p)
-        elif all(causality == "input" for causality, _ in kinds):
-            self._set(changed, p[changed])
-        else:
-            self._fmu.enterEventMode()
-            self._set(changed, p[changed])
-            self._events()
-            self._fmu.enterContinuousTimeMode()
-        self._given = p.copy()
-
-    def _place(self, t: float, x: Array) -> None:
-        there = (t, x.tobytes())
-        if self._placed == there:
+        if known is not None:
+            del self._components[known]
+        held = self.start_given[self._held]
+        if held.tobytes() in self._components:
+            component.free()
             return
-        fmu = self._fmu
-        fmu.setTime(t)
-        self._x.array[:] = x
-        call = fmu.fmi2SetContinuousStates if self._two else fmu.fmi3SetContinuousStates
-        call(fmu.component, self._x.pointer, self._n)
-        self._placed = there
-
-    def _set(self, which: NDArray[np.int64], values: Array) -> None:
-        self._placed = None
-        if len(which):
-            references = [self._references[i] for i in which]
-            (self._fmu.setReal if self._two else self._fmu.setFloat64)(references, [float(v) for v in values])
-
-    def _states(self) -> Array:
-        fmu = self._fmu
-        call = fmu.fmi2GetContinuousStates if self._two else fmu.fmi3GetContinuousStates
-        call(fmu.component, self._result.pointer, self._n)
-        return self._result.array.copy()
-
-    def _derivatives(self) -> None:
-        fmu = self._fmu
-        call = fmu.fmi2GetDerivatives if self._two else fmu.fmi3GetContinuousStateDerivatives
-        call(fmu.component, self._result.pointer, self._n)
-
-    def _values(self, request: _Request) -> None:
-        fmu, result = self._fmu, request.result
-        if self._two:
-            fmu.fmi2GetReal(fmu.component, request.unknowns, result.count, result.pointer)
-        else:
-            fmu.fmi3GetFloat64(fmu.component, request.unknowns, result.count, result.pointer, result.count)
-
-    def _directional(self, request: _Request) -> None:
-        fmu, seed, result = self._fmu, request.seed, request.result
-        places = (request.unknowns, result.count, request.knowns, seed.count)
-        if self._two:
-            fmu.fmi2GetDirectionalDerivative(fmu.component, *places, seed.pointer, result.pointer)
-        else:
-            fmu.fmi3GetDirectionalDerivative(
-                fmu.component, *places, seed.pointer, seed.count, result.pointer, result.count
-            )
+        try:
+            component.restart(held)
+        except CallError as again:
+            component.free()
+            raise refused(self.path, "it cannot be initialised again", again, self.complaints) from again
+        self._components[held.tobytes()] = component
 
 
-class _Numbers:
-    """An array of doubles that C and numpy share."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self.array: Array = np.zeros(count)
-        self.pointer = self.array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-
-
-@dataclass(frozen=True, eq=False)
-class _Request:
-    """Value references of unknowns and knowns as arrays of C, with places for seeds and results."""
-
-    unknowns: Any
-    knowns: Any
-    seed: _Numbers
-    result: _Numbers
-
-
-def _append(complaints: list[str], message: str) -> None:
-    complaints.append(message)
-    del complaints[:-MOST_COMPLAINTS]
-
-
-def _start(variable: Any) -> float:
-    return float(variable.start if variable.start is not None else 0.0)
-
-
-def _callbacks(keep: Any) -> Any:
-    """FMI 2.0's structure of callbacks with a logger that keeps messages."""
-    from fmpy import calloc, fmi2, free
-    from fmpy.logging import addLoggerProxy
-
-    callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(keep)
-    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(ctypes.byref(callbacks))  # it formats what the FMU prints with C's variable arguments
-    return callbacks
-
-
-def _close(fmu: Any, remove: Callable[[], object]) -> None:
+def _close(components: dict[bytes, Component], loaded: Loaded, remove: Callable[[], object]) -> None:
     from fmpy import freeLibrary
 
-    free = getattr(fmu, "fmi2FreeInstance", None) or fmu.fmi3FreeInstance
-    free(fmu.component)
-    freeLibrary(fmu.dll._handle)
+    for component in components.values():
+        component.free()
+    components.clear()
+    freeLibrary(loaded.fmu.dll._handle)
     remove()

@@ -14,24 +14,28 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from casadi_skin.models.fmu_archive import Unpacked, read_description
+from casadi_skin.models.fmu_model import made
+from casadi_skin.models.fmu_variables import Asked
 
 ANSWERED = 86  # the exit status of a process in which the binary came back, with values or an error
 _PROGRAM = "from casadi_skin.models.fmu_trial import main; main()"
 _answered: set[tuple[str, str]] = set()  # archives and arguments that were tried in this process
 
 
-def check_answer(unpacked: Unpacked, arguments: Mapping[str, Any], time_limit: float) -> None:
+def check_answer(unpacked: Unpacked, asked: Asked, inputs: Mapping[str, float], time_limit: float) -> None:
     """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
+    wanted = {"asked": asdict(asked), "inputs": dict(inputs)}
     with unpacked.path.open("rb") as file:
-        key = hashlib.file_digest(file, "sha256").hexdigest(), json.dumps(arguments)
+        key = hashlib.file_digest(file, "sha256").hexdigest(), json.dumps(wanted)
     if key in _answered:
         return
     told = {"path": str(unpacked.path), "folder": str(unpacked.folder), "library": str(unpacked.library)}
-    words = json.dumps({**told, "arguments": dict(arguments), "time_limit": time_limit})
+    words = json.dumps({**told, **wanted, "time_limit": time_limit})
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
     with subprocess.Popen(
         [sys.executable, "-P", "-c", _PROGRAM, words], env=environment, stdin=subprocess.PIPE,
@@ -60,12 +64,12 @@ def main() -> None:
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, given["time_limit"] + 1.0)  # should nobody be left to end it
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    from casadi_skin.models.fmu import made
-
     folder, path = Path(given["folder"]), Path(given["path"])
     try:
-        description = read_description(path, folder)
-        model = made(Unpacked(path, folder, Path(given["library"]), description, lambda: None), **given["arguments"])
+        unpacked = Unpacked(path, folder, Path(given["library"]), read_description(path, folder), lambda: None)
+        names: Any = {name: tuple(v) if isinstance(v, list) else v for name, v in given["asked"].items()}
+        asked = Asked(**names)
+        model = made(unpacked, asked, given["inputs"])
         model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
     except Exception:  # the same is raised, and told, where the FMU is read
         pass

@@ -61,6 +61,10 @@ class OdeModel(Equations):
         """Function (t, x, p) -> dense time derivative of the first-order state x."""
         return self.function("field", ca.densify(self.full_rhs))
 
+    def field_at(self, time: Any, state: Any, parameters: Any) -> Expression:
+        """The vector field at expressions, written out: a derivative that nobody asks for is then none of a program."""
+        return self.vector_field.call([time, state, parameters], True, False)[0]
+
     @cached_property
     def ends(self) -> tuple[Expression, Expression]:
         """Symbols of the first-order state at the start and at the end of an interval."""

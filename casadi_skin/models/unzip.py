@@ -24,7 +24,7 @@ DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedErro
 
 
 class Archive:
-    """The files of an archive by the names under which they are written, checked.
+    """The files of an archive by the names under which they are written, checked; `repeated` are in it more than once.
 
     Raises ValueError, in one line, for what is no archive, is damaged or hostile.
     """
@@ -39,7 +39,7 @@ class Archive:
         except DAMAGED as error:
             raise ValueError(f"{path}: cannot be read as an FMU: {error}") from error
         try:
-            self._members = _checked(path, self._zip)
+            self._members, self.repeated = _checked(path, self._zip)
         except BaseException:
             self._zip.close()
             raise
@@ -50,10 +50,12 @@ class Archive:
         return tuple(self._members)
 
     def write(self, folder: Path, wanted: Callable[[str], bool]) -> None:
-        """Write the files whose names are wanted; raises ValueError, naming the first that is damaged."""
+        """Write the files whose names are wanted; raises ValueError, naming the first that is damaged or repeated."""
         for name, member in self._members.items():
             if not wanted(name):
                 continue
+            if name in self.repeated:
+                raise ValueError(f"{self.path}: refused: {name!r} is in it more than once; accepted: once")
             target = folder / name
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -77,8 +79,11 @@ def _check_directory(path: Path) -> None:
         raise zipfile.BadZipFile(f"its list of files has {end[5]} bytes; accepted: up to {LONGEST_DIRECTORY}")
 
 
-def _checked(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """All files but folders by name; raises ValueError naming the first that must not be unpacked."""
+def _checked(path: Path, archive: zipfile.ZipFile) -> tuple[dict[str, zipfile.ZipInfo], frozenset[str]]:
+    """All files but folders by name, and those that are there more than once.
+
+    Raises ValueError naming the first that must not be unpacked.
+    """
     members = archive.infolist()
     if len(members) > MOST_FILES:
         raise ValueError(f"{path}: {len(members)} files inside; accepted: up to {MOST_FILES}")
@@ -87,6 +92,7 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]
     if size > most:
         raise ValueError(f"{path}: {size} bytes when unpacked; accepted: up to {most}")
     found: dict[str, zipfile.ZipInfo] = {}
+    repeated = set()
     for member in members:
         for name in (member.orig_filename, member.filename):  # extra field 0x7075 gives a file another name
             if not _stays(name):
@@ -99,10 +105,10 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]
         if member.compress_type not in METHODS:
             raise ValueError(f"{path}: refused: {name!r} is compressed by method {member.compress_type}, not deflate")
         if name in found:
-            raise ValueError(f"{path}: refused: a file is in it twice")
+            repeated.add(name)
         if not member.is_dir():
             found[name] = member
-    return found
+    return found, frozenset(repeated)
 
 
 def _stays(name: str) -> bool:

@@ -82,6 +82,10 @@ class Optimum:
     resolution: int
     starts: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        free = ", ".join(f"{name} = {value:.10g}" for name, value in list(self.parameters.items())[:4])
+        return f"<Optimum: objective {self.objective:.10g} at {free}{', ...' if len(self.parameters) > 4 else ''}>"
+
     @classmethod
     def of(cls, nlp: Nlp, solution: Solution, found: Optimality, free_names: Sequence[str], **known: Any) -> Optimum:
         """From where Ipopt ended, with the conditions of optimality there and all else by name."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -17,6 +18,7 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
 FINE = 1e-10  # of the way from one orbit to the next
+NEAR = 1e-2  # of it: where the extended equations of a special orbit are solved from
 CRITICAL = 1e-4  # distance from the unit circle of a multiplier that is on it at a special point
 
 
@@ -28,12 +30,12 @@ def bifurcations_between(before: Orbit, after: Orbit) -> Iterator[Orbit]:
     space = before.space
     if not isinstance(space, BoundarySpace) or before.floquet().trivial > 1 or space.symmetry.value != 1.0:
         return
-    found = [_located(space, before, after, kind, test) for kind, test in _crossings(before, after)]
+    found = [_located(space, before, after, *crossing) for crossing in _crossings(before, after)]
     yield from (orbit for _, orbit in sorted((one for one in found if one is not None), key=lambda one: one[0]))
 
 
-def _crossings(before: Orbit, after: Orbit) -> Iterator[tuple[str, Callable[[Floquet], float]]]:
-    """Kinds of what crosses, each with a function of the multipliers that changes its sign there."""
+def _crossings(before: Orbit, after: Orbit) -> Iterator[tuple[str, Callable[[Floquet], float], complex]]:
+    """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and about where."""
     from scipy.optimize import linear_sum_assignment
 
     a, b = before.floquet().others, after.floquet().others
@@ -45,11 +47,11 @@ def _crossings(before: Orbit, after: Orbit) -> Iterator[tuple[str, Callable[[Flo
             continue
         real = last if last.imag == 0.0 else first
         if pair:
-            yield TORUS, _modulus(0.5 * (first + last))
+            yield TORUS, _modulus(0.5 * (first + last)), 0.5 * (first + last)
         elif real.real < 0.0:
-            yield DOUBLING, _real(-1.0)
+            yield DOUBLING, _real(-1.0), -1.0
         elif not turns_between(before.point, after.point):
-            yield BRANCH_POINT, _real(1.0)
+            yield BRANCH_POINT, _real(1.0), 1.0
 
 
 def _side(orbit: Orbit, multiplier: complex) -> float:
@@ -81,7 +83,7 @@ def _nearest(values: ComplexArray, place: complex) -> complex:
 
 
 def _located(
-    space: BoundarySpace, before: Orbit, after: Orbit, kind: str, test: Callable[[Floquet], float]
+    space: BoundarySpace, before: Orbit, after: Orbit, kind: str, test: Callable[[Floquet], float], place: complex
 ) -> tuple[float, Orbit] | None:
     """The orbit at which a test vanishes, with its place on the way; None where none is found."""
     from scipy.optimize import brentq
@@ -98,6 +100,13 @@ def _located(
 
     if value(0.0) * value(1.0) >= 0.0:  # another multiplier was nearer
         return None
+    with suppress(ArithmeticError):
+        near = float(brentq(value, 0.0, 1.0, xtol=NEAR))
+        value(near)
+        angle = abs(float(np.angle(_nearest(known[near].floquet().others, place))))
+        point = methods.TASKS["special_orbit"].load()(space, kind, known[near].point, angle)
+        if point is not None:
+            return near, Orbit(space, point, known_floquet=space.floquets([point])[0])
     with suppress(ArithmeticError):  # at a branch point itself no orbit is alone: the nearest one stands for it
         brentq(value, 0.0, 1.0, xtol=FINE)
     root = min(known, key=lambda fraction: abs(value(fraction)))

@@ -26,7 +26,8 @@ from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import HOPF, fold_between, turns_between
+from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between
+from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
@@ -173,7 +174,7 @@ class BoundarySpace:
         return ArclengthContinuation(self.point_solver, history, reported)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, or the Hopf point where an orbit shrinks to an equilibrium.
+        """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
         """
@@ -183,19 +184,28 @@ class BoundarySpace:
         if crossed is not None:
             yield crossed
             return
-        if not turns_between(before, after):
-            return
+        parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
-        if self.shrinks(before, after):
+        if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        yield hopf or fold_between(self.point_solver, before, after)
+        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        yield from (self._fold_between(*part) for part in passed)
+        if hopf is not None:
+            yield hopf
+
+    def _fold_between(self, before: Point, after: Point) -> Point:
+        """The fold between two points; of orbits as a solution of its extended equations."""
+        fold = fold_between(self.point_solver, before, after)
+        located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
+        return located or fold
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
         varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        one, other = ((x - x.mean(axis=0)) / self.sizes.states for x in varying)
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     def parameter_error(self, point: Point) -> float:
@@ -296,7 +306,7 @@ class BoundarySpace:
         """States at phases, shape (len(theta), components)."""
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
-        states = signs * point.problem.sample(point.z, fractions)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
     def energy(self, point: Point) -> float:

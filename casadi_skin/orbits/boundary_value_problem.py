@@ -13,6 +13,12 @@ from casadi_skin.orbits.solve import solve
 class BoundaryValueProblem(Statement):
     __doc__ = Statement.__doc__
 
+    def __repr__(self) -> str:
+        start, end = (end if isinstance(end, int | float) else "a parameter" for end in self.interval)
+        counts = f"{len(self.conditions)} conditions, {len(self.integrals)} integrals"
+        free = f"; free: {', '.join(self.free)}" if self.free else ""
+        return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
+
     def solve(self, guess: Guess, **options: Any) -> Solution:
         """The solution near a guess, by `casadi_skin.orbits.solve.solve`, which tells of guesses and options."""
         return solve(self, guess, **options)

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin import methods
-from casadi_skin.arguments import number, whole
+from casadi_skin.arguments import cut, number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.certificate import ProvedStretch
@@ -23,16 +23,14 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.special_points import EDGE, FOLD, NotLocatedError, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
-
-if TYPE_CHECKING:
-    import xarray
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class Branch(Result):
     """Solutions of one branch in the order of arclength.
 
     Attributes:
@@ -64,11 +62,12 @@ class Branch:
     def __repr__(self) -> str:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
-        sought = self.with_events and self.with_stability
-        changes = f", {len(self.changes)} changes of stability" if sought and not self.space.knows_stability else ""
+        known = self.with_events and (not isinstance(self.space, Family) or "stability_diagram" in vars(self))
+        sought = known and self.with_stability and not self.space.knows_stability
+        changes = f", {len(self.changes)} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {self.reason}>"
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {cut(self.reason)}>"
 
     @property
     def parameter(self) -> str:
@@ -181,6 +180,27 @@ class Branch:
         tongue = self.stability_diagram.first_instability(growth)
         return None if tongue is None else tongue.start
 
+    def edge(self, number: int = 0) -> SpecialPoint:
+        """The edge of a real tongue of a family as a special point, to be followed in a second parameter.
+
+        Arguments:
+            number: place of the edge among `changes`, from 0.
+
+        Returns:
+            The point; its `curve` follows the edge with S free.
+
+        Raises:
+            ValueError: the branch is no family, or there is no such change through 1 or -1.
+        """
+        known = [str(k) for k, c in enumerate(self.changes) if isinstance(c, StabilityEdge) and c.kind == "real"]
+        if str(number) not in known:
+            accepted = ", ".join(known) or "none: no multiplier of a family passes 1 or -1"
+            raise ValueError(f"number: given {number!r}; accepted: {accepted}")
+        change = self.changes[number]
+        orbit = self.at(S=change.value)
+        values = {**orbit.parameters, self.parameter: change.value}
+        return SpecialPoint(EDGE, self.parameter, values, change.error, orbit)
+
     # Special points ---------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -199,6 +219,10 @@ class Branch:
         values = {**solution.parameters, self.parameter: solution.value(self.parameter)}
         error = self.space.parameter_error(solution.point)
         return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
+
+    def follow_all(self, **options: Any) -> Any:
+        """All that leaves this, and what leaves that: a `Diagram`, by `casadi_skin.equilibria.diagram.follow_all`."""
+        return methods.TASKS["follow_all"].load()(self, **options)
 
     @property
     def folds(self) -> tuple[Solution, ...]:
@@ -222,7 +246,7 @@ class Branch:
     @property
     def complete(self) -> bool:
         """Whether the branch reached what was asked and no requested point is missing."""
-        return (self.stopped or self.end is End.REACHED) and not any(self.misses.values())
+        return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
 
     @property
     def reason(self) -> str:
@@ -297,11 +321,3 @@ class Branch:
         """S on both sides of a change of stability, between which it is proved, by `certify_change`; None without."""
         ends: tuple[float, float] | None = methods.TASKS["certify_change"].load()(self, change)
         return ends
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The branch as an xarray Dataset along `point`, with all that its netCDF file has; needs the extra `xarray`.
-
-        Raises ImportError where xarray is not installed.
-        """
-        dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
-        return dataset

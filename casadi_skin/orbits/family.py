@@ -26,7 +26,7 @@ from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.small_components import with_small_components
-from casadi_skin.orbits.special_points import fold_between, turns_between
+from casadi_skin.orbits.special_points import folds_between
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels, Refinement
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
@@ -213,9 +213,8 @@ class Family:
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """The fold on the stretch between two points, where S turns back."""
-        if turns_between(before, after):
-            yield fold_between(self.point_solver, before, after)
+        """Folds on the stretch between two points, where S turns back."""
+        yield from folds_between(self.point_solver, before, after)
 
     def parameter_error(self, point: Point) -> float:
         """Estimated error of S at a special point."""

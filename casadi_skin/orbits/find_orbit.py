@@ -199,7 +199,7 @@ class _Asked:
         model, kind = self.model, type(self.model.state)
         names = (*model.parameter_names, PERIOD, *([UNFOLDING] if unfolded else []))
         p, count = kind.sym("p", len(names)), int(model.parameters.numel())
-        rhs = model.vector_field(0.0, model.state, p[:count])
+        rhs = model.field_at(0.0, model.state, p[:count])
         if unfolded:
             slope = model.function("slope", ca.gradient(model.hamiltonian, model.state))
             rhs = rhs + p[count + 1] * slope(0.0, model.state, p[:count])

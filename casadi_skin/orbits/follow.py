@@ -104,6 +104,7 @@ def follow(
     at: Sequence[float] = (),
     max_points: int = 500,
     max_step: float = 0.2,
+    back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -119,28 +120,31 @@ def follow(
         at: values at which solutions are wanted exactly, as often as the branch passes them.
         max_points: number of points after which the branch ends.
         max_step: longest step, 1 being a change of the states by their own size.
+        back_to: a value on the other side of the start, where a branch that comes back ends; left out, it ends at the
+            value that it started from, and an equilibrium's is followed on to see whether it closes.
         until: ends the branch at the first solution for which it is true.
         stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
         progress: called with each solution.
 
     Returns:
-        The branch; it also ends where it comes back to the value that it started from.
+        The branch. One that is a closed curve is walked once, and its end says so.
 
     Raises:
         ValueError: an argument is out of range.
         BoundaryError, EquilibriumError: not even the start can be solved.
     """
     _check_choices(stability, events, until, progress)
-    space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     if stability and isinstance(space, BoundarySpace) and space.periodic is None:
         raise ValueError("stability: given for solutions that are no orbits; accepted: for orbits")
     return run_following(Following(space, stability, events, until=until), progress)
 
 
 def following_space(
-    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
-) -> SolutionSpace:
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if isinstance(solution, Orbit) and isinstance(solution.space, Family):
         from casadi_skin.orbits.restating import restated
@@ -149,27 +153,35 @@ def following_space(
     space = solution.space
     if isinstance(space, BoundarySpace) and space.statement.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
-    settings = following_settings(solution, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
     assert isinstance(space, Follows)
     return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
 
 
 def following_settings(
-    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float
-) -> ContinuationSettings:
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> ContinuationSettings:  # fmt: skip
     """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
     check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
     start, end = solution.parameters[parameter], number("to", to)
     if end == start:
         raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
+    back = start if back_to is None else number("back_to", back_to)
+    if back_to is not None and not (back - start) * (end - start) < 0.0:
+        side = "below" if end > start else "above"
+        raise ValueError(f"back_to: given {back:g}; accepted: a number {side} {start:g}, where the branch starts")
     for value in numbers("at", at):
-        if not min(start, end) <= value <= max(start, end):
-            raise ValueError(f"at: given {value:g}; accepted: values from {start:g} to {end:g}")
+        if not min(back, end) <= value <= max(back, end):
+            raise ValueError(f"at: given {value:g}; accepted: values from {back:g} to {end:g}")
     whole("max_points", max_points, 2)
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
-        max_parameter_step=0.2,
+        max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
+        closing=back_to is None and solution.space.knows_stability,
     )  # fmt: skip

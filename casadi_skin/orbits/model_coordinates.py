@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -21,6 +21,8 @@ SYMMETRIC = 1e-12  # relative difference of entries that are the same but for ro
 SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
 REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
 DEEPEST = -230.0  # of log D: its cube is still a double
+LARGEST = 1e3  # amplitude of a scaled mode
+SMALL = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
 TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
 FIRST, LAST = "first", "last"
 
@@ -69,10 +71,19 @@ class ModelCoordinates(Coordinates):
             span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
         self.mode_number = _mode_number(model, mode)
-        _check_mode(self.modes.squares, self.mode_number, model.name)
+        self._check_mode()
         self._check_amplitude()
+        excess = float(np.max(np.abs(self.mode)))
+        if excess > LARGEST:  # where the mode lives at the end that displacements lean away from
+            self.modes = replace(self.modes, log_scale=self.modes.log_scale + np.log(excess))
+            for name in ("mode", "scale"):
+                self.__dict__.pop(name)
         self._parts = _homogeneous(self._force, model.state)
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
+
+    def _check_mode(self) -> None:
+        """Raises ValueError for a mode that has no family of its own."""
+        _check_mode(self.modes.squares, self.mode_number, self._model.name)
 
     def _check_amplitude(self) -> None:
         """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""
@@ -149,6 +160,8 @@ class ModelCoordinates(Coordinates):
     @cached_property
     def mode(self) -> Array:
         q = self.modes.modes[:, self.mode_number - 1]
+        if self.modes.symmetric and np.ptp(self.log_scale) > 0.0:
+            q = with_small_amplitudes(q, self.modes.stiffness, self.modes.squares[self.mode_number - 1])
         q = q / self.amplitude(self.scale * q)
         return np.asarray(q * np.sign(q[np.argmax(np.abs(self.scale * q))]))
 
@@ -305,6 +318,20 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
     order = np.argsort(values.real)
     modes = vectors.real[:, order]
     return LinearModes(values.real[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
+
+
+def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array:
+    """A mode whose amplitudes below SMALL of the largest are right relative to themselves, from those above."""
+    small = np.abs(mode) < SMALL * np.max(np.abs(mode))
+    if not small.any():
+        return mode
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    inside = stiffness[np.ix_(small, small)] - square * np.eye(int(small.sum()))
+    found = mode.copy()
+    found[small] = splu(csc_array(inside)).solve(-stiffness[np.ix_(small, ~small)] @ mode[~small])
+    return found
 
 
 def symmetrising_scale(K: Array) -> Array | None:

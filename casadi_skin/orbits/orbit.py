@@ -40,6 +40,11 @@ class Orbit(Solution):
 
     known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
 
+    def __repr__(self) -> str:
+        name = getattr(self.model, "name", None) or repr(self.model)
+        S = f"S = {self.S:.6g}, " if isinstance(self.space, Family) else ""
+        return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
+
     @property
     def symmetry(self) -> SymmetryClass:
         """Which part of the period was unknown."""

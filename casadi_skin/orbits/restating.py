@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields
 
 import casadi as ca
 
@@ -54,8 +54,7 @@ def _with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
     while name in (*model.parameter_names, *model.state_names):
         name += "_"
     S = ca.SX.sym(name)
-    extended = replace(
-        model, parameters=ca.vertcat(model.parameters, S), nominal=None,
-        parameter_labels=(*model.parameter_names, name), checked=False,
-    )  # fmt: skip
+    own = {entry.name: getattr(model, entry.name) for entry in fields(OdeModel)}  # a lattice becomes a plain model
+    own |= {"parameters": ca.vertcat(model.parameters, S), "nominal": None, "checked": False}
+    extended = OdeModel(**own | {"parameter_labels": (*model.parameter_names, name)})
     return extended, name, form.form - S

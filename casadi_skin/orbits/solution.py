@@ -19,10 +19,13 @@ from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
 from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.result import Result
+
+SHOWN = 6  # parameters in a line
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Result):
     """States over the interval and values of all parameters, with estimated errors.
 
     Attributes:
@@ -36,6 +39,11 @@ class Solution:
     point: Point
     exact: Mapping[str, float] = field(default_factory=dict)
     optimum: Optimum | None = None
+
+    def __repr__(self) -> str:
+        values = "".join(f", {name} = {value:.6g}" for name, value in list(self.parameters.items())[:SHOWN])
+        name = getattr(self.model, "name", None) or repr(self.model)
+        return f"<{type(self).__name__} of {name}{values}; error {self.error:.1e}>"
 
     @property
     def model(self) -> Any:
@@ -102,7 +110,8 @@ class Solution:
     @cached_property
     def states(self) -> Array:
         """States at `t`, shape (time, component)."""
-        return np.array(self.point.z[: self.problem.states].reshape(-1, self.statement.model.full_size))
+        values = self.point.z[: self.problem.states].reshape(self.problem.columns, -1)
+        return np.array(values[:, : len(self.space.state_names)])
 
     @property
     def mesh(self) -> Array:
@@ -177,6 +186,10 @@ class Solution:
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
         """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
         return methods.TASKS["follow"].load()(self, parameter, to, **options)
+
+    def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
+        """The branch through this solution, with all that leaves it; options are those of `follow`."""
+        return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
 
 
 def as_times(t: ArrayLike) -> Array:

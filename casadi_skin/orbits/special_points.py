@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin import methods
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.turns import rate, turning
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+EDGE = "edge of a tongue"  # of instability of a family, through 1 or -1
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -24,7 +26,7 @@ class NotLocatedError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point of a branch that stands out; of equilibria with the coefficient that decides there.
+    """A point of a branch that stands out, with the coefficient that decides there.
 
     Attributes:
         kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
@@ -42,7 +44,7 @@ class SpecialPoint:
     solution: Solution
 
     def __repr__(self) -> str:
-        words = f", {self.criticality}" if self.kind == HOPF else ""
+        words = f", {self.criticality}" if self.kind in (HOPF, DOUBLING, TORUS) else ""
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
 
@@ -52,25 +54,30 @@ class SpecialPoint:
 
     @property
     def vector(self) -> Any:
-        """Critical eigenvector, shape (components of the state,); raises ValueError for what is no equilibrium."""
+        """Critical eigenvector, of orbits Floquet vector at phase zero, shape (components of the state,).
+
+        Raises ValueError where none is defined.
+        """
         return self._critical.vector
 
     @property
     def frequency(self) -> float:
-        """Imaginary part of the critical eigenvalues; raises ValueError for what is no equilibrium."""
+        """Imaginary part of the critical eigenvalues or Floquet exponents; raises ValueError where none is defined."""
         return float(self._critical.frequency)
 
     @property
     def coefficient(self) -> float:
-        """Coefficient of the normal form: of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one.
+        """Coefficient of the normal form.
 
-        NaN where none is defined; raises ValueError for what is no equilibrium.
+        Of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one, of a period doubling or a torus the
+        cubic one (see `critical_orbits.normal_forms`). NaN where none is defined; raises ValueError where no normal
+        form is known.
         """
         return float(self._critical.coefficient)
 
     @property
     def criticality(self) -> str:
-        """What the coefficient means: of a Hopf point "supercritical", "subcritical" or "degenerate"."""
+        """What the coefficient means: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic"."""
         return str(self._critical.words)
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
@@ -84,12 +91,12 @@ class SpecialPoint:
 
 def turns_between(before: Point, after: Point) -> bool:
     """Whether the quantity that is followed turns back between two points."""
-    return parameter_rate(before) * parameter_rate(after) < 0.0
+    return rate(before) * rate(after) < 0.0
 
 
-def parameter_rate(point: Point) -> float:
-    """Rate of the free parameter along the branch."""
-    return float(point.tangent[point.problem.parameter_index])
+def folds_between(point_solver: PointSolver, before: Point, after: Point) -> Iterator[Point]:
+    """The points between two at which what is followed turns back, in order; raises NotLocatedError."""
+    yield from (fold_between(point_solver, *part) for part in turning(point_solver, before, after))
 
 
 def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Point:
@@ -100,15 +107,15 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
     """
     from scipy.optimize import brentq
 
-    def rate(fraction: float) -> float:
+    def rate_at(fraction: float) -> float:
         if fraction in (0.0, 1.0):
-            return parameter_rate(after if fraction else before)
+            return rate(after if fraction else before)
         tangent = point_solver.tangent_along(before, after, fraction)
         if tangent is None:
             raise _not_located(point_solver)
         return float(tangent[after.problem.parameter_index])
 
-    root = float(brentq(rate, 0.0, 1.0, xtol=FOLD_TOLERANCE))
+    root = float(brentq(rate_at, 0.0, 1.0, xtol=FOLD_TOLERANCE))
     point = point_solver.along(before, after, root)
     if point is None:
         raise _not_located(point_solver)

@@ -12,6 +12,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD, NotLocatedError
 
+CLOSED = 1e-3  # of a step: distance from the start of a branch that has come back to it
+
 
 class Walk:
     """Iterates over the points of a branch that are not known yet, without their stability.
@@ -48,7 +50,8 @@ class Walk:
 
     @property
     def detail(self) -> str:
-        return self._detail or ("" if self._continuation is None else self._continuation.detail)
+        of_its_own = self._continuation is None or self._end is not None
+        return self._detail or ("" if of_its_own else self._continuation.detail)  # type: ignore[union-attr]
 
     @property
     def ended_early(self) -> End | None:
@@ -60,6 +63,26 @@ class Walk:
         self._end, self._detail = end, detail
 
     def __iter__(self) -> Iterator[Point]:
+        held = list[Point]() if self._known and self._beyond_start(self._known[-1]) else None
+        for point in self._all():
+            if held is not None:
+                held.append(point)
+                continue
+            yield point
+            held = [] if self._beyond_start(point) else None
+        if self._end is End.CLOSED:
+            yield from held or ()
+        elif held is not None:
+            self._end, self._detail = End.RETURNED, ""
+
+    def _beyond_start(self, point: Point) -> bool:
+        """Whether a branch has come back, so that points are kept only if it closes."""
+        settings = self.space.point_solver.settings
+        beyond = point.parameter * settings.parameter_max <= 0.0 and point is not self.space.start
+        return settings.closing and point.walked and beyond
+
+    def _all(self) -> Iterator[Point]:
+        """The points of the branch, and of what is beyond its start where it may close."""
         known = [point for point in self._known if not point.located]
         last = known[-1] if known else None
         reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
@@ -79,6 +102,8 @@ class Walk:
             if words:
                 self._end, self._detail = end, words
                 return
+            closed = last is not None and not self.space.start_is_limit and self._closes(last, point)
+            point = replace(self.space.start, walked=False, requested=False) if closed else point
             if self.space.locates_folds and last is not None:
                 try:
                     for special in itertools.islice(self._special_between(last, point), reported, None):
@@ -91,32 +116,52 @@ class Walk:
                     return
             yield point
             last, reported = point, 0
+            if closed:
+                self._end = End.CLOSED
+                return
             if end is not None:
                 self._end = end
                 return
 
-    def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points between two points; round a fold that is alone the points asked for beside it."""
-        found = list(self.space.special_between(before, after))
-        if len(found) == 1 and found[0].special == FOLD:
-            yield from self._round_fold(before, after, found[0])
-            return
-        yield from (replace(special, located=True) for special in found)
+    def _closes(self, before: Point, after: Point) -> bool:
+        """Whether the start of the branch lies between two points of it, passed in the same direction."""
+        start, solver = self.space.start, self.space.point_solver
+        low, high = sorted((before.parameter, after.parameter))
+        beside = start.parameter < 1.5 * low - 0.5 * high or start.parameter > 1.5 * high - 0.5 * low
+        if before is start or (beside and not self.space.knows_stability):  # equilibria cost nothing to compare
+            return False
+        problem = after.problem
+        z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
+        curve, length = solver.curve(before, after)
+        row = solver.metric(problem, curve.z0) * curve.t0
+        sigma = float(row @ (z - curve.z0)) / float(row @ curve.t0)
+        if not CLOSED * length < sigma <= (1.0 + CLOSED) * length or float(row @ t) <= 0.0:
+            return False
+        found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
+        return found is not None and solver.distance(problem, z, found.z) <= CLOSED * length
 
-    def _round_fold(self, before: Point, after: Point, fold: Point) -> Iterator[Point]:
-        """A fold between two points, and the points asked for so near to it that the continuation passes them by."""
+    def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Special points between two points, and the points asked for so near to folds that they were passed by."""
+        found = list(self.space.special_between(before, after))
+        last = before
+        for special in (*found, after):
+            if any(one.special == FOLD for one in found):
+                yield from self._asked_between(last, special)
+            if special is not after:
+                yield replace(special, located=True)
+            last = special
+
+    def _asked_between(self, one: Point, other: Point) -> Iterator[Point]:
+        """The points asked for between two points of which one is a fold, or beside one."""
         solver = self.space.point_solver
-        for one, other in ((before, fold), (fold, after)):
-            low, high = sorted((one.parameter, other.parameter))
-            wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
-            inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
-            found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
-            for point in found.values():
-                yield replace(point, requested=True, located=True)
-            assert self._continuation is not None
-            self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
-            if other is fold:
-                yield replace(fold, located=True)
+        low, high = sorted((one.parameter, other.parameter))
+        wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
+        inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
+        found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
+        for point in found.values():
+            yield replace(point, requested=True, located=True)
+        assert self._continuation is not None
+        self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""
@@ -129,7 +174,7 @@ class Walk:
 
         Where a condition stopped the branch, those that it had passed before.
         """
-        misses, whole = {}, end is End.REACHED and not stopped
+        misses, whole = {}, end in (End.REACHED, End.CLOSED) and not stopped
         for name, values in self._asked().items():
             had = {s.value(name) for s in solutions}
             found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.guesses import Guess
 
 Numbers = Sequence[float] | Mapping[str, float]
+Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, names and model by file and name
 # Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
 PLACES = {
     "amplitude_max": "family", "at": "family", "at_Omega": "family", "at_period": "family", "period_max": "family",
@@ -32,13 +33,14 @@ PLACES = {
 }  # fmt: skip
 
 
-def bind(scene: Scene, scene_path: Path) -> Request:
+def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     """Make the model of a scene and check what the scene asks of it.
 
-    Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
+    `files` holds what files of models gave before, and is added to: scenes of one model share it with all that is built
+    of it. Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
     """
     if scene.model is not None:
-        request = _bound_file(scene, scene.model, scene_path)
+        request = _bound_file(scene, scene.model, scene_path, {} if files is None else files)
     else:
         request = _bound_chain(scene) if scene.lattice is None else _bound_lattice(scene, scene.lattice)
     if scene.orbit is not None:
@@ -67,15 +69,18 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
     return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
 
 
-def _bound_file(scene: Scene, table: ModelTable, scene_path: Path) -> Request:
+def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
     from casadi_skin.models.saved import loads
     from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 
     path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)
     try:
-        source = read_source(path)
-        names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
-        found = loads(source, str(path)) if table.name is None else named(path, names, table.name, kinds)
+        if (path, table.name) not in files:
+            source = read_source(path)
+            names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
+            found = loads(source, str(path)) if table.name is None else named(path, names, table.name, kinds)
+            files[path, table.name] = source, names, found
+        source, names, found = files[path, table.name]
     except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
         raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
@@ -288,7 +293,11 @@ def _check_continuation(request: Request) -> None:
         raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
     if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
         raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
-    low, high = sorted((values[table.parameter], table.to))
+    start = values[table.parameter]
+    if table.back_to is not None and not (table.back_to - start) * (table.to - start) < 0.0:
+        side = "below" if table.to > start else "above"
+        raise refusal("[continuation] back_to", repr(table.back_to), f"a number {side} {start!r}, where it starts")
+    low, high = sorted((start if table.back_to is None else table.back_to, table.to))
     for item, value in enumerate(table.at, start=1):
         if not low <= value <= high:
             raise refusal("[continuation] at", f"{value!r} as item {item}", f"numbers from {low!r} to {high!r}")

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
@@ -32,11 +33,30 @@ from casadi_skin.results.branch_records import (
 )  # fmt: skip
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.tables import Tables
 from casadi_skin.solvers.watch import watched
 from casadi_skin.stability.flow import FlowError
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
+
+
+class Records(Protocol):
+    """Records of branches, kept or not: a journal has these."""
+
+    path: Path
+    records: list[BranchRecord]
+
+    def append(self, record: BranchRecord) -> None:
+        """Keep one more."""
+
+
+class Rows(Protocol):
+    """Rows of solutions, written or not: the tables of a run have these."""
+
+    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Add rows to those of a branch."""
+
+    def count(self, name: str, space: SolutionSpace) -> int:
+        """Number of rows beside which a branch stands."""
 
 
 @dataclass
@@ -50,7 +70,7 @@ class Branches:
     """
 
     request: Request
-    tables: Tables
+    tables: Rows
     progress: Progress
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -70,15 +90,19 @@ class Branches:
         with Journal(path, msgspec.msgpack.Decoder(BranchRecord)) as journal:
             if journal.fault:
                 self.progress.tell(f"{path}: {journal.fault}; what follows it is dropped and computed again")
-            try:
-                for name, space in self._spaces(journal):
-                    started = time.perf_counter()
-                    with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
-                        self._follow(name, space, journal)
-                        self._seek_changes(name, self.branches[-1])
-                    self.seconds.append(time.perf_counter() - started)
-            except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
-                self.failures.append(str(error))
+            self.follow(journal)
+
+    def follow(self, journal: Records) -> None:
+        """Follow every branch, each result appended to the records before anything else happens to it."""
+        try:
+            for name, space in self._spaces(journal):
+                started = time.perf_counter()
+                with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
+                    self._follow(name, space, journal)
+                    self._seek_changes(name, self.branches[-1])
+                self.seconds.append(time.perf_counter() - started)
+        except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
+            self.failures.append(str(error))
 
     @contextmanager
     def _named(self, where: str) -> Iterator[None]:
@@ -96,7 +120,7 @@ class Branches:
             self.progress.say(f"j = {name}: changes of stability")
             branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
 
-    def _spaces(self, journal: Journal[BranchRecord]) -> Iterator[tuple[str, SolutionSpace]]:
+    def _spaces(self, journal: Records) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
         for family in self.request.families:
             self.progress.say(f"j = {family.mode}: building")
@@ -120,10 +144,16 @@ class Branches:
             yield (
                 "branch",
                 following_space(
-                    first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step
+                    first,
+                    table.parameter,
+                    table.to,
+                    at=table.at,
+                    max_points=table.max_points,
+                    max_step=table.max_step,
+                    back_to=table.back_to,
                 ),
             )
-            if scene.equilibrium is not None:
+            if scene.has_diagram:
                 from casadi_skin.runs.diagram import further_spaces
 
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
@@ -144,7 +174,7 @@ class Branches:
                 end, words = End.FLOW, str(error)
         return Branch(solution.space, (solution,), (), self._with_stability, end, words)
 
-    def _follow(self, name: str, space: SolutionSpace, journal: Journal[BranchRecord]) -> None:
+    def _follow(self, name: str, space: SolutionSpace, journal: Records) -> None:
         """Follow one branch to its end; each result goes to the journal before anything else happens.
 
         An interruption may come before a result is handed over: its row is added then.

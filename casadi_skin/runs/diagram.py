@@ -1,4 +1,4 @@
-"""A bifurcation diagram: what leaves a branch of equilibria, curves in two parameters, and the files of all of them."""
+"""A bifurcation diagram: what leaves a branch, curves in two parameters, and the files of all of them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import numpy as np
 
 import casadi_skin.figures as figures
 from casadi_skin.continuation.points import End
-from casadi_skin.equilibria.curve import curve_space
-from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.critical_orbits.curve import curve_space
+from casadi_skin.equilibria.diagram import LEAVING, Further
 from casadi_skin.equilibria.location import FOLD, HOPF
-from casadi_skin.equilibria.switch import leaving_space
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.orbits.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.runs.pictures import picture
@@ -27,10 +26,17 @@ from casadi_skin.scene.model_tables import ContinuationTable
 NATURAL = (
     End.HOPF,
     End.TAKENS,
+    End.CLOSED,
     End.RETURNED,
     End.AWAY,
+    End.BAUTIN,
+    End.HOPF_HOPF,
+    End.ZERO_HOPF,
+    End.RESONANCE_ONE,
+    End.RESONANCE_TWO,
 )  # ends of what leaves a branch, or is followed in two parameters
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
+FOLLOWED = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
 EMPTY: Cell = ""
 SAME = 1e-6  # distance of special points that are one
 
@@ -44,47 +50,29 @@ def further_spaces(
     the special points that lead to it; a special point that was met before is not left again. What cannot be started
     is told in `failures`.
     """
-    met, waiting, reached = list[SpecialPoint](), [("", branches[-1])], list[tuple[str, SpecialPoint]]()
-    while waiting:
-        prefix, branch = waiting.pop(0)
-        for number, point in enumerate(branch.special_points, start=1):
-            if any(_is_same(point, other) for other in met):
-                continue
-            met.append(point)
-            reached.append((f"{prefix}_{number}", point))
-            space = _leaving(point, branch, table, tolerance, failures) if point.kind in table.switch else None
-            if space is not None:
-                yield f"{CYCLES if point.kind == HOPF else OTHER}{prefix}_{number}", space
-                if point.kind != HOPF:
-                    waiting.append((f"{prefix}_{number}", branches[-1]))
+    options = {"max_points": table.max_points, "max_step": table.max_step}
+    kinds = table.switch or (() if table.depth is None else LEAVING)
+    depth, halves = (float("inf"), 1) if table.depth is None else (table.depth, 2)
+    further = Further(branches[-1], kinds, depth, {**options, "tolerance": tolerance}, halves)
+    for name, point, space in further:
+        if len(further.branches) == table.limit:
+            failures.append(f"[continuation] limit: more than {table.limit} branches belong to the diagram")
+            break
+        yield f"{CYCLES if point.kind == HOPF else OTHER}{name}", space
+        if branches[-1].space is space:
+            further.add(branches[-1], space, point)
+    failures += [f"[continuation] switch: {line}" for line in further.failures]
     curves = list[Branch]()
-    for place, point in reached:
+    for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        if table.curve is not None and point.kind in (FOLD, HOPF) and not passed:
-            to, options = table.curve.to, {"max_points": table.max_points, "max_step": table.max_step}
+        if table.curve is not None and point.kind in FOLLOWED and not passed:
             try:
-                yield f"{CURVE}{place}", curve_space(point, table.curve.parameter, to, at=(), **options)  # type: ignore[arg-type]
+                space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
+                yield f"{CURVE}{place}", space
             except (ValueError, ArithmeticError) as error:
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
             else:
                 curves.append(branches[-1])
-
-
-def _leaving(
-    point: SpecialPoint, branch: Branch, table: ContinuationTable, tolerance: float, failures: list[str]
-) -> SolutionSpace | None:
-    """What leaves at a point, to where the branch was to end or else to where it came from; None where nothing does."""
-    reasons = []
-    for to in (table.to, branch.solutions[0].parameters[table.parameter]):
-        try:
-            return leaving_space(
-                point, table.parameter, to, side=1, at=(), max_points=table.max_points, max_step=table.max_step,
-                tolerance=tolerance,
-            )  # fmt: skip
-        except (ValueError, ArithmeticError) as error:
-            reasons.append(str(error))
-    failures.append(f"[continuation] switch: {point.kind} at {point.parameters[point.parameter]:.8g}: {reasons[0]}")
-    return None
 
 
 def _passes(curve: Branch, point: SpecialPoint) -> bool:
@@ -95,22 +83,10 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         found = curve.at(point.parameters[curve.parameter], which=1)
     except (ValueError, ArithmeticError):
         return False
+    if isinstance(found, Orbit):
+        return bool(abs(found.parameters[point.parameter] / point.parameters[point.parameter] - 1.0) <= SAME)
     x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
     return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
-
-
-def _is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
-    """Whether two special points are one, met on two branches."""
-    if (
-        one.kind != other.kind
-        or not isinstance(one.solution, Equilibrium)
-        or not isinstance(other.solution, Equilibrium)
-    ):
-        return False
-    x, y = one.solution.positions, other.solution.positions
-    apart = np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x))))
-    p, q = one.parameters[one.parameter], other.parameters[one.parameter]
-    return bool(apart) and abs(p - q) <= SAME * max(1.0, abs(p))
 
 
 def is_further(branch: Branch) -> bool:
@@ -140,7 +116,7 @@ def write_diagram(
     columns = special_columns(first)
     rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
     write_csv(directory / "special_points.csv", columns, rows)
-    in_one = [branch for branch in branches if not branch.space.free or isinstance(branch.solutions[0], Orbit)]
+    in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
     picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
     curves = [branch for branch in branches if branch not in in_one]
     if curves:

@@ -18,13 +18,14 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
-           "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE, JOURNAL)  # fmt: skip
+           "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
+           "journal_*_of_*.msgpack", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch",
-            "orbit", "curves")  # fmt: skip
+            "orbit", "curves", "map_*", "skin", "spreading")  # fmt: skip
 
 
 class DirectoryError(ValueError):
@@ -62,6 +63,23 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     make_directory(directory)
     _write_scene(directory, scene_text)
     return True
+
+
+def prepare_part(directory: Path, scene: Scene, scene_text: str) -> None:
+    """Make `directory` ready for one of several processes that share a scene, and begin at the same time.
+
+    Raises DirectoryError where the directory may not be used.
+    """
+    _check_writable(directory)
+    make_directory(directory)
+    path = directory / SCENE
+    held = sorted(p.name for p in directory.iterdir() if not p.name.startswith("."))
+    if path.exists():
+        _check_same(directory, scene)
+    elif held:
+        raise DirectoryError(f"{directory}: holds {held[0]}; accepted: an empty or new directory, or that of the map")
+    else:
+        _write_scene(directory, scene_text)
 
 
 def renew(directory: Path, scene_text: str) -> None:

@@ -10,7 +10,11 @@ import numpy as np
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.spacetime import spacetime_figure
+from casadi_skin.figures.spreading import spreading_figure
 from casadi_skin.figures.style import number
+from casadi_skin.lattice.declaration import INDICES
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.spreading import Spreading, spreading
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
@@ -19,7 +23,7 @@ from casadi_skin.results.evolution import evolution_columns, evolution_rows, evo
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of, origin
-from casadi_skin.scene import DynamicsTable
+from casadi_skin.scene import DynamicsTable, Scene
 from casadi_skin.theory.linear import Array
 
 PER_PERIOD, FEWEST, MOST = 20, 401, 4001
@@ -59,6 +63,13 @@ def _table(request: Request) -> DynamicsTable:
     return request.scene.dynamics
 
 
+def _direction(dynamics: DynamicsTable) -> str:
+    """The direction of the perturbation in words."""
+    if dynamics.site is not None:
+        return f"at site {dynamics.site}"
+    return "along the vector given" if dynamics.vector is not None else f"at random (seed {dynamics.seed})"
+
+
 def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     """Equidistant times from 0 to the end, the wanted number of them.
 
@@ -78,7 +89,7 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
 
 
 def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
-    """dynamics.csv, dynamics.nc and the space-time picture."""
+    """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
     dynamics = _table(request)
     write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
     start: dict[str, float | str] = {"orbit_Omega": orbit.Omega}
@@ -91,6 +102,21 @@ def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: E
     attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
     write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
     if dynamics.size is not None:
-        title += f", perturbed by ${number(dynamics.size)}$" + (f" at site {dynamics.site}" if dynamics.site else "")
-    draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site)
+        title += f", perturbed by ${number(dynamics.size)}$ {_direction(dynamics)}"
+    near = orbit if dynamics.size is not None else None
+    draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
     picture(request.scene, directory / "dynamics", draw, evolution, title)
+    if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
+        _write_spreading(request.scene, spreading(evolution), request.model, directory)
+
+
+def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:
+    """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
+    centres = [f"centre_{name}" for name in INDICES[: found.centre.shape[1]]]
+    columns = ["t", "energy", *centres, "participation", "second_moment"]
+    table = np.column_stack([found.t, found.total, found.centre, found.participation, found.second_moment])
+    write_csv(directory / "spreading.csv", columns, (dict(zip(columns, row, strict=True)) for row in table.tolist()))
+    sites = [f"energy_{name.partition('_')[2]}" for name in lattice.state_names[: lattice.declaration.size]]
+    rows = np.column_stack([found.t, found.energies]).tolist()
+    write_csv(directory / "energies.csv", ["t", *sites], (dict(zip(["t", *sites], row, strict=True)) for row in rows))
+    picture(scene, directory / "spreading", spreading_figure, found, lattice)

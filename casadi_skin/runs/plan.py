@@ -17,7 +17,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
-from casadi_skin.scene.model_tables import EquilibriumTable
+from casadi_skin.scene.model_tables import LEAVING, EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
 MOST_WORDS = 16  # that a line of the plan lists
@@ -224,11 +224,13 @@ def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
         lines.append(("located", "folds, branch points and Hopf points, with their normal forms"))
-        if table.switch:
-            lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, as far"))
+        if table.switch or table.depth:
+            kinds = " and ".join(table.switch or LEAVING)
+            deep = "" if table.depth is None else f", {table.depth} deep and {table.limit} branches at most"
+            lines.append(("leaving", f"branches at every {kinds}, as far{deep}"))
         if table.curve is not None:
             curve = table.curve
-            lines.append(("curves", f"folds and Hopf points in {curve.parameter} to {curve.to:g}"))
+            lines.append(("curves", f"special points in {curve.parameter} to {curve.to:g}"))
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each component of the state"))
     return lines
 
@@ -245,6 +247,8 @@ def _boundary_lines(request: Request) -> Lines:
     if table is not None:
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
+        if table.curve is not None:
+            lines.append(("curves", f"special points in {table.curve.parameter} to {table.curve.to:g}"))
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
     lines.append(("unknowns", _unknowns(request)))
     if scene.stability is not None:

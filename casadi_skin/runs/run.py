@@ -95,7 +95,7 @@ class Run:
 
     def _ended_well(self, branch: Branch) -> bool:
         """Whether a branch reached what was asked, or the natural end of what leaves another one."""
-        if self.request.scene.equilibrium is None:
+        if not self.request.scene.has_diagram:
             return branch.complete
         from casadi_skin.runs.diagram import ended_well
 
@@ -173,7 +173,7 @@ class Run:
     def _write_branches(self, branches: Sequence[Branch]) -> None:
         """The table of points, and what is made of whole branches."""
         names = self._tables.write()
-        if self.request.scene.equilibrium is not None:
+        if self.request.scene.has_diagram:
             from casadi_skin.runs.diagram import write_diagram
 
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)

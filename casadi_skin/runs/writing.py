@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import casadi_skin.figures as figures
-from casadi_skin.figures.bands import band_figure
 from casadi_skin.figures.plane import plane_figure
-from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import bands, cells_differ_by, lattice_modes
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.method import TWO_PI
@@ -29,9 +26,9 @@ from casadi_skin.results.stability_tables import (
     further_rows,
     tongue_rows,
 )
+from casadi_skin.runs.lattice_spectrum import write_lattice_spectrum
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
-from casadi_skin.scene import Scene
 
 
 def write_branches(
@@ -142,36 +139,9 @@ def _is_stable(solution: Solution) -> bool:
 def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
     if isinstance(request.model, Lattice):
-        _write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
         return
     frequencies = linear_frequencies(request.model, request.parameters)
     rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
     write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
     picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)
-
-
-def _write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
-    """Modes with participation ratio, centre and decay; where all cells are alike, bands.csv and their picture."""
-    modes = lattice_modes(lattice, parameters)
-    rows: list[dict[str, Cell]] = []
-    for j, omega in enumerate(modes.frequencies):
-        row: dict[str, Cell] = {"mode": j + 1, "omega": float(omega.real), "growth": float(omega.imag)}
-        row |= {"participation": modes.participation[j], "left_participation": modes.left_participation[j]}
-        for k, name in zip(range(modes.centre.shape[1]), INDICES, strict=False):
-            row |= {f"centre_{name}": modes.centre[j, k], f"decay_{name}": modes.decay[j, k]}
-        rows.append(row)
-    write_csv(directory / "spectrum.csv", list(rows[0]), rows)
-    if modes.real and lattice.order == 2:
-        picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
-    if cells_differ_by(lattice):
-        return
-    found = bands(lattice, parameters)
-    names = INDICES[: found.wave_numbers.shape[1]]
-    of_bands: list[dict[str, Cell]] = []
-    for wave, squares in zip(found.wave_numbers, found.squares, strict=True):
-        row = {f"k_{name}": float(k) for name, k in zip(names, wave, strict=True)}
-        for b, square in enumerate(squares, start=1):
-            row |= {f"omega_squared_{b}": float(square.real), f"imaginary_part_{b}": float(square.imag)}
-        of_bands.append(row)
-    write_csv(directory / "bands.csv", list(of_bands[0]), of_bands)
-    picture(scene, directory / "bands", band_figure, lattice, parameters)

@@ -5,8 +5,9 @@ Loads no numerics, so that reading a scene is instant.
 
 from casadi_skin.scene.faults import SceneError
 from casadi_skin.scene.lattice_tables import LatticeTable
+from casadi_skin.scene.map_table import MapTable, RangeTable
 from casadi_skin.scene.model_tables import ContinuationTable, ModelTable, OrbitTable, SolutionTable
-from casadi_skin.scene.reading import parse_scene, read_scene, read_text, scene_schema
+from casadi_skin.scene.reading import parse_scene, read_scene, read_text, scene_of, scene_schema
 from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import (
     PRESET_TOLERANCES,
@@ -39,9 +40,11 @@ __all__ = [
     "FamilyTable",
     "FiguresTable",
     "LatticeTable",
+    "MapTable",
     "MethodTable",
     "ModelTable",
     "OrbitTable",
+    "RangeTable",
     "Scene",
     "SceneError",
     "SearchCondition",
@@ -52,5 +55,6 @@ __all__ = [
     "parse_scene",
     "read_scene",
     "read_text",
+    "scene_of",
     "scene_schema",
 ]

@@ -106,7 +106,8 @@ def _check_sought(scene: Scene) -> None:
     if scene.solution is not None and scene.model is not None and scene.model.file.endswith(".json"):
         given = f'with file = "{scene.model.file}"'
         raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")
-    cycles = scene.continuation is not None and "hopf" in scene.continuation.switch
+    table = scene.continuation
+    cycles = table is not None and ("hopf" in table.switch or (not table.switch and bool(table.depth)))
     if scene.stability is not None and scene.family is None and scene.orbit is None and not cycles:
         accepted = (
             'beside a [family] or an [orbit], or with "hopf" in [continuation] switch, whose stability it asks for'
@@ -141,9 +142,11 @@ def _check_continuation(scene: Scene) -> None:
     for item, value in enumerate(table.at, start=1):
         if value in table.at[: item - 1]:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
-    for key in ("switch", "curve"):
-        if getattr(table, key) and scene.equilibrium is None:
+    for key in ("switch", "depth"):
+        if getattr(table, key) not in ((), None) and scene.equilibrium is None:
             raise refusal(f"[continuation] {key}", "without [equilibrium]", "beside an [equilibrium]")
+    if table.curve is not None and scene.equilibrium is None and scene.orbit is None:
+        raise refusal("[continuation] curve", "without [equilibrium] or [orbit]", "beside one of them")
     for item, kind in enumerate(table.switch, start=1):
         if kind in table.switch[: item - 1]:
             raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")

@@ -1,13 +1,16 @@
 """How a fault of a scene is told: one line with the place, what was given and what is accepted."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import get_type_hints
 
 from msgspec import Meta
 
 from casadi_skin.arguments import LONGEST, cut, nearest
 from casadi_skin.scene.tables import Table
+
+LONGEST_LIST = 400  # characters of a message on several names
 
 
 class SceneError(ValueError):
@@ -24,6 +27,30 @@ def refusal(place: str, given: str, accepted: str) -> SceneError:
 
 def did_you_mean(near: str | None, accepted: str) -> str:
     return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A table or key that no scene has: its place, the nearest known name and all that are accepted there."""
+
+    fault: str
+    near: str | None
+    accepted: str
+
+
+def check_unknown(found: Iterable[Unknown]) -> None:
+    """Raises SceneError for unknown names: one with all that is accepted, several with the nearest names alone."""
+    names = list(found)
+    if len(names) == 1:
+        raise SceneError(names[0].fault + did_you_mean(names[0].near, names[0].accepted))
+    shown, words = 0, ""
+    for name in names:
+        more = f"{'; ' if words else ''}{name.fault}{f', did you mean {name.near}?' if name.near else ''}"
+        if len(words) + len(more) > LONGEST_LIST:
+            break
+        shown, words = shown + 1, words + more
+    if names:
+        raise SceneError(words + (f"; and {len(names) - shown} more" if shown < len(names) else ""))
 
 
 def check_known(place: str, name: str, known: Sequence[str]) -> None:

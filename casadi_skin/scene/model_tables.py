@@ -14,11 +14,12 @@ from casadi_skin.scene.tables import Finite, Positive, Table, one_of
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
 
-Leaving = Literal["hopf", "branch point"]
+Leaving = Literal["hopf", "branch point", "period doubling"]
 LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in equilibria, which loads numerics
 
 _MAX_POINTS = 1_000_000
 _MAX_CYCLES = 1000
+_MAX_BRANCHES = 1000
 
 _Named = dict[str, Finite]
 _Text = Annotated[str, Meta(min_length=1)]
@@ -114,7 +115,7 @@ class EquilibriumTable(Table, frozen=True):
 
 
 class CurveTable(Table, frozen=True):
-    """A second parameter in which folds and Hopf points are followed."""
+    """A second parameter in which folds, Hopf points, period doublings and tori are followed."""
 
     parameter: Annotated[_Text, Meta(title="Second parameter", description="the name of a parameter")]
     to: Annotated[Finite, Meta(title="Value at which curves end", description="a finite number")]
@@ -144,6 +145,13 @@ class ContinuationTable(Table, frozen=True):
         tuple[Finite, ...],
         Meta(title="Points exactly at these values", description="a list of finite numbers, each once"),
     ] = ()
+    back_to: Annotated[
+        Finite | None,
+        Meta(
+            title="Value at which a branch ends that comes back beyond its start",
+            description="a finite number on the other side of the start (left out: it ends at the value of its start)",
+        ),
+    ] = None
     max_points: Annotated[
         Annotated[int, Meta(ge=1, le=_MAX_POINTS)],
         Meta(
@@ -165,10 +173,25 @@ class ContinuationTable(Table, frozen=True):
             description=f"a list of {one_of(LEAVING)}, each once; beside [equilibrium]",
         ),
     ] = ()
+    depth: Annotated[
+        Annotated[int, Meta(ge=0)] | None,
+        Meta(
+            title="Special points one after the other that may lie between the branch and what is followed",
+            description="a whole number >= 0; beside [equilibrium] (left out: any number, half of what crosses)",
+        ),
+    ] = None
+    limit: Annotated[
+        Annotated[int, Meta(ge=1, le=_MAX_BRANCHES)],
+        Meta(
+            title="Branches of the diagram, at most",
+            description=f"a whole number >= 1 and <= {_MAX_BRANCHES}",
+        ),
+    ] = 30
     curve: Annotated[
         CurveTable | None,
         Meta(
-            title="Second parameter in which folds and Hopf points of equilibria are followed",
-            description="a table with parameter, the name of another parameter, and to, a number; beside [equilibrium]",
+            title="Second parameter in which folds, Hopf points, period doublings and tori are followed",
+            description="a table with parameter, the name of another parameter, and to, a number; beside "
+            "[equilibrium] or [orbit]; period doublings and tori are located with [stability]",
         ),
     ] = None

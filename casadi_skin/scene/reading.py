@@ -13,7 +13,9 @@ from casadi_skin.arguments import LONGEST, cut, nearest
 from casadi_skin.scene.checks import check_scene
 from casadi_skin.scene.faults import (
     SceneError,
+    Unknown,
     accepted_words,
+    check_unknown,
     did_you_mean,
     inline,
     is_table,
@@ -22,11 +24,26 @@ from casadi_skin.scene.faults import (
     with_kind,
 )
 from casadi_skin.scene.lattice_tables import BondTable, SiteTable
+from casadi_skin.scene.map_reading import check_map, with_axes
 from casadi_skin.scene.scene import TABLES, Scene
 from casadi_skin.scene.tables import ChainTable, Table
 
 MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
 LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
+SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
+    "n": "sites",
+    "length": "sites",
+    "s_max": "amplitude_max",
+    "smax": "amplitude_max",
+    "amplitude": "amplitude_max",
+    "j": "mode",
+    "tol": "tolerance",
+    "rtol": "tolerance",
+    "x0": "start",
+    "guess": "start",
+    "t": "period",
+    "n_starts": "starts",
+}
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -49,21 +66,38 @@ def read_text(path: str | Path) -> str:
 def parse_scene(text: str, source: str = "scene") -> Scene:
     """Read a scene from TOML text; raises SceneError whose message begins with the source."""
     try:
-        raw = _parse_toml(text)
-        _check_names(raw)
-        scene = _convert(raw)
-        check_scene(scene)
+        return scene_of(_parse_toml(text))
     except SceneError as fault:
         raise SceneError(f"{source}: {fault}") from None
+
+
+def scene_of(raw: dict[str, Any]) -> Scene:
+    """The scene that tables of plain values ask for, checked; raises SceneError."""
+    raw = with_axes(raw)
+    _check_names(raw)
+    scene = _convert(raw)
+    check_scene(scene)
+    check_map(scene)
     return scene
 
 
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene, for editors that complete and check TOML."""
-    schema = msgspec.json.schema(Scene)
+    schema: dict[str, Any] = _without_null(msgspec.json.schema(Scene))
     definition = schema["$defs"]["Scene"]
     definition["anyOf"] = [{"required": [name]} for name in MODELS]
-    return schema
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "casadi-skin scene", **schema}
+
+
+def _without_null(value: Any) -> Any:
+    """The schema without the choice null, which TOML does not have: editors then name the key that is wrong."""
+    if isinstance(value, list):
+        return [_without_null(item) for item in value if item != {"type": "null"}]
+    if not isinstance(value, dict):
+        return value
+    found = {name: _without_null(item) for name, item in value.items() if not (name == "default" and item is None)}
+    choices = found.get("anyOf", ())
+    return {**{k: v for k, v in found.items() if k != "anyOf"}, **choices[0]} if len(choices) == 1 else found
 
 
 def _parse_toml(text: str) -> dict[str, Any]:
@@ -81,12 +115,7 @@ def _parse_toml(text: str) -> dict[str, Any]:
 
 def _check_names(raw: dict[str, Any]) -> None:
     """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
-    places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
-    for name, value in raw.items():
-        if name not in places:
-            fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
-            near = nearest(name, places)
-            raise SceneError(fault + did_you_mean(near and places[near], ", ".join(places.values())))
+    check_unknown(_unknown_names(raw))
     models = [name for name in MODELS if name in raw]
     if len(models) > 1:
         raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
@@ -108,12 +137,7 @@ def _check_names(raw: dict[str, Any]) -> None:
 def _check_keys(place: str, table: type[Table], given: object) -> None:
     if not isinstance(given, dict):
         raise refusal(place, with_kind(given), f"one table {place}")
-    known = table.__struct_encode_fields__
     for key, value in given.items():
-        if key not in known:
-            near = nearest(key, known)
-            hint = did_you_mean(near and f"'{near}'", ", ".join(known) or "no keys")
-            raise SceneError(f"{place} {cut(key)}: unknown key{hint}")
         for number in _leaves(value):
             # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
             if isinstance(number, int) and abs(number) > sys.float_info.max:
@@ -122,6 +146,34 @@ def _check_keys(place: str, table: type[Table], given: object) -> None:
         if field.required and field.encode_name not in given:
             words = accepted_words(table, field.encode_name)
             raise SceneError(f"{place} {field.encode_name}: missing; accepted: {words}")
+
+
+def _unknown_names(raw: dict[str, Any]) -> Iterator[Unknown]:
+    """Tables and keys that no scene has, in the order of the file."""
+    places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
+    for name, value in raw.items():
+        if name not in places:
+            near, accepted = nearest(name, places), ", ".join(places.values())
+            fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
+            yield Unknown(fault, near and places[near], accepted)
+        elif name in TABLES and isinstance(value, dict):
+            yield from _unknown_keys(f"[{name}]", TABLES[name], value)
+    lattice = raw.get("lattice")
+    held = lattice if isinstance(lattice, dict) else {}
+    for name, part in LATTICE_PARTS.items():
+        items = held.get(name, [])
+        for i, item in enumerate(items if isinstance(items, list) else [], start=1):
+            if isinstance(item, dict):
+                yield from _unknown_keys(f"[[lattice.{name}]] {i}", part, item)
+
+
+def _unknown_keys(place: str, table: type[Table], given: Mapping[str, object]) -> Iterator[Unknown]:
+    known = table.__struct_encode_fields__
+    for key in given:
+        if key not in known:
+            other = SYNONYMS.get(key.lower())
+            near = other if other in known else nearest(key, known)
+            yield Unknown(f"{place} {cut(key)}: unknown key", near and f"'{near}'", ", ".join(known) or "no keys")
 
 
 def _leaves(value: object) -> Iterator[object]:

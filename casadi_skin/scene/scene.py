@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from casadi_skin.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
 from casadi_skin.scene.lattice_tables import LatticeTable
+from casadi_skin.scene.map_table import MapTable
 from casadi_skin.scene.model_tables import (
     ContinuationTable,
     EquilibriumTable,
@@ -45,6 +46,7 @@ class Scene(Table, frozen=True):
     search: SearchTable | None = None
     export: ExportTable | None = None
     figures: FiguresTable = msgspec.field(default_factory=FiguresTable)
+    map: MapTable | None = None
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
@@ -72,6 +74,12 @@ class Scene(Table, frozen=True):
         left_out = {name: value for name, value in chosen.items() if getattr(self.method, name) is None}
         return msgspec.structs.replace(self.method, **left_out)
 
+    @property
+    def has_diagram(self) -> bool:
+        """Whether branches that leave, or curves in two parameters, belong to the branch that is followed."""
+        curves = self.continuation is not None and self.continuation.curve is not None
+        return self.equilibrium is not None or curves
+
     def same_request(self, other: "Scene") -> bool:
         """Whether the other scene asks for the same, whatever its title."""
         mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
@@ -94,6 +102,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "search": SearchTable,
         "export": ExportTable,
         "figures": FiguresTable,
+        "map": MapTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,
     }

@@ -2,7 +2,9 @@
 
 From the linearised collocation equations, whose interval maps are multiplied (Doedel 1981; Fairgrieve and Jepson 1991),
 and, sharing nothing with these, from CVODES sensitivities. Multipliers smaller than 1 are the inverses of those of the
-inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits.
+inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits. The flow
+itself is the eigenvector of the trivial multiplier of an autonomous orbit: the maps across it have the others alone, so
+that one of these may be 1 as well, as at a fold, where two equal eigenvalues of the whole matrix have half the digits.
 """
 
 from __future__ import annotations
@@ -28,19 +30,42 @@ TIGHTEST = 1e-13
 MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
+SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
 
 
 def by_collocation(
     problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, tolerance: float
 ) -> FullPeriodFloquet:
-    """Multipliers from the interval maps of the linearised equations."""
-    jacobians = stage_jacobians(problem, z)
+    """Multipliers from the interval maps of the linearised equations.
+
+    The state of the problem may have others beside it: those of the model come first, and do not depend on these.
+    """
+    n = model.full_size
+    jacobians = stage_jacobians(problem, z)[:, :n, :n]
     maps = interval_maps(problem, jacobians)
     if symmetry is not SymmetryClass.FULL:
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    return _multipliers(maps, trivial_multipliers(model, symmetry), tolerance, contraction)
+    trivial = trivial_multipliers(model, symmetry)
+    along = velocities(problem, z, n) if trivial == 1 else None
+    return _multipliers(maps, trivial, tolerance, contraction, along)
+
+
+def velocities(problem: BoundaryProblem, z: Array, n: int) -> Array | None:
+    """Derivatives of the first n states at the ends of the intervals, one a row; None where they rest."""
+    columns = np.arange(problem.resolution + 1) * problem.table.ends.size
+    x = z[: problem.states].reshape(problem.columns, -1)[columns]
+    scalars = np.tile(z[problem.states :, None], columns.size)
+    field = problem.formulation.field_function.map(columns.size)(problem._fractions()[columns][None], x.T, scalars)
+    return _moving(np.array(field[0]).T[:, :n], x[:, :n])
+
+
+def _moving(along: Array, x: Array) -> Array | None:
+    """Derivatives along an orbit over its states, where it moves at all of them."""
+    speeds = np.linalg.norm(along, axis=1)
+    moves = np.min(speeds) > SLOWEST * np.max(speeds) and np.max(speeds) > SLOWEST * np.max(np.abs(x))
+    return along if moves else None
 
 
 def trivial_multipliers(model: OdeModel, symmetry: SymmetryClass) -> int:
@@ -67,7 +92,7 @@ def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
 
 def interval_maps(problem: BoundaryProblem, jacobians: Array) -> Array:
     """Transition matrices over the intervals, in order of time, shape (intervals, n, n)."""
-    n, d, K = problem.formulation.states, problem.degree, problem.resolution
+    n, d, K = jacobians.shape[1], problem.degree, problem.resolution
     extended = problem.table.extended
     h = problem.constants
     maps = np.empty((K, n, n))
@@ -97,7 +122,7 @@ def by_cvodes(
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError."""
     kind = type(model.state)
     s, x, p = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
-    dae = {"t": s, "x": x, "p": p, "ode": period * model.vector_field(period * s, x, p)}
+    dae = {"t": s, "x": x, "p": p, "ode": period * model.field_at(period * s, x, p)}
     local = max(LOCAL * tolerance, TIGHTEST)
     options = CvodesOptions(local, local * size_of(start), MAX_STEPS, stiff=True, sensitivity_errors=True)
     try:
@@ -105,22 +130,41 @@ def by_cvodes(
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
-    return _multipliers(matrix[None], trivial_multipliers(model, symmetry), tolerance)
+    trivial, rate = (
+        trivial_multipliers(model, symmetry),
+        np.array(model.vector_field(0.0, start, parameters)).T * period,
+    )
+    along = _moving(np.tile(rate, (2, 1)), start[None]) if trivial == 1 else None
+    return _multipliers(matrix[None], trivial, tolerance, along=along)
 
 
-def _multipliers(maps: Array, trivial: int, tolerance: float, contraction: float | None = None) -> FullPeriodFloquet:
+def _multipliers(
+    maps: Array, trivial: int, tolerance: float, contraction: float | None = None, along: Array | None = None
+) -> FullPeriodFloquet:
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
     _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
     balanced = maps * units / units[:, None]
-    values = _eigenvalues(balanced, contraction)
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
-    is_other = _others(values, trivial)
-    near = values[~is_other]
+    if along is None:
+        values = _eigenvalues(balanced, contraction)
+        is_other = _others(values, trivial)
+        near, others = values[~is_other], values[is_other]
+    else:
+        near, across = _across(balanced, along / units)
+        others = _eigenvalues(across, contraction)
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
-    values = np.concatenate([near, values[is_other]])
+    values = np.concatenate([near, others])
     return FullPeriodFloquet(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
+
+
+def _across(maps: Array, along: Array) -> tuple[ComplexArray, Array]:
+    """The growth along the flow over the period, shape (1,); and the maps across it, one an interval."""
+    frames = np.array([np.linalg.qr(v[:, None], mode="complete")[0] for v in along])
+    frames[-1] = frames[0]
+    turned = np.einsum("kai,kab,kbj->kij", frames[1:], maps, frames[:-1])
+    return np.array([np.prod(turned[:, 0, 0])], dtype=complex), turned[:, 1:, 1:]
 
 
 def _product(maps: Sequence[Array] | Array) -> Array:
@@ -154,6 +198,7 @@ def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
         backward = backward[np.argsort(-np.abs(backward))]
         modulus = np.sqrt(np.abs(forward)) * np.sqrt(np.abs(backward))
         even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))
+    even = np.inf if matrix.size == 1 else even
     small = (np.abs(forward) < SMALL) & (modulus < even)
     if contraction is not None and np.count_nonzero(small) == 1:
         tiny = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))

@@ -37,6 +37,10 @@ class TransientGrowth:
     _flows: tuple[Array, ...]
     _log_rho: Array
 
+    def __repr__(self) -> str:
+        largest = f"largest of bounded perturbations 10^{np.max(self.log10_bounded):.6g}"
+        return f"<TransientGrowth: {self.t.size} times from 0 to {self.t[-1]:g}, {largest}>"
+
     def of(self, perturbation: Array) -> Array:
         """log10 of the amplification of one perturbation (2N,), not zero, against time, shape (times,)."""
         z = perturbation / np.linalg.norm(perturbation)

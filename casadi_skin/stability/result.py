@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.result import Result
 from casadi_skin.stability.reduction import ComplexArray
 
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
@@ -20,7 +21,7 @@ class TrivialMultiplierWarning(UserWarning):
     """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
 
 
-class Floquet(ABC):
+class Floquet(Result, ABC):
     """Linear stability of one orbit.
 
     Attributes:
@@ -35,6 +36,11 @@ class Floquet(ABC):
     trivial: int
     trivial_deviation: float
     monodromy: Array | None
+
+    def __repr__(self) -> str:
+        largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
+        words = "stable" if self.stable else "unstable"
+        return f"<{type(self).__name__}: {self.multipliers.size} multipliers, {largest}error {self.error:.1e}; {words}>"
 
     @property
     def others(self) -> ComplexArray:
@@ -94,7 +100,7 @@ class Floquet(ABC):
             warnings.warn(words, TrivialMultiplierWarning, stacklevel=4)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReversibleFloquet(Floquet):
     """Stability of a reversible orbit with n positions, from n - 1 values of mu beside the trivial one.
 
@@ -187,7 +193,7 @@ class ReversibleFloquet(Floquet):
         return max(largest, float(above), float(below))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FullPeriodFloquet(Floquet):
     """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1."""
 

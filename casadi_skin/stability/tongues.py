@@ -184,6 +184,10 @@ class StabilityDiagram:
     samples: int
     pieces: tuple[Piece, ...]
 
+    def __repr__(self) -> str:
+        left = f", {len(self.unresolved)} stretches unresolved" if self.unresolved else ""
+        return f"<StabilityDiagram: {len(self.changes)} changes of stability, {len(self.tongues)} tongues{left}>"
+
     @property
     def complete(self) -> bool:
         """Whether no stretch of the branch is unresolved."""

@@ -18,6 +18,7 @@ MODEL = """
 import casadi as ca
 from casadi_skin import OdeModel, BoundaryValueProblem
 x, y, p, t = (ca.SX.sym(n) for n in "xypt")
+crossing = OdeModel("crossing", x, x * (1 - p**2 - x), p, nominal=(-2.0,))
 cubic = OdeModel("cubic", ca.vertcat(x, y), ca.vertcat(p + x - x**3, -y), p, nominal=(-1.0,))
 forced = OdeModel("forced", x, ca.cos(t) - x, time=t, forcing_period=6.28)
 """
@@ -106,6 +107,26 @@ def test_an_interrupted_diagram_goes_on_where_it_was(tmp_path: Path, monkeypatch
                     assert after[key] == value
 
 
+@pytest.mark.slow
+def test_a_whole_diagram_has_both_halves_of_what_crosses(tmp_path: Path) -> None:
+    """x' = x (1 - p^2 - x): x = 1 - p^2 crosses x = 0 at p = -1 and at p = 1."""
+    rest = '[continuation]\nparameter = "p"\nto = 2.0\ndepth = 1\n'
+    rest = f"parameters = {{ p = -2.0 }}\n[equilibrium]\nstart = [0]\n{rest}"
+    scene, out = write(tmp_path, "crossing", rest), tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    points = rows(out / "special_points.csv")
+    assert {(point["kind"], round(float(point["p"]), 12)) for point in points} == {
+        ("branch point", -1.0), ("branch point", 1.0),
+    }  # fmt: skip
+    for name, end in (("other_1", 2.0), ("other_1b", -2.0)):
+        other = rows(out / f"{name}.csv")
+        assert float(other[-1]["p"]) == end
+        assert all(abs(float(row["x"]) - 1.0 + float(row["p"]) ** 2) < 1e-10 for row in other)
+    assert not list(out.glob("other_2*"))
+    scene.write_text(scene.read_text(encoding="utf-8") + "limit = 2\n", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(tmp_path / "limited"), "--quiet"]) == 1
+
+
 def test_a_single_equilibrium_has_one_row(tmp_path: Path) -> None:
     scene, out = write(tmp_path, "cubic", "[equilibrium]\nstart = [-1.2, 0.1]\n"), tmp_path / "out"
     assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
@@ -133,7 +154,7 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ("cubic", "[equilibrium]\nstart=[0,0]\n[method]\ndegree = 3\n", "[method]: given beside [equilibrium]"),
         (
             "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\nswitch=["fold"]\n',
-            '[continuation] switch: given "fold" as item 1; accepted: a list of "hopf", "branch point"',
+            '[continuation] switch: given "fold" as item 1; accepted: a list of "hopf", "branch point", "period ',
         ),
         (
             "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\ncurve={parameter="q",to=1}\n',

@@ -319,3 +319,21 @@ def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, mo
 def test_import_is_cheap() -> None:
     code = "import sys, casadi_skin.figures; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_modes_that_hardly_move_are_shown_by_their_shifts_too(plain: Branch, soft: Branch) -> None:
+    first = follow_family(SOFT, 1, 0.02, tolerance=1e-4)
+    last = follow_family(SOFT, 8, 0.02, tolerance=1e-4)
+    figure = frequency_figure([first, last])
+    drawn = family_lines(figure.axes[1])
+    assert [points(line)[-1, 1] for line in drawn] == [branch.orbits[-1].Omega_shift for branch in (first, last)]
+    assert len(frequency_figure([soft, plain]).axes) == 1  # of which both move
+
+
+def test_no_axis_counts_from_an_offset() -> None:
+    with style():
+        figure = blank(4.0, 3.0)
+        axes = figure.add_subplot()
+        axes.plot([0, 1], [1.0, 1.0 + 1e-6])
+        figure.canvas.draw()
+        assert axes.yaxis.get_offset_text().get_text() == ""

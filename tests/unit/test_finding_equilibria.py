@@ -220,3 +220,30 @@ def test_following_is_refused_for_names_and_values_that_do_not_fit() -> None:
             start.follow(*arguments)
     with pytest.raises(ValueError, match="at: given 3; accepted: values from"):
         start.follow("q2", 1.0, at=[3.0])
+
+
+def test_an_isola_is_walked_once_and_reported_as_closed() -> None:
+    """x' = 1 - x^2 - p^2 rests on a circle."""
+    x, p = symbols("x p")
+    start = find_equilibrium(OdeModel("circle", x, 1 - x**2 - p**2, p), [0.9], parameters={"p": 0.3})
+    branch = start.follow("p", 2.0, at=[0.9])
+    assert branch.complete
+    assert "closed" in branch.reason
+    states = np.array([solution["x"] for solution in branch.solutions])
+    np.testing.assert_allclose(states**2 + branch["p"] ** 2, 1.0, atol=1e-11)
+    np.testing.assert_allclose([point.parameters["p"] for point in branch.special_points], [1.0, -1.0], atol=1e-14)
+    angles = np.unwrap(np.arctan2(branch["p"], states))
+    assert angles[-1] - angles[0] == pytest.approx(2.0 * np.pi)
+    assert [solution["p"] for solution in branch.solutions].count(0.9) == 2
+    assert "beyond its start" in start.follow("p", 2.0, back_to=-0.5).reason
+    with pytest.raises(ValueError, match=r"back_to: given 0\.5; accepted: a number below 0\.3"):
+        start.follow("p", 2.0, back_to=0.5)
+
+
+def test_a_branch_that_comes_back_and_does_not_close_ends_there_unless_it_is_to_go_on() -> None:
+    x, p = symbols("x p")
+    start = find_equilibrium(OdeModel("parabola", x, p - x**2, p), [0.9], parameters={"p": 1.0})
+    branch = start.follow("p", -1.0)
+    assert "came back" in branch.reason
+    assert max(branch["p"][:-1]) <= 1.0
+    assert max(start.follow("p", -1.0, back_to=2.0)["p"]) >= 2.0

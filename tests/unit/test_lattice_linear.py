@@ -9,7 +9,9 @@ from lattices import GAINS, chain, dimer, plane
 from casadi_skin import Bond, Chain, Lattice, Site, follow_family
 from casadi_skin.figures.bands import band_figure
 from casadi_skin.figures.plane import plane_figure
+from casadi_skin.figures.skin import skin_figure
 from casadi_skin.lattice.linear import bands, lattice_modes
+from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
 
 
 def test_modes_of_the_chain_are_those_in_closed_form() -> None:
@@ -87,3 +89,35 @@ def test_profiles_in_the_plane_are_drawn_of_two_dimensions_alone() -> None:
     assert values.shape == (2, 3)
     assert np.linalg.norm(values) == pytest.approx(1.0, rel=1e-6)
     assert plane_figure(follow_family(chain(3, 1.0, 0.2, -1.0), mode=1, amplitude_max=0.2, at=(0.1,))) is None
+
+
+# The skin effect ------------------------------------------------------------------------------------------------------
+
+
+def test_the_spectrum_of_a_ring_winds_round_the_modes_of_a_leaning_lattice() -> None:
+    """Hatano and Nelson: omega^2 = 3 - 0.75 e^(ik) - 1.25 e^(-ik) is an ellipse of half axes 2 and 0.5 about 3."""
+    lattice = chain(24, 1.0, 0.25, -1.0)
+    inside, outside = [3.0, 3.0 + 0.49j, 1.01], [3.0 + 0.51j, 0.99, 5.01]
+    assert winding_numbers(lattice, [*inside, *outside]).tolist() == [1, 1, 1, 0, 0, 0]
+    assert np.all(winding_numbers(lattice, lattice_modes(lattice).squares) == 1)
+    assert np.all(winding_numbers(chain(24, 1.0, -0.25, -1.0), inside) == -1)
+    reciprocal = chain(24, 1.0, 0.0, -1.0)
+    assert np.all(np.isnan(winding_numbers(reciprocal, lattice_modes(reciprocal).squares)))
+    assert np.abs(brillouin_zone(lattice, lattice_modes(lattice).squares)) == pytest.approx(np.sqrt(5 / 3), rel=1e-9)
+    assert np.abs(brillouin_zone(dimer(12), [1.7])) == pytest.approx(np.sqrt(1.3 / 0.7), rel=1e-9)
+
+
+def test_without_a_gauge_the_modes_of_a_long_lattice_show_its_generalised_brillouin_zone() -> None:
+    """Two waves of the same size must meet the two ends: the middle roots of a polynomial written by hand."""
+    bonds = [Bond("a", "a", (1,), "d", ("0.7", "1.3")), Bond("a", "a", (2,), "d", ("0.5", "0.2"))]
+    lattice = Lattice(40, [Site("a", "4*y")], bonds)
+    squares = lattice_modes(lattice).squares
+    assert np.all(winding_numbers(lattice, squares) == 1)
+    zone = brillouin_zone(lattice, squares)
+    assert np.max(np.abs(zone[:, 1]) / np.abs(zone[:, 0])) < 1.01
+    assert np.ptp(np.abs(zone)) > 0.2  # no circle
+    by_hand = np.roots([-0.5, -0.7, 4 + 0.7 + 1.3 + 0.5 + 0.2 - squares[7], -1.3, -0.2])
+    assert zone[7] == pytest.approx(by_hand[np.argsort(np.abs(by_hand))][1:3], rel=1e-9)
+    with pytest.raises(ValueError, match="lattice: given 2 dimensions; accepted: one"):
+        winding_numbers(plane((3, 3)), [1.0])
+    assert len(skin_figure(lattice).axes) == 2

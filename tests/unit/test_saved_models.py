@@ -80,7 +80,7 @@ def test_every_operation_and_every_number_comes_back_to_the_last_bit() -> None:
     ] + [x**0.3]
     every = OdeModel("every", x, -x, p, outputs={f"o{k}": e for k, e in enumerate([*made, *numbers])})
     assert_same(every, loads(dumps(every)))
-    assert set(CODES) <= {line.split(" ")[0] for line in json.loads(dumps(every))["model"]["operations"]}
+    assert set(CODES) - {"twice"} <= {line.split(" ")[0] for line in json.loads(dumps(every))["model"]["operations"]}
 
 
 def test_simplifications_of_casadi_change_no_round_off() -> None:

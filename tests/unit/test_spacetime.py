@@ -10,8 +10,8 @@ import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain
-from casadi_skin.dynamics import Evolution, evolve
+from casadi_skin import Chain, follow_family
+from casadi_skin.dynamics import Evolution, distance_from_orbit, evolve, simulate_orbit
 from casadi_skin.figures import save
 from casadi_skin.figures.spacetime import COLOURS, spacetime_figure
 
@@ -110,3 +110,13 @@ def test_the_bytes_depend_on_the_data_alone_and_the_settings_are_left_alone(tmp_
     assert dict(mpl.rcParams) == before
     for one, two in zip(*written, strict=True):
         assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_perturbed_orbit_has_its_own_scale_and_its_distance_below() -> None:
+    orbit = follow_family(Chain(4, 1.0, 0.25, -1.0), 1, 0.1, tolerance=1e-4).orbits[-1]
+    run = simulate_orbit(orbit, np.linspace(0.0, 30.0, 101), 1e-2, site=4)
+    figure = spacetime_figure(run, energy=True, orbit=orbit)
+    assert mesh(figure).get_clim()[1] == pytest.approx(np.abs(orbit.profile).max())
+    below = figure.axes[-1]
+    assert below.get_ylabel() == "distance"
+    np.testing.assert_allclose(below.lines[0].get_ydata(), distance_from_orbit(orbit, run))

@@ -12,8 +12,8 @@ from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.lattice.tail import Tail
-from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem, Regime
+from casadi_skin.lattice.tail_parameter import Regime, TailParameter
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.lattice.threshold import threshold
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import family_request

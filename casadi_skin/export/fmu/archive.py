@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import uuid
 import zipfile
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +19,7 @@ from casadi_skin.export.fmu.description import SOURCES, Description, build_descr
 from casadi_skin.export.fmu.documentation import icon, page
 from casadi_skin.export.fmu.equations import Equations, config_header
 from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem, initial_value_problem
+from casadi_skin.export.fmu.inputs import with_inputs
 from casadi_skin.files import replacing
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 
@@ -36,13 +38,14 @@ def export_fmu(
     S: float | None = None,
     stop_time: float | None = None,
     tolerance: float = 1e-8,
+    inputs: Sequence[str] = (),
     binary: bool = True,
 ) -> Path:
     """Write a chain, a model, or an orbit of either as an FMU for Model Exchange and Co-Simulation.
 
-    Parameters, alpha, gamma and g of a chain, are tunable. Outputs are the displacements (or states), the model's
-    outputs, and of a chain S and its energy, the Hamiltonian of the gauge with rho = 1 at the edge that the modes lean
-    to. The sources are inside; a file that is there is replaced. The model is dimensionless.
+    Parameters, alpha, gamma and g of a chain, are tunable. Outputs are displacements and velocities (or states), the
+    model's outputs, and of a chain S and its energy, the Hamiltonian of the gauge with rho = 1 at the edge that the
+    modes lean to. The sources are inside; a file that is there is replaced. The model is dimensionless.
 
     Arguments:
         what: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
@@ -54,6 +57,8 @@ def export_fmu(
         S: Its amplitude, the sum of y_n^2, 0.01 unless given.
         stop_time: End of the default experiment, 10 periods unless given.
         tolerance: Of the default experiment, 1e-14 to 1e-2.
+        inputs: Names of forces on sites (f_3 acts on y_3 of a chain or a lattice, f_q on q of a model of second order)
+            and of parameters that become inputs; forces start from 0.
         binary: Whether the sources are compiled for this platform as well.
 
     Returns:
@@ -71,7 +76,7 @@ def export_fmu(
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():
         raise ValueError(f"path: no folder {str(target.parent)!r}; accepted: a file in a folder that is there")
-    problem = initial_value_problem(what, start, mode, S, stop_time, tolerance)
+    problem = with_inputs(initial_value_problem(what, start, mode, S, stop_time, tolerance), inputs)
     files = contents(problem, fmi)
     if binary:
         files |= _compiled(problem, fmi, files)

@@ -1,7 +1,7 @@
 """The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml.
 
-Value references are 0 for the time, then states, their derivatives, parameters and outputs in their order, as in
-sources/instance.h. In FMI 2.0 dependencies are the positions of the variables in the list, counted from 1.
+Value references are 0 for the time, then states, their derivatives, parameters, inputs and outputs in their order, as
+in sources/instance.h. In FMI 2.0 dependencies are the positions of the variables in the list, counted from 1.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ SOURCES = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c",)}  # of the interface; that of 
 CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
 STRUCTURED = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
 UNIT = "1"
+MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C
 STEPS = 500  # of communication, in the default experiment
 
 
@@ -56,19 +57,22 @@ class Description:
         problem, model = self.problem, self.problem.model
         found = [Variable("time", 0, "independent", "continuous", description="time")]
 
-        def add(name: str, causality: str, initial: str, meaning: str, **values: Any) -> None:
+        def add(name: str, causality: str, initial: str | None, meaning: str, **values: Any) -> None:
             variability = "tunable" if causality == "parameter" else "continuous"
             description = problem.meanings.get(name, meaning)
             found.append(Variable(name, len(found), causality, variability, initial, description=description, **values))
 
-        for name, start, is_output in zip(model.state_names, problem.start, problem.is_output, strict=True):
-            add(name, "output" if is_output else "local", "exact", "state", start=start, nominal=problem.nominal)
+        for name, start, nominal in zip(model.state_names, problem.start, problem.nominals, strict=True):
+            add(name, "output", "exact", "state", start=start, nominal=nominal)
         for k, name in enumerate(model.state_names, start=1):
             add(f"der({name})", "local", "calculated", f"time derivative of {name}", derivative=k)
         for name, value in zip(model.parameter_names, problem.parameters, strict=True):
-            add(name, "parameter", "exact", "parameter", start=value, bounds=problem.bounds.get(name))
+            kind, initial = ("input", None) if name in problem.inputs else ("parameter", "exact")
+            add(name, kind, initial, kind, start=value, bounds=problem.bounds.get(name))
         for name in model.outputs:
             add(name, "output", "calculated", "output")
+        if len(found) > MOST_REFERENCES:
+            raise ValueError(f"{model.name}: {len(found)} variables; accepted: up to {MOST_REFERENCES}")
         return found
 
     @cached_property
@@ -80,14 +84,15 @@ class Description:
     def dependencies(self, variable: Variable, *, initially: bool, fmi: str) -> list[int]:
         """Value references of the knowns that a variable depends on, ascending; an output that is a state is its own.
 
-        Tunable parameters are knowns at all times in FMI 3.0, and in FMI 2.0 in initialisation only.
+        Inputs are knowns at all times; tunable parameters in FMI 3.0 too, and in FMI 2.0 in initialisation only.
         """
         if variable.initial == "exact":
             return [variable.reference]
         states, parameters = self.problem.model.full_size, len(self.problem.parameters)
         row = variable.reference - 1 - states - (0 if variable.reference <= 2 * states else parameters)
         references = [int(c) if c <= states else int(c) + states for c in np.flatnonzero(self.equations.depends[row])]
-        return [r for r in references if r <= states or initially or fmi == "3.0"]
+        held = range(1 + 2 * states, 1 + 2 * states + parameters - len(self.problem.inputs))
+        return [r for r in references if r not in held or initially or fmi == "3.0"]
 
     def source_files(self, fmi: str) -> tuple[str, ...]:
         """Names of the C files that are compiled."""

@@ -88,7 +88,7 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
     arguments = "(const double **arg, double **res, casadi_int *iw, double *w, int memory)"
     arrays = {
         "START_STATES": problem.start,
-        "NOMINALS": [problem.nominal] * model.full_size,
+        "NOMINALS": problem.nominals,
         "START_PARAMETERS": problem.parameters,
         "PARAMETER_MIN": [low for low, _ in bounds],
         "PARAMETER_MAX": [high for _, high in bounds],
@@ -98,8 +98,10 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
         "#ifndef CONFIG_H\n#define CONFIG_H\n",
         f'#define INSTANTIATION_TOKEN "{token}"',
         f"#define DEFAULT_TOLERANCE {problem.tolerance!r}\n",
-        "/* Numbers of states, parameters and outputs that are no states; sizes of the work arrays. */",
-        f"enum {{ NX = {model.full_size}, NP = {len(problem.parameters)}, NY = {len(model.outputs)} }};",
+        "/* Numbers of states, parameters with the inputs, which are the last, inputs, and outputs that are no states;",
+        "   sizes of the work arrays. */",
+        f"enum {{ NX = {model.full_size}, NP = {len(problem.parameters)}, NI = {len(problem.inputs)}, "
+        f"NY = {len(model.outputs)} }};",
         f"enum {{ {', '.join(f'{name.upper()} = {value}' for name, value in sizes.items())} }};\n",
         "typedef long long int casadi_int;",
         *(f"int {f.name()}{arguments};" for f in functions),

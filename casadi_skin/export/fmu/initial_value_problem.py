@@ -18,6 +18,8 @@ from casadi_skin.theory.linear import Array
 
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
 PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
+SAMPLES = 256  # of an orbit, for the sizes along it
+SMALLEST = 1e-250  # size of a state that is told from zero
 DEFAULT_S = 0.01  # amplitude of a start from a linear mode: small, so that the mode is nearly an orbit
 
 Bounds = tuple[float, float]
@@ -27,17 +29,20 @@ Bounds = tuple[float, float]
 class InitialValueProblem:
     """A model x' = f(t, x, p) with outputs y(t, x, p) and its start; dimensionless.
 
-    `start` has one value a state and `parameters` one a parameter; `is_output` tells which states are outputs
-    themselves. `bounds` limit parameters and `meanings` describe variables, both by name.
+    `start` and `nominals` (usual sizes) have one value a state, `parameters` one a parameter; the last parameters are
+    the `inputs`. `bounds` limit parameters and `meanings` describe variables, both by name. `chain` tells that states
+    are displacements, then velocities, of a chain.
     """
 
     model: OdeModel
     description: str
     start: tuple[float, ...]
     parameters: tuple[float, ...]
-    is_output: tuple[bool, ...]
+    nominals: tuple[float, ...]
     stop_time: float
     tolerance: float
+    inputs: tuple[str, ...] = ()
+    chain: bool = False
     bounds: Mapping[str, Bounds] = field(default_factory=dict)
     meanings: Mapping[str, str] = field(default_factory=dict)
 
@@ -46,11 +51,6 @@ class InitialValueProblem:
         """The model's name as an identifier of C: letters, digits and single underscores."""
         name = re.sub(r"[\W_]+", "_", self.model.name, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
         return name if name[0].isalpha() else f"model_{name}"
-
-    @property
-    def nominal(self) -> float:
-        """Usual size of the states: the largest at the start, or 1 where they start from zero."""
-        return max(map(abs, self.start)) or 1.0
 
 
 def initial_value_problem(
@@ -76,16 +76,51 @@ def initial_value_problem(
         return _of_model(what, start, what.nominal, stop_time, tolerance)
     if isinstance(what, Orbit):
         start, stop = what.profile if start is None else start, stop_time or PERIODS * what.period
+        sizes = sizes_along(what)
         if isinstance(what.model, Chain):
-            return _of_chain(what.model, start, what.period, stop, tolerance)
-        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop, tolerance)
+            return _of_chain(what.model, start, sizes, stop, tolerance)
+        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop, tolerance, sizes)
     if not isinstance(what, Chain):
         raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an OdeModel or an orbit")
     if what.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
-    period = 2.0 * np.pi / what.linear_frequency(mode)
-    return _of_chain(what, _linear_mode(what, mode, S) if start is None else start, period, stop_time, tolerance)
+    frequency = what.linear_frequency(mode)
+    start = _linear_mode(what, mode, S) if start is None else start
+    stop = PERIODS * 2.0 * np.pi / frequency if stop_time is None else stop_time
+    return _of_chain(what, start, _sizes_in_gauge(what, start, frequency), stop, tolerance)
+
+
+# Sizes --------------------------------------------------------------------------------------------------------------
+
+
+def sizes_along(orbit: Orbit) -> Array:
+    """The largest value of every component of the first-order state along an orbit."""
+    t = orbit.period * np.arange(SAMPLES) / SAMPLES
+    if isinstance(orbit.model, Chain):
+        sizes = np.abs(np.asarray(orbit.profile))  # at rest all displacements are largest
+        return np.concatenate([sizes, orbit.Omega * sizes])
+    states = np.abs(orbit.evaluate(t))
+    if states.shape[1] < orbit.model.full_size:
+        states = np.hstack([states, np.abs(np.gradient(orbit.evaluate(t), t, axis=0))])
+    return np.asarray(states.max(axis=0))
+
+
+def _sizes_in_gauge(chain: Chain, start: ArrayLike, frequency: float) -> Array:
+    """Sizes of a motion from a start: as large in the gauge at all sites, and nowhere larger than at the start."""
+    y = np.abs(np.resize(np.asarray(numbers("start", start)), chain.sites))
+    largest = float(y.max()) or 1.0
+    if abs(chain.gamma) < 1:
+        with np.errstate(over="ignore"):
+            y = np.minimum(chain.rho * np.max(y / chain.rho), largest) if y.any() else chain.rho / np.max(chain.rho)
+    return np.concatenate([y, frequency * y])
+
+
+def _nominals(sizes: ArrayLike) -> tuple[float, ...]:
+    """Usual sizes, none of them zero: those that vanish are as the smallest other one."""
+    found = np.asarray(sizes, dtype=float)
+    some = found[np.isfinite(found) & (found >= SMALLEST)]
+    return tuple(np.where(found >= SMALLEST, found, some.min() if some.size else 1.0).tolist())
 
 
 # Chains -------------------------------------------------------------------------------------------------------------
@@ -146,7 +181,7 @@ def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:
 
 
 def _of_chain(
-    chain: Chain, start: ArrayLike, period: float, stop_time: float | None, tolerance: float
+    chain: Chain, start: ArrayLike, sizes: ArrayLike, stop_time: float, tolerance: float
 ) -> InitialValueProblem:
     sites = chain.sites
     given = _start(start, sites, 2 * sites)
@@ -166,9 +201,10 @@ def _of_chain(
         description=f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)",
         start=full,
         parameters=(chain.alpha, chain.gamma, chain.g),
-        is_output=(True,) * sites + (False,) * sites,
-        stop_time=PERIODS * period if stop_time is None else stop_time,
+        nominals=_nominals(sizes),
+        stop_time=stop_time,
         tolerance=tolerance,
+        chain=True,
         bounds={"gamma": (-1.0, 1.0)},
         meanings=meanings,
     )
@@ -183,6 +219,7 @@ def _of_model(
     values: tuple[float, ...] | None,
     stop_time: float | None,
     tolerance: float,
+    sizes: ArrayLike | None = None,
 ) -> InitialValueProblem:
     count = model.full_size
     if model.parameter_names and values is None:
@@ -196,12 +233,14 @@ def _of_model(
         raise ValueError(
             f"{model.name}: several variables named {', '.join(twice)}; accepted: a name each ('time' is t)"
         )
+    full = given + (0.0,) * (count - len(given))
+    largest = max(map(abs, full)) or 1.0
     return InitialValueProblem(
         model=model,
         description=model.name,
-        start=given + (0.0,) * (count - len(given)),
+        start=full,
         parameters=parameters,
-        is_output=(True,) * model.size + (False,) * (count - model.size),
+        nominals=_nominals([largest] * count if sizes is None else sizes),
         stop_time=_default_stop(model, parameters) if stop_time is None else stop_time,
         tolerance=tolerance,
     )

@@ -67,6 +67,9 @@ class SmallestKick:
     interrupted: bool
     tried: int
 
+    def __repr__(self) -> str:
+        return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
+
     @property
     def best(self) -> KickOptimum:
         """The optimum of least norm."""

@@ -66,6 +66,9 @@ class Outcome:
     refused: str
     seconds: float
 
+    def __str__(self) -> str:
+        return f"{self.case.name}: {self.fault or self.verdict}"
+
     @property
     def fault(self) -> str:
         """Why the outcome is not the expected one, in words; empty where it is."""

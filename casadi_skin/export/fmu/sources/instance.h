@@ -22,11 +22,12 @@ enum { MODEL_EXCHANGE, CO_SIMULATION };
 
 enum { SOLVER_STAGES = 12 };
 
-/* Value references: the time, the states, their derivatives, the parameters, the outputs. */
+/* Value references: the time, the states, their derivatives, the parameters, the inputs, the outputs. */
 enum {
     FIRST_STATE = 1,
     FIRST_DERIVATIVE = FIRST_STATE + NX,
     FIRST_PARAMETER = FIRST_DERIVATIVE + NX,
+    FIRST_INPUT = FIRST_PARAMETER + NP - NI,
     FIRST_OUTPUT = FIRST_PARAMETER + NP,
     VARIABLES = FIRST_OUTPUT + NY
 };
@@ -213,7 +214,7 @@ static int set_values(Instance *c, const char *function, const unsigned int refe
                       const double values[]) {
     const int before = INSTANTIATED | INITIALIZATION;
     size_t i;
-    if (allowed(c, function, before | EVENT | STEP) != OK) return ERROR;
+    if (allowed(c, function, before | EVENT | CONTINUOUS | STEP) != OK) return ERROR;
     for (i = 0; i < count; i++) {
         const unsigned int r = references[i];
         const int state = r >= FIRST_STATE && r < FIRST_DERIVATIVE;
@@ -221,6 +222,8 @@ static int set_values(Instance *c, const char *function, const unsigned int refe
         if (!state && !parameter) return say(c, ERROR, "%s: variable %u cannot be set", function, r);
         if (state && !(c->now.mode & (before | EVENT)))
             return say(c, ERROR, "%s: state %u cannot be set in %s", function, r, mode_name(c->now.mode));
+        if (r < FIRST_INPUT && c->now.mode == CONTINUOUS)
+            return say(c, ERROR, "%s: variable %u cannot be set in %s", function, r, mode_name(c->now.mode));
         if (!isfinite(values[i])) return say(c, DISCARD, "%s: value of variable %u is not finite", function, r);
         if (parameter) {
             const int k = (int)(r - FIRST_PARAMETER);

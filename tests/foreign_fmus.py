@@ -69,3 +69,32 @@ def recompiled(path: Path, target: Path, fmi: str, old: str, new: str) -> Path:
     sources = [p.name for p in (folder / "sources").glob("*.c")]
     built = build_library(folder / "sources", sources, folder / "library")
     return changed(path, target, {library: lambda _: built.read_bytes()})
+
+
+STATE_SPACE = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="state space" instantiationToken="arrays">
+<ModelExchange modelIdentifier="arrays"/>
+<ModelVariables>
+<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
+<Float64 name="A" valueReference="1" causality="parameter" variability="fixed" start="0 1 -1 0"><Dimension start="2"/>
+<Dimension start="2"/></Float64>
+<Float64 name="B" valueReference="2" causality="parameter" variability="tunable" start="1 0 0 1"><Dimension start="2"/>
+<Dimension start="2"/></Float64>
+<Float64 name="u" valueReference="3" causality="input" start="0 0"><Dimension start="2"/></Float64>
+<Float64 name="x" valueReference="4" causality="output" initial="exact" start="1 0"><Dimension start="2"/></Float64>
+<Float64 name="der(x)" valueReference="5" causality="local" derivative="4"><Dimension start="2"/></Float64>
+</ModelVariables>
+<ModelStructure><Output valueReference="4"/><ContinuousStateDerivative valueReference="5"/></ModelStructure>
+</fmiModelDescription>
+"""
+
+
+def state_space(folder: Path) -> Path:
+    """x' = A x + B u with arrays of FMI 3.0, written in C by hand."""
+    source = Path(__file__).parent / "unit" / "state_space_fmu.c"
+    library = build_library(source.parent, [source.name], folder / f"arrays.{library_ending()}")
+    with zipfile.ZipFile(folder / "arrays.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", STATE_SPACE)
+        archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
+        archive.writestr("documentation/index.html", "one")
+    return folder / "arrays.fmu"

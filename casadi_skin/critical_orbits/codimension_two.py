@@ -1,0 +1,175 @@
+"""Points of codimension two on curves of folds, period doublings and tori of orbits: where one condition more holds.
+
+The coefficient of the normal form vanishes (cusp, generalized period doubling, Chenciner point); another multiplier
+is 1 or -1, or another pair on the unit circle; on tori the angle is that of a strong resonance (Kuznetsov 2004, chapter
+9). Or the orbits shrink to an equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.continuation.points import End, Point
+from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
+from casadi_skin.critical_orbits.shrinking import shrunk
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, NotLocatedError
+from casadi_skin.stability.reduction import ComplexArray
+
+if TYPE_CHECKING:
+    from casadi_skin.critical_orbits.curve import OrbitCurveSpace
+
+DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
+RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
+ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another pair is on the circle
+    FOLD: ("1:1 resonance", "fold-flip", "fold-torus"),
+    DOUBLING: ("fold-flip", "1:2 resonance", "flip-torus"),
+    TORUS: ("fold-torus", "flip-torus", "torus-torus"),
+}
+FINE = 1e-11  # of a step, to which a root is found
+VANISHES = 1e-2  # of its values at both ends: a test where it has a root
+NEUTRAL = 1e-6  # imaginary part of a pair that is one
+Test = Callable[[Point], float]
+
+
+def special_on_curve(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[Point]:
+    """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
+    if space.kind == EDGE:
+        return
+    if space.shrinks(before, after):
+        end = shrunk(space, before, after)
+        if end is not None:
+            yield end
+            return
+    found = [_root(space, before, after, kind, test) for kind, test in _tests(space, before, after)]
+    yield from (point for _, point in sorted((one for one in found if one is not None), key=lambda entry: entry[0]))
+
+
+def _tests(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
+    """Kinds of the points that are passed, each with a function that changes its sign there."""
+    candidates: list[tuple[str, Test]] = []
+    if space.kind == TORUS:
+        candidates += [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
+    plus, minus, pair = ANOTHER[space.kind]
+    candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
+    candidates.append((DEGENERATE[space.kind], _coefficient(space)))
+    for kind, test in candidates:
+        try:
+            if test(before) * test(after) < 0.0:
+                yield kind, test
+        except (RuntimeError, NotImplementedError):  # the model has no third derivatives
+            continue
+
+
+def others(space: OrbitCurveSpace, point: Point) -> ComplexArray:
+    """Multipliers but the trivial and the critical ones."""
+    values = space.multipliers(point)
+    roots = {FOLD: [1.0], DOUBLING: [-1.0]}.get(space.kind)
+    if roots is None:
+        kappa = space.kappa(point)
+        width = np.sqrt(complex(kappa**2 - 1.0))
+        roots = [kappa + width, kappa - width]
+    for root in roots:
+        values = np.delete(values, np.argmin(np.abs(values - root)))
+    return values
+
+
+def _real(space: OrbitCurveSpace, value: float) -> Test:
+    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it."""
+
+    def test(point: Point) -> float:
+        found = others(space, point)
+        return float(np.prod((found - value) / (1.0 + np.abs(found))).real)
+
+    return test
+
+
+def _pairs(space: OrbitCurveSpace) -> Test:
+    """The product over pairs of other multipliers of 1 minus their product."""
+
+    def test(point: Point) -> float:
+        found = others(space, point)
+        i, j = np.triu_indices(found.size, 1)
+        products = found[i] * found[j]
+        return float(np.prod((1.0 - products) / (1.0 + np.abs(products))).real) if products.size else 1.0
+
+    return test
+
+
+def _terms(space: OrbitCurveSpace, point: Point) -> Array:
+    """The terms of the coefficient of the normal form at a point."""
+    linear = space.linearised(point)
+    angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
+    v, adjoint = critical_functions(space.kind, linear, angle)
+    return terms_of(space.kind, linear, angle, v, adjoint)
+
+
+def _coefficient(space: OrbitCurveSpace) -> Test:
+    return lambda point: float(np.sum(_terms(space, point)))
+
+
+def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+    """The point between two where a test vanishes, with its place; None where it has a pole in place of a root.
+
+    Raises NotLocatedError.
+    """
+    from scipy.optimize import brentq
+
+    known, values = {0.0: before, 1.0: after}, dict[float, float]()
+
+    def value(fraction: float) -> float:
+        if fraction not in known:
+            point = space.point_solver.along(before, after, fraction)
+            if point is None:
+                raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
+            known[fraction] = point
+        if fraction not in values:
+            values[fraction] = test(known[fraction])
+        return values[fraction]
+
+    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
+    if abs(value(root)) > VANISHES * max(abs(value(0.0)), abs(value(1.0))) or not _is_pair(space, known[root], kind):
+        return None
+    beside = min((f for f in known if f != root), key=lambda f: abs(f - root))
+    slope = (value(beside) - value(root)) / (beside - root)
+    error = replace(
+        known[root].error, parameter=_error(space, known[root], test, slope / _length(space, before, after))
+    )
+    return root, replace(known[root], error=error, requested=False, walked=False, special=kind)
+
+
+def _is_pair(space: OrbitCurveSpace, point: Point, kind: str) -> bool:
+    """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
+    if kind != ANOTHER[space.kind][2]:
+        return True
+    found = others(space, point)
+    i, j = np.triu_indices(found.size, 1)
+    nearest = np.argmin(np.abs(1.0 - found[i] * found[j]))
+    return bool(abs(found[i[nearest]].imag) > NEUTRAL)
+
+
+def _length(space: OrbitCurveSpace, before: Point, after: Point) -> float:
+    return space.point_solver.curve(before, after)[1]
+
+
+def _error(space: OrbitCurveSpace, point: Point, test: Test, slope: float) -> float:
+    """Estimated relative error of the parameter where a test vanishes, from its value on a finer level."""
+    better = point.better
+    assert better is not None
+    finer = replace(point, problem=better.problem, z=better.z, better=None)
+    along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
+    moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+    return float(moved / point.problem.parameter_size(point.z) + EPSILON)
+
+
+ENDS = {
+    (TORUS, "1:1 resonance"): End.RESONANCE_ONE,
+    (TORUS, "1:2 resonance"): End.RESONANCE_TWO,
+    (FOLD, "generalized hopf"): End.BAUTIN,
+    (TORUS, "hopf-hopf"): End.HOPF_HOPF,
+    (TORUS, "zero-hopf"): End.ZERO_HOPF,
+}

@@ -1,0 +1,208 @@
+"""Folds, period doublings and tori of orbits followed in a second parameter, by the problems that they solve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.continuation.points import ContinuationSettings, End, Point
+from casadi_skin.critical_orbits.codimension_two import ENDS, special_on_curve
+from casadi_skin.critical_orbits.edges import located_edge
+from casadi_skin.critical_orbits.linearised import Linearised
+from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
+from casadi_skin.critical_orbits.normal_forms import on_circle
+from casadi_skin.critical_orbits.systems import KAPPA, Critical
+from casadi_skin.equilibria import curve as of_equilibria
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.follow import following_settings
+from casadi_skin.orbits.following import Following, run_following
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, SpecialPoint
+from casadi_skin.stability.reduction import ComplexArray
+
+KINDS = (FOLD, DOUBLING, TORUS)
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitCurveSpace(BoundarySpace):
+    """Special orbits of one kind in two parameters, of which one is followed and the other one free.
+
+    Attributes:
+        kind: "fold", "period doubling" or "torus".
+        critical: what they solve.
+        orbits: the space of the branch on which the first was found.
+    """
+
+    knows_stability: bool = field(default=True, init=False)
+    kind: str = FOLD
+    critical: Critical | None = None
+    orbits: BoundarySpace | None = None
+
+    @property
+    def _critical(self) -> Critical:
+        assert self.critical is not None
+        return self.critical
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameter that is found with the orbit, and those that are found with any."""
+        return (self._critical.first, *self._critical.orbit.free)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self._critical.orbit.model.state_names
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        known, names = super().parameters(point), self._critical.orbit.model.parameter_names
+        return {name: known[name] for name in names}
+
+    def kappa(self, point: Point) -> float:
+        """The cosine of the angle of a torus's multipliers; beyond 1 and -1 these are real with product 1."""
+        return super().parameters(point)[KAPPA]
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        start, end = self._critical.orbit.span(np.array(list(self.parameters(point).values())))
+        return 0.0, (end - start) / self.symmetry.value
+
+    def linearised(self, point: Point) -> Linearised:
+        """The equations of the orbit of a point around it."""
+        return Linearised(cast(Any, point.problem), point.z, self._critical.orbit)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Points of codimension two on the stretch between two points, in order."""
+        yield from special_on_curve(self, before, after)
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """Beyond the resonances 1:1 and 1:2 there are no tori, and beyond amplitude zero the curve comes back."""
+        end = ENDS.get((self.kind, point.special))
+        return (end, "") if end is not None else super().stop(point)
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> BoundarySpace:
+        """The space of the orbits through one of these in one parameter."""
+        assert self.orbits is not None
+        linear, point = self.linearised(solution.point), solution.point
+        states = point.z[: linear.problem.states].reshape(linear.problem.columns, -1)[:, : linear.components]
+        free = [solution.parameters[name] for name in self.orbits.statement.free]
+        first = replace(point, z=np.concatenate([states.ravel(), free, [0.0]]), special="")
+        statement = self.orbits.statement.with_parameters(**solution.parameters)
+        return replace(
+            self.orbits, statement=statement, parameter=parameter, to=to, at=at, first=first, settings=settings,
+            leaves=False,
+        )  # fmt: skip
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether the orbit passes through amplitude zero: what varies in it changes its sign."""
+        if PERIOD not in self.statement.free:
+            return False
+        one, other = (self._variation(point) for point in (before, after))
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
+
+    def _variation(self, point: Point) -> Array:
+        states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
+        return np.asarray((states - states.mean(axis=0)) / self._critical.sizes)
+
+    def multipliers(self, point: Point) -> ComplexArray:
+        """Multipliers but the trivial one, computed once for the last few points."""
+        for known, found in self._known:
+            if known is point:
+                return found
+        found = self.floquets([point])[0].others
+        self._known[:] = [*self._known[-7:], (point, found)]
+        return found
+
+    @cached_property
+    def _known(self) -> list[tuple[Point, ComplexArray]]:
+        return []
+
+
+def curve(
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float] = (),
+    max_points: int = 500,
+    max_step: float = 0.2,
+    back_to: float | None = None,
+    until: Callable[[Any], bool] | None = None,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """A special point followed in a second parameter, with that in which it was found free.
+
+    Arguments:
+        point: a fold or a Hopf point of equilibria; of orbits a fold, a period doubling or a torus; of a family the
+            edge of a real tongue (`Branch.edge`), which is followed with S free.
+        parameter: name of the second parameter.
+        to: its value at which the curve ends.
+        at, max_points, max_step, back_to, until, progress: as in `follow`.
+
+    Returns:
+        The curve as a branch; its special points are those of codimension two: of equilibria "cusp", "bogdanov-takens",
+        "zero-hopf", "generalized hopf", "hopf-hopf"; of orbits "cusp of cycles", "generalized period doubling",
+        "chenciner", "1:1 resonance" to "1:4 resonance", "fold-flip", "fold-torus", "flip-torus", "torus-torus". It also
+        ends where it comes back to the value that it started from, Hopf points at a Bogdanov-Takens point, tori at the
+        resonances 1:1 and 1:2, and orbits where they shrink to an equilibrium.
+
+    Raises:
+        ValueError: an argument is out of range, or the point is of another kind.
+        EquilibriumError, BoundaryError: the curve cannot be started.
+    """
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
+    return run_following(Following(space, until=until), progress)
+
+
+def curve_space(
+    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
+    if point.kind == EDGE:
+        orbit, edge = located_edge(point, parameter)
+        settings = following_settings(orbit, parameter, to, **options)
+        unit = orbit.parameters[edge.critical.first]
+        return _space(cast(BoundarySpace, orbit.space), edge, unit, orbit.parameters, parameter, to, at, settings)
+    solution = point.solution
+    plain = isinstance(solution, Orbit) and type(solution.space) is BoundarySpace
+    if not (plain and point.kind in KINDS):
+        if isinstance(solution, Orbit):
+            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
+        return of_equilibria.curve_space(point, parameter, to, **options)
+    if parameter == point.parameter:
+        names = [name for name in solution.parameters if name not in (parameter, *solution.space.free)]
+        accepted = ", ".join(names) or "none"
+        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
+    settings = following_settings(solution, parameter, to, **options)
+    angle = abs(float(np.angle(on_circle(cast(Orbit, solution))))) if point.kind == TORUS else np.pi
+    orbits = cast(BoundarySpace, solution.space)
+    located = locate(orbits, point.kind, solution.point, angle)
+    if located is None:
+        why = "its extended equations are not solved, or the model has no second derivatives"
+        raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
+    unit = abs(orbits.to - orbits.statement.values[point.parameter])
+    return _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+
+
+def _space(
+    orbits: BoundarySpace, located: LocatedOrbit, unit: float, parameters: Mapping[str, float], parameter: str,
+    to: float, at: Sequence[float], settings: ContinuationSettings,
+) -> OrbitCurveSpace:  # fmt: skip
+    """The space of the curve through a located orbit, at the parameters of the branch that it was found on."""
+    critical = located.critical
+    held = {name: parameters[name] for name in orbits.statement.model.parameter_names}
+    extended = extended_space(critical, orbits, {**held, critical.first: located.value}, unit, parameter, float(to))
+    given = {f.name: getattr(extended, f.name) for f in fields(BoundarySpace) if f.init}
+    given |= {"periodic": orbits.periodic, "at": tuple(map(float, at)), "first": located.point, "settings": settings}
+    return OrbitCurveSpace(**given, kind=critical.kind, critical=critical, orbits=orbits)

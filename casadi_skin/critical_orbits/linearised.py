@@ -1,0 +1,177 @@
+"""The collocation equations of an orbit to first, second and third order, and the null vectors of the first.
+
+Null vectors come from inverse iteration on the sparse matrix, so that multipliers of any size do no harm; higher
+derivatives are those of the field at the stages, exact by CasADi.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.critical_orbits.systems import Parity
+
+Vector = NDArray[Any]  # of real or complex numbers
+ROUNDS = 4  # of inverse iteration
+SHIFT = 1e-13  # of the largest entry of a matrix that may be singular to the last digit
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The equations of an orbit around it; unknowns are its states, then the free parameters of its statement.
+
+    The problem may be an extended one, of which the orbit's own equations and unknowns are taken.
+    """
+
+    problem: BoundaryProblem
+    z: Array
+    statement: Statement
+
+    @property
+    def components(self) -> int:
+        """Number of components of the orbit's state."""
+        return self.statement.model.full_size
+
+    @property
+    def states(self) -> int:
+        """Number of state values of the orbit."""
+        return self.problem.columns * self.components
+
+    @property
+    def inner(self) -> int:
+        """Number of the orbit's equations of collocation, before the conditions."""
+        return self.states - self.components
+
+    @cached_property
+    def jacobian(self) -> Any:
+        """The square derivative of the orbit's equations, parameters that are not free held, sparse."""
+        from scipy.sparse import csc_matrix
+
+        problem, whole, n = self.problem, self.problem.formulation.states, self.components
+        shape = (problem.size - 1, problem.size)
+        matrix = csc_matrix((problem.evaluate(self.z)[1], problem.pattern), shape=shape)
+        bottom, ends = problem.states - whole, int(problem.formulation.conditions.numel())
+        conditions, integrals = (
+            sum(int(e.numel()) for e in group) for group in (self.statement.conditions, self.statement.integrals)
+        )
+        ranges = (range(bottom, bottom + conditions), range(bottom + ends, bottom + ends + integrals))
+        rows = [*_leading(bottom, whole, n), *ranges[0], *ranges[1]]
+        free = range(problem.states, problem.states + len(self.statement.free))
+        return matrix[rows][:, [*_leading(problem.states, whole, n), *free]].tocsc()
+
+    def twisted(self, factor: complex) -> Any:
+        """The derivative of the equations of the state alone, for v(1) = factor v(0), sparse."""
+        from scipy.sparse import coo_matrix, vstack
+
+        n = self.components
+        number = factor.real if factor.imag == 0.0 else factor
+        places = (np.tile(np.arange(n), 2), np.concatenate([np.arange(n), self.states - n + np.arange(n)]))
+        closing = coo_matrix((np.repeat([-number, 1.0], n), places), shape=(n, self.states))
+        return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
+
+    def reflected(self, parity: Parity) -> Any:
+        """The derivative of the equations of the state alone, for components that vanish at the ends, sparse."""
+        from scipy.sparse import coo_matrix, vstack
+
+        n, first = self.components, self.states - self.components
+        columns = np.array([*parity[0], *(first + place for place in parity[1])])
+        closing = coo_matrix((np.ones(n), (np.arange(n), columns)), shape=(n, self.states))
+        return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
+
+    def _at_stages(self, v: Vector) -> tuple[Vector, Vector]:
+        """A direction at the stages, shape (components, stages), and its change of all scalars."""
+        problem = self.problem
+        x = np.zeros((problem.formulation.states, problem.stages.size), dtype=v.dtype)
+        x[: self.components] = v[: self.states].reshape(problem.columns, -1)[problem.stages].T
+        scalars = np.zeros(problem.size - problem.states, dtype=v.dtype)
+        scalars[: v.size - self.states] = v[self.states :]
+        return x, scalars
+
+    def _increments(self, values: Vector) -> Vector:
+        """What values at the stages add to the equations of collocation, and 0 to the conditions."""
+        problem = self.problem
+        by_interval = values[: self.components].T.reshape(problem.resolution, problem.degree, -1)
+        sums = np.einsum("k,ij,kjn->kin", problem.constants, problem.table.extended, by_interval)
+        return np.asarray(-sums.ravel())
+
+    def velocity(self, v: Vector) -> Vector:
+        """What the equations of collocation gain where the field loses v, shape (inner,)."""
+        return -self._increments(self._at_stages(v)[0])
+
+    @cached_property
+    def _second(self) -> ca.Function:
+        return self._derivative(2)
+
+    @cached_property
+    def _third(self) -> ca.Function:
+        return self._derivative(3)
+
+    def _derivative(self, order: int) -> ca.Function:
+        """Function (s, x, scalars, directions in x and scalars) -> the derivative of the field in these."""
+        formulation = self.problem.formulation
+        known = [formulation.s, formulation.x, formulation.scalars]
+        kind = type(formulation.x)
+        field = ca.Function("field", known, [ca.densify(formulation.field[: self.components])])
+        s, x, scalars = kind.sym("s"), kind.sym("x", formulation.states), kind.sym("q", known[2].numel())
+        found, directions = field(s, x, scalars), []
+        for k in range(order):
+            a, b = kind.sym(f"a{k}", x.numel()), kind.sym(f"b{k}", scalars.numel())
+            found = ca.jtimes(found, x, a) + ca.jtimes(found, scalars, b)
+            directions += [a, b]
+        return ca.Function("derivative", [s, x, scalars, *directions], [ca.densify(found)])
+
+    def derivative(self, *directions: Vector) -> Vector:
+        """The second or third derivative of the equations of collocation in as many directions, shape (inner,)."""
+        problem = self.problem
+        function = self._second if len(directions) == 2 else self._third
+        stages = problem.stages
+        starts = np.cumsum(problem.constants) - problem.constants
+        places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()[None]
+        x = self.z[: problem.states].reshape(problem.columns, -1)[stages].T
+        scalars = np.tile(self.z[problem.states :, None], stages.size)
+        mapped = function.map(stages.size)
+        total: Vector = np.zeros((self.components, stages.size), dtype=complex)
+        parts = [self._at_stages(v) for v in directions]
+        for choice in np.ndindex(*(2,) * len(parts)):  # real or imaginary part of each
+            turned = [(a.imag, b.imag) if c else (a.real, b.real) for c, (a, b) in zip(choice, parts, strict=True)]
+            if all(np.any(a) or np.any(b) for a, b in turned):
+                given = [g for a, b in turned for g in (a, np.tile(b[:, None], stages.size))]
+                total += 1j ** sum(choice) * np.array(mapped(places, x, scalars, *given))
+        found = self._increments(total)
+        return found if any(np.iscomplexobj(v) for v in directions) else np.asarray(found.real)
+
+
+def velocities(problem: BoundaryProblem, z: Array) -> Array:
+    """Derivatives of the state by the fraction of the interval, shape (columns, components)."""
+    x = z[: problem.states].reshape(problem.columns, -1)
+    scalars = np.tile(z[problem.states :, None], problem.columns)
+    field = problem.formulation.field_function.map(problem.columns)(problem._fractions()[None], x.T, scalars)
+    return np.array(field[0]).T
+
+
+def _leading(size: int, whole: int, part: int) -> list[int]:
+    """Numbers below `size` of which the first `part` of each `whole` are taken."""
+    return np.flatnonzero(np.arange(size) % whole < part).tolist()
+
+
+def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
+    """Right and left null vector (v, psi), psi^H matrix = 0, of a sparse matrix that is nearly singular; of norm 1."""
+    from scipy.sparse import eye
+    from scipy.sparse.linalg import splu
+
+    shift = SHIFT * float(np.max(np.abs(matrix.data)))
+    factors = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
+    right: Vector = np.random.default_rng(0).normal(size=matrix.shape[0]).astype(matrix.dtype)
+    left = right
+    for _ in range(ROUNDS):
+        left = factors.solve(right / np.linalg.norm(right), trans="H")  # type: ignore[call-overload]
+        right = factors.solve(left / np.linalg.norm(left))
+    return right / np.linalg.norm(right), left / np.linalg.norm(left)

@@ -1,0 +1,100 @@
+"""What decides at folds, period doublings and tori of orbits: coefficients of their normal forms.
+
+By projection on the collocation equations themselves (Kuznetsov, Govaerts, Doedel and Dhooge 2005), in the variable w
+of x = x0 + w v + ..., where v is the critical Floquet function with mean square 1 over the period: of a fold w' = a w^2
++ ..., of a period doubling w' = c w^3 + ..., of a torus w' = (i theta/T) w + d w |w|^2 + ..., of which the real part of
+d is taken. What is born at a period doubling or a torus is stable where the coefficient is negative and no other
+multiplier is outside the unit circle.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors
+from casadi_skin.equilibria.normal_forms import DECIDED, Critical
+from casadi_skin.equilibria.normal_forms import critical as at_equilibrium
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
+
+UNKNOWN = "unknown: the model has no higher derivatives"
+
+
+def critical(point: SpecialPoint) -> Critical:
+    """What decides at a special point of equilibria or orbits; raises ValueError for another one."""
+    solution = point.solution
+    if not isinstance(solution, Orbit) or point.kind not in (FOLD, DOUBLING, TORUS):
+        return at_equilibrium(point)
+    try:
+        problem = solution.problem
+    except ValueError:
+        return at_equilibrium(point)
+    linear = Linearised(problem, solution.point.z, problem.statement)
+    angle = np.pi if point.kind == DOUBLING else 0.0
+    if point.kind == TORUS:
+        angle = abs(float(np.angle(on_circle(solution))))
+    v, adjoint = critical_functions(point.kind, linear, angle)
+    start = (v[: linear.components], adjoint[: linear.components])
+    vector, other = (np.asarray(part / np.linalg.norm(part), dtype=complex) for part in start)
+    try:
+        terms = terms_of(point.kind, linear, angle, v, adjoint) / solution.period
+    except (RuntimeError, NotImplementedError):
+        return Critical(vector, other, angle / solution.period, float("nan"), UNKNOWN)
+    value = float(np.sum(terms))
+    words = "quadratic" if point.kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
+    if abs(value) <= DECIDED * float(np.sum(np.abs(terms))):
+        words = "degenerate"
+    return Critical(vector, other, angle / solution.period, value, words)
+
+
+def on_circle(orbit: Orbit) -> complex:
+    """The complex multiplier nearest to the unit circle."""
+    others = orbit.floquet().others
+    upper = others[others.imag > 0.0]
+    return complex(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])
+
+
+def critical_functions(kind: str, linear: Linearised, angle: float) -> tuple[Vector, Vector]:
+    """The critical Floquet function with mean square 1, of a fold with the changes of free parameters; its adjoint."""
+    matrix = linear.jacobian if kind == FOLD else linear.twisted(-1.0 + 0j if kind == DOUBLING else np.exp(1j * angle))
+    v, adjoint = null_vectors(matrix)
+    problem: BoundaryProblem = linear.problem
+    weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
+    values = v[: linear.states].reshape(problem.columns, -1)[problem.stages]
+    v = v / np.sqrt(float(weights @ np.sum(np.abs(values) ** 2, axis=1)))
+    largest = v[: linear.components][np.argmax(np.abs(v[: linear.components]))]
+    return v * (abs(largest) / largest), adjoint
+
+
+def terms_of(kind: str, linear: Linearised, angle: float, v: Vector, adjoint: Vector) -> Array:
+    """The terms whose sum over the period is the coefficient."""
+    psi = adjoint[: linear.inner].conj()
+
+    def projected(*parts: Vector) -> Array:
+        over = psi @ linear.velocity(v)
+        return np.array([-(psi @ part / over).real for part in parts])
+
+    if kind == FOLD:
+        return projected(0.5 * linear.derivative(v, v))
+    if kind == DOUBLING:
+        bent = _solved(linear.jacobian, -linear.derivative(v, v))
+        return projected(linear.derivative(v, v, v) / 6.0, 0.5 * linear.derivative(v, bent))
+    steady = _solved(linear.jacobian, -linear.derivative(v, v.conj()).real)
+    double = _solved(linear.twisted(np.exp(2j * angle)), -linear.derivative(v, v))
+    return projected(
+        0.5 * linear.derivative(v, v, v.conj()), linear.derivative(v, steady), 0.5 * linear.derivative(v.conj(), double)
+    )
+
+
+def _solved(matrix: Any, inner: Vector) -> Vector:
+    """The solution for a right-hand side that is zero in the conditions."""
+    from scipy.sparse.linalg import splu
+
+    factors = splu(matrix)
+    right = np.zeros(factors.shape[0], dtype=inner.dtype)
+    right[: inner.size] = inner
+    return cast(Vector, factors.solve(right))

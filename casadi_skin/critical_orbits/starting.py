@@ -1,0 +1,107 @@
+"""Where Newton's method on the extended problem of a special orbit starts: an orbit near it, and its null vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors, velocities
+from casadi_skin.critical_orbits.systems import Critical
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD
+
+RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
+
+
+def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float, angle: float = np.pi) -> Array:
+    """Unknowns of the extended problem, on the mesh of an orbit, from the orbit's and the parameter's value."""
+    n, count = critical.states, len(critical.orbit.free)
+    linear = Linearised(problem, z, critical.orbit)
+    if critical.kind == FOLD:
+        null, _ = null_vectors(linear.jacobian)
+        v, added = null[: problem.states].reshape(-1, n), null[problem.states :]
+        changes = np.sum((added / [critical.size_of(name) for name in critical.orbit.free]) ** 2)
+        size = np.sqrt(_mean(problem, v / critical.sizes) + changes)
+    elif critical.kind == DOUBLING:
+        v, added = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n), np.zeros(0)
+        size = np.sqrt(_mean(problem, v / critical.sizes))
+    elif critical.kind == EDGE:
+        v, added = _of_edge(critical, linear), np.zeros(0)
+        size = 1.0 if critical.joined else np.sqrt(_mean(problem, v / critical.sizes))
+    else:
+        v, added, size = _of_torus(critical, problem, z, angle)
+    added = np.append(np.cos(angle), added[1:] / size) if critical.kind not in (FOLD, DOUBLING, EDGE) else added / size
+    states = np.hstack([z[: problem.states].reshape(-1, n), v / size])
+    return np.concatenate([states.ravel(), z[problem.states : problem.states + count], [value], added, [0.0]])
+
+
+def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: float) -> tuple[Array, Array, float]:
+    """v1 and v2 side by side; the cosine and the shift; the size of v1."""
+    q, shift, start = critical_plane(problem, z, angle, critical.sizes)
+    turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
+    along = np.real(turn * shift) * velocities(problem, z) if critical.autonomous else 0.0
+    v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
+    added = [np.cos(angle)]
+    if critical.autonomous:
+        added.append(float(np.real(turn * shift)) * 2.0 * (np.cos(angle) - 1.0))
+    return np.hstack([v1, v2]), np.array(added), float(np.sqrt(_mean(problem, v1 / critical.sizes)))
+
+
+def _of_edge(critical: Critical, linear: Linearised) -> Array:
+    """The null vector of the class of an edge; where a pair meets the trivial one v1 and v2 side by side."""
+    from scipy.sparse import diags
+    from scipy.sparse.linalg import splu
+
+    n, matrix = critical.states, linear.reflected(critical.parity)
+    if not critical.joined:
+        return null_vectors(matrix)[0].reshape(-1, n)
+    still = np.zeros(n)
+    moving = velocities(linear.problem, linear.z)
+    first = splu(matrix).solve(np.concatenate([linear.velocity(moving.ravel()), still]))
+    every = range(n)
+    odd = tuple(tuple(place for place in every if place not in part) for part in critical.parity)
+    right = np.concatenate([-linear.velocity(first), still])
+    singular = linear.reflected((odd[0], odd[1]))
+    shifted = singular + 1e-12 * abs(singular).max() * diags(np.ones(right.size))
+    second = splu(shifted.tocsc()).solve(right)
+    start = moving[0] / critical.sizes
+    second = second - moving.ravel() * ((second[:n] / critical.sizes) @ start) / (start @ start)
+    return np.hstack([first.reshape(-1, n), second.reshape(-1, n)])
+
+
+def component_sizes(values: Array) -> Array:
+    """What each component of a Floquet function is measured by: the orbit's largest, or a usual one where it rests."""
+    largest = np.max(np.abs(values), axis=0)
+    moves = largest > RESTS * np.max(largest)
+    return np.asarray(np.where(moves, largest, np.median(largest[moves])))
+
+
+def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Vector, complex, Vector]:
+    """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and how it starts.
+
+    Its start is a multiple of the velocity of an autonomous orbit, which is second, and what is across it, third.
+    """
+    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)))
+    q = null_vectors(twisted)[0].reshape(problem.columns, -1)
+    if PERIOD not in problem.statement.free:
+        return q, 0.0, q[0]
+    velocity = velocities(problem, z)[0]
+    shift = complex((velocity / sizes) @ (q[0] / sizes) / np.sum((velocity / sizes) ** 2))
+    return q, shift, q[0] - shift * velocity
+
+
+def normal_of(start: Vector, sizes: Array) -> Array:
+    """A vector between the axes of the ellipse on which real parts of multiples of a complex one are.
+
+    What is orthogonal to it is no eigenvector where the ellipse becomes a line, as at the resonances 1:1 and 1:2.
+    """
+    scaled = start / sizes
+    turned = scaled * np.exp(-0.5j * np.angle(np.sum(scaled * scaled)))
+    longer, shorter = (part / np.linalg.norm(part) for part in (turned.real, turned.imag))
+    return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
+
+
+def _mean(problem: BoundaryProblem, v: Array) -> float:
+    """The mean over the interval, and over the components, of the squares of v, shape (columns, components)."""
+    weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
+    return float(weights @ np.mean(v[problem.stages] ** 2, axis=1))

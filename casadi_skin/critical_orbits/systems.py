@@ -1,0 +1,193 @@
+"""Boundary-value problems whose regular solutions are special orbits.
+
+The orbit's own problem on the unit interval is joined by its linearisation. Of a fold along a null vector (v, w), in
+which w changes the free parameters; of a period doubling along v with v(1) = -v(0); of a torus over two turns, along v1
+and v2 with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, where kappa is the cosine of the angle of the
+multipliers. The last stays real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991;
+Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the velocity, across which v1 starts, as the
+trivial multiplier is 1 as well.
+
+Of the edge of a real tongue of symmetric orbits along v in one of the three symmetry classes that the velocity x' is
+not in; or, where a pair meets the trivial one, along v1 = dx/dT and v2 with v2' = J v2 - v1 in the class of x': four
+multipliers are the same then. One parameter more is free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.models.expressions import Expression
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS
+
+KAPPA, SHIFT = "cosine of the angle", "shift along the orbit"
+Parity = tuple[tuple[int, ...], tuple[int, ...]]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class _Joined(OdeModel):
+    """A model with its linearisation; its values are as good as those of the one that it is made of."""
+
+    inner: OdeModel
+
+    @property
+    def rounding(self) -> float:
+        return self.inner.rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Critical:
+    """What makes the extended statement of critical orbits.
+
+    Attributes:
+        kind: "fold", "period doubling" or "torus".
+        orbit: the statement of the orbits themselves.
+        first: name of the parameter that is found with the orbit.
+        sizes: what components of v are measured by, shape (components of the state,).
+        normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
+        parity: of an edge: which components of v vanish at the start and at the end.
+        joined: of an edge: whether a pair meets the trivial one.
+    """
+
+    kind: str
+    orbit: Statement
+    first: str
+    sizes: Array
+    normal: Array
+    parity: Parity = ((), ())
+    joined: bool = False
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """Names of w, the changes of the free parameters along the null vector of a fold."""
+        return tuple(f"change of {name}" for name in self.orbit.free) if self.kind == FOLD else ()
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of parameters that the model of the orbit does not have."""
+        if self.kind != TORUS:
+            return self.changes
+        return (KAPPA, SHIFT) if self.autonomous else (KAPPA,)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the velocity is a Floquet function with the multiplier 1."""
+        return PERIOD in self.orbit.free
+
+    @property
+    def copies(self) -> int:
+        """How many linearised states there are."""
+        return 2 if self.kind == TORUS or self.joined else 1
+
+    @property
+    def states(self) -> int:
+        """Number of components of the orbit's state."""
+        return self.orbit.model.full_size
+
+    def statement(self) -> Statement:
+        """The extended problem on the unit interval."""
+        model = self._model()
+        conditions, integrals = self._conditions(model)
+        free = (*self.orbit.free, self.first, *self.added)
+        values = {**self.orbit.values, **dict.fromkeys(self.added, 0.0)}
+        return Statement(model, conditions, integrals, (0.0, 1.0), values, free)
+
+    def _model(self) -> OdeModel:
+        inner = self.orbit.model
+        kind, n, count = type(inner.state), self.states, len(inner.parameter_names)
+        copies = self.copies
+        s, x, p = kind.sym("s"), kind.sym("x", n * (1 + copies)), kind.sym("p", count + len(self.added))
+        field = self._field(s, x[:n], p[:count])
+        rows = [field, *(ca.jtimes(field, x, self._direction(x, k)) for k in range(1, 1 + copies))]
+        if self.changes:
+            rows[1] = rows[1] + ca.jtimes(field, p, self._change(p))
+        if self.joined:
+            rows[1:] = [rows[1] + field, rows[2] - x[n : 2 * n]]
+        names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
+        return _Joined(
+            inner.name, x, ca.vertcat(*rows), p, time=s, forcing_period=1.0, checked=False,
+            state_labels=tuple(names), parameter_labels=(*inner.parameter_names, *self.added), inner=inner,
+        )  # fmt: skip
+
+    def _field(self, s: Expression, x: Expression, p: Expression) -> Expression:
+        """The derivative of the orbit on the unit interval."""
+        start, end = self.orbit.ends_at(p)
+        return (end - start) * self.orbit.model.vector_field(start + s * (end - start), x, p)
+
+    def _direction(self, x: Expression, copy: int) -> Expression:
+        """The direction in all states that changes the orbit's by a copy of the linearised state."""
+        n = self.states
+        return ca.vertcat(x[copy * n : (copy + 1) * n], type(x).zeros(int(x.numel()) - n))
+
+    def _change(self, p: Expression) -> Expression:
+        """The direction in all parameters that w is."""
+        names, count = self.orbit.model.parameter_names, len(self.orbit.model.parameter_names)
+        places = {name: count + k for k, name in enumerate(self.orbit.free)}
+        entries = [p[places[name]] if name in places else type(p)(0) for name in names]
+        return ca.vertcat(*entries, type(p).zeros(len(self.added)))
+
+    def _conditions(self, model: OdeModel) -> tuple[list[Expression], list[Expression]]:
+        """What vanishes at the ends, and in the mean."""
+        orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
+        first, last, p = *model.ends, model.parameters
+        stacked = ca.vertcat(*(ca.vec(c) for c in orbit.conditions))
+        border = ca.Function("border", [*orbit.model.ends, orbit.model.parameters], [stacked])
+        rows = border(first[:n], last[:n], p[:count])
+        conditions, integrals = [rows], self._means(model)
+        v0, v1 = first[n : 2 * n], last[n : 2 * n]
+        if self.kind == FOLD:
+            changed = ca.jtimes(rows, first, self._direction(first, 1)) + ca.jtimes(
+                rows, last, self._direction(last, 1)
+            )
+            conditions.append(changed + ca.jtimes(rows, p, self._change(p)))
+        elif self.kind == DOUBLING:
+            conditions.append(v1 + v0)
+        elif self.kind == EDGE:
+            conditions += [v0[list(self.parity[0])], v1[list(self.parity[1])]]
+            if self.joined:
+                even = [[place for place in range(n) if place not in part] for part in self.parity]
+                conditions += [first[2 * n :][even[0]], last[2 * n :][even[1]]]
+                conditions.append(self._along(first, p, first[2 * n :]))
+        else:
+            w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
+            closing = w1 - 2 * kappa * w0 + v0
+            if self.autonomous:
+                closing = closing - p[count + 1] * self._field(0.0, first[:n], p[:count])
+                conditions.append(self._along(first, p, v0))
+            conditions += [w0 - v1, closing, ca.dot(ca.DM(self.normal), v0)]
+        return conditions, integrals
+
+    def _along(self, start: Expression, p: Expression, v: Expression) -> Expression:
+        """The part of a direction at the start that is along the velocity there."""
+        count = len(self.orbit.model.parameter_names)
+        velocity = self._field(0.0, start[: self.states], p[:count])
+        return ca.dot(velocity / ca.DM(self.sizes), v / ca.DM(self.sizes))
+
+    def _means(self, model: OdeModel) -> list[Expression]:
+        orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
+        x, p, s = model.state, model.parameters, model.time
+        means: list[Expression] = []
+        if orbit.integrals:
+            start, end = orbit.ends_at(p[:count])
+            stacked = ca.vertcat(*(ca.vec(e) for e in orbit.integrals))
+            along = orbit.along("means", stacked)(start + s * (end - start), x[:n], p[:count])
+            means.append((end - start) * along)
+        if self.kind == FOLD and means:
+            changed = ca.jtimes(means[0], x, self._direction(x, 1)) + ca.jtimes(means[0], p, self._change(p))
+            means.append(changed)
+        if self.joined:  # v1 has its size by itself
+            return means
+        size = ca.sumsqr(x[n : 2 * n] / ca.DM(self.sizes)) / n
+        for place, name in enumerate(self.orbit.free if self.changes else ()):
+            size = size + (p[count + place] / self.size_of(name)) ** 2
+        return [*means, size - 1]
+
+    def size_of(self, name: str) -> float:
+        """What the change of a free parameter is measured by."""
+        value = abs(self.orbit.values[name])
+        return value if value > 0.0 else 1.0

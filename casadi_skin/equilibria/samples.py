@@ -1,0 +1,77 @@
+"""What is known at one point of a branch of equilibria: eigenvalues and how they move, how the branch bends."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.problem import AlgebraicProblem
+from casadi_skin.equilibria.statics import ComplexArray, eigensystem
+
+ROUNDING = 16.0  # of the machine's, in the derivatives: what is left of an eigenvalue that is zero, over its condition
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A point with its eigenvalues, their rates and the second derivative of z along the branch.
+
+    Attributes:
+        point: the point.
+        row: the metric times the tangent, which closes the equations there.
+        values: eigenvalues of dF/dy, shape (n,).
+        rates: their rates along the unit tangent.
+        noise: what rounding leaves of them.
+        bend: the second derivative of z by the length along the branch.
+        orientation: the sign of the determinant of the Jacobian closed by `row`.
+    """
+
+    point: Point
+    row: Array
+    values: ComplexArray
+    rates: ComplexArray
+    noise: Array
+    bend: Array
+    orientation: float
+
+    def along(self, row: Array) -> tuple[float, float, float]:
+        """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""
+        rate, bend = float(row @ self.point.tangent), float(row @ self.bend)
+        t, b = self.point.tangent[-1], self.bend[-1]
+        return 1.0 / rate, float(t / rate), float((b * rate - t * bend) / rate**3)
+
+
+def sample_of(point: Point, weights: Array) -> Sample:
+    """What is known at a point; derivatives along the branch by differences of the Jacobian."""
+    from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
+
+    problem, z, t = cast(AlgebraicProblem, point.problem), point.z, point.tangent
+    n, rounding = problem.statics.size, max(EPSILON, problem.statics.model.rounding)
+    h = rounding ** (1.0 / 3.0) / max(1e-300, float(np.max(np.abs(t))))
+    change = (problem.jacobian(z + h * t) - problem.jacobian(z - h * t)) / (2.0 * h)
+    A, row = problem.jacobian(z)[:n, :n], weights * t
+    values, left, right = eigensystem(A)
+    products = np.sum(left.conj() * right, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = np.sum(left.conj() * (change[:n, :n] @ right), axis=0) / products
+        noise = ROUNDING * rounding * np.linalg.norm(A) / np.abs(products)
+    size = np.linalg.norm(A) + 1e-300
+    bent = np.append(-change @ t, 0.0)
+    full = np.vstack([problem.jacobian(z), row])
+    scale = np.maximum(np.max(np.abs(full), axis=1), 1e-300)
+    with warnings.catch_warnings():  # a branch point is singular
+        warnings.simplefilter("ignore", LinAlgWarning)
+        factors, pivots = lu_factor(full / scale[:, None], check_finite=False)
+    swaps = np.sum(pivots != np.arange(pivots.size))
+    orientation = np.prod(np.sign(np.diag(factors))) * (-1.0) ** swaps
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        bend = lu_solve((factors, pivots), bent / scale, check_finite=False)
+    finite = np.isfinite(rates)
+    return Sample(
+        point, row, values, np.where(finite, rates, 0.0), np.minimum(noise, np.sqrt(ROUNDING * rounding) * size),
+        np.where(np.isfinite(bend), bend, 0.0), float(orientation),
+    )  # fmt: skip

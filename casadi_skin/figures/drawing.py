@@ -1,0 +1,176 @@
+"""Results drawn into axes: branches against any quantity, orbits in time, multipliers and eigenvalues in the plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.bvp.problem import Array
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.statics import Spectrum
+from casadi_skin.figures.branch_lines import LOOKS, draw_marks, stability_pieces
+from casadi_skin.figures.frequencies import family_path, family_pieces
+from casadi_skin.figures.style import amplitude_label, plain
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.extremes import extremes
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SAMPLES = 501  # of an orbit
+SHOWN = 6  # components, where none are named
+
+
+def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
+    """Draw a result into axes, new ones of pyplot by default, and return them; see `Result.plot`."""
+    from matplotlib.axes import Axes
+
+    if axes is None:
+        from matplotlib import pyplot
+
+        axes = pyplot.subplots(layout="constrained")[1]
+    if not isinstance(axes, Axes):
+        raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
+    draw(result, axes, **options)
+    return axes
+
+
+@singledispatch
+def draw(result: Any, axes: Axes) -> None:
+    """Draw a result into axes; raises TypeError for what is no result, ValueError where there is nothing to draw."""
+    raise TypeError(f"no result that can be drawn: {type(result).__name__}")
+
+
+@draw.register(Branch)
+def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None) -> None:
+    if not result.solutions:
+        raise ValueError("plot: the branch has no points; accepted: one with points")
+    space, name = result.space, result.parameter
+    if isinstance(space, Family) and x is None and y in (None, "Omega"):
+        path = family_path(result, False)
+        pieces = family_pieces(result, path)
+        labels = amplitude_label(space.model), r"frequency $\Omega$"
+    else:
+        first = name or next(iter(result.solutions[0].parameters), "")
+        chosen = x or first, y or _second(result)
+        path = np.column_stack([_along(result, quantity) for quantity in chosen])
+        pieces = stability_pieces(result, path) if chosen[0] == name else [(None, path)]
+        labels = plain(chosen[0]), plain(chosen[1])
+    colour: Any = axes._get_lines.get_next_color()  # type: ignore[attr-defined]  # that of the next line, as axes.plot takes
+    for stable, piece in pieces:
+        axes.plot(*piece.T, color=colour, zorder=3, **LOOKS[stable])
+    draw_marks(axes, result, path, colour)
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    _legend(axes)
+
+
+def _second(branch: Branch) -> str:
+    """The quantity drawn upwards where none is asked for: the free parameter of a curve, else the first state."""
+    space = branch.space
+    free = [name for name in space.free if name != "period" and not name.startswith("unfolding")]
+    return free[0] if isinstance(branch.solutions[0], Equilibrium) and free else space.state_names[0]
+
+
+def _along(branch: Branch, name: str) -> Array:
+    """A quantity along a branch: a parameter, a state, or one of an orbit.
+
+    Of a state that moves its largest value, of an orbit of a family the value at t = 0.
+    """
+    states, solutions = branch.space.state_names, branch.solutions
+    of_orbits = [] if isinstance(solutions[0], Equilibrium) else ["S", "Omega", "period", "energy"]
+    check_name("plot", name, [*solutions[0].parameters, branch.parameter, *states, *of_orbits])
+    if name in solutions[0].parameters or name == branch.parameter:
+        return branch[name]
+    if name in states:
+        place = states.index(name)
+        if isinstance(branch.space, Family):
+            return np.array([orbit.evaluate(0.0, branch.space.output_sites)[0, place] for orbit in branch.orbits])
+        if isinstance(solutions[0], Equilibrium):
+            return np.array([solution.evaluate(0.0)[0, place] for solution in solutions])
+        return np.array([extremes(solution)[1][place] for solution in solutions])
+    return np.array([getattr(solution, name) for solution in solutions])
+
+
+@draw.register(Solution)
+def _(result: Solution, axes: Axes, states: Sequence[str] | None = None) -> None:
+    start, end = result.interval
+    t = np.linspace(start, end, SAMPLES)
+    _draw_states(axes, t, result.evaluate(t), _names(result), states)
+
+
+def _names(solution: Solution) -> Sequence[str]:
+    """Names of what `evaluate` gives."""
+    if isinstance(solution.space, Family):
+        return solution.space.coordinates.position_names
+    return solution.space.state_names
+
+
+@draw.register(Evolution)
+def _(result: Evolution, axes: Axes, states: Sequence[str] | None = None) -> None:
+    _draw_states(axes, result.t, result.states, result.names, states)
+
+
+def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], states: Sequence[str] | None) -> None:
+    known = [str(name) for name in names]
+    if isinstance(states, str) or not isinstance(states, Sequence | None):
+        raise TypeError(f"states: given {short_repr(states)}; accepted: a list of names")
+    chosen = list(states) if states is not None else _largest(known, values)
+    for name in chosen:
+        check_name("states", name, known)
+        axes.plot(t, values[:, known.index(name)], label=plain(name))
+    axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
+    _legend(axes)
+
+
+def _largest(names: Sequence[str], values: Array) -> list[str]:
+    """The names of the components that move most, in their order."""
+    order = np.sort(np.argsort(-np.ptp(values[:, : len(names)], axis=0), kind="stable")[:SHOWN])
+    return [names[i] for i in order]
+
+
+@draw.register(Equilibrium)
+def _(result: Equilibrium, axes: Axes) -> None:
+    draw(result.spectrum, axes)
+
+
+@draw.register(Spectrum)
+def _(result: Spectrum, axes: Axes) -> None:
+    axes.axvline(0.0, color="0.6", lw=0.8, zorder=1)
+    _draw_plane(axes, result.values, result.values.real > result.errors)
+    axes.set(xlabel=r"real part", ylabel=r"imaginary part")
+
+
+@draw.register(Floquet)
+def _(result: Floquet, axes: Axes) -> None:
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, ec="0.6", lw=0.8, zorder=1))
+    trivial, others = result.multipliers[: result.trivial], result.others
+    axes.plot(trivial.real, trivial.imag, "+", color="0.4", ms=7, label="trivial", zorder=3)
+    _draw_plane(axes, others, result.outside)
+    axes.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
+    axes.set_adjustable("datalim")
+
+
+def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
+    """Points in the complex plane, unstable ones told apart by their marks too."""
+    for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
+        if np.any(chosen):
+            axes.plot(values[chosen].real, values[chosen].imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
+    _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    """A legend in which each label stands once, with what was drawn before."""
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    if handles:
+        axes.legend(handles.values(), handles.keys(), frameon=False)

@@ -1,0 +1,313 @@
+"""Coordinates of an edge mode of a long lattice: the nonlinear cells at its edge, and the linear tail eliminated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.continuation.points import Point
+from casadi_skin.lattice.cell_tail import CellTail, Place
+from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.long_lattice import EdgeMode, LongLattice
+from casadi_skin.lattice.tail_parameter import Regime
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+from casadi_skin.methods import TRIGONOMETRIC
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.coordinates import normalised
+from casadi_skin.orbits.method import Method
+from casadi_skin.orbits.model_coordinates import ModelCoordinates, linear_modes
+
+NEGLIGIBLE = 1e-16  # of the nonlinear forces: what of them the tail may leave out
+LONGEST_CORE = 2000  # sites
+KEPT = 0.5  # of the decay of a bound mode's displacements: down to it the core holds all that is nonlinear
+HARMONICS = 4  # that are looked at before anything is solved
+CLOSE = 1e-4  # relative distance of two lambda below which their difference is a slope
+
+
+@dataclass(frozen=True)
+class Core:
+    """How many cells are unknown, and the decay a cell in the gauge that these are enough for."""
+
+    cells: int
+    slowest: float
+
+
+class CellCoreWithTail(ModelCoordinates):
+    """The cells at the edge are unknown; the rest is linear and eliminated."""
+
+    def __init__(self, lattice: LongLattice, core: Core, number: int, amplitude_max: float) -> None:
+        self.lattice, self.core, self.edge_mode = lattice, core, lattice.modes[number - 1]
+        whole, p = lattice.of_cells(core.cells + 1), len(lattice.sites)
+        model, weights = _core_model(lattice, whole), whole.structure.log_weights
+        at_edge = slice(-p, None) if lattice.at_last else slice(p)
+        self._edge_weight = 1.0 if weights is None else float(np.exp(-np.min(weights[at_edge])))
+        force = ca.substitute(model.rhs, model.parameters, ca.DM(list(named_values(model, {}).values())))
+        squares = linear_modes(force, model.state, model.name).squares
+        nearest = int(np.argmin(np.abs(squares - self.edge_mode.square))) + 1
+        super().__init__(model, nearest, None, amplitude_max)
+        self.mode_number = number
+
+    def _check_mode(self) -> None:
+        """The mode is that of the edge, and oscillates; a short lattice may have another at its other end."""
+
+    @cached_property
+    def tail(self) -> CellTail:
+        """The tail, up to the core."""
+        return self.lattice.tail(self.core.cells)
+
+    @property
+    def attached(self) -> int:
+        """Index of the core's site that is joined to the tail."""
+        last = 0 if self.lattice.at_last else (self.core.cells - 1) * len(self.lattice.sites)
+        return last + self.lattice.inlet
+
+    def parameter(self, harmonics: int) -> CellTailParameter:
+        """The unknown in place of Omega."""
+        return CellTailParameter(self.tail, self.edge_mode.gap, harmonics, self.core.slowest, self.lattice.lean)
+
+    def transcription(self, resolution: int) -> Problem:
+        return CoreWithTailProblem(self.scaled, resolution, self.parameter(resolution), self.attached)
+
+    @property
+    def is_whole(self) -> bool:
+        return False
+
+    def check_whole(self, purpose: str = "stability") -> None:
+        words = f"{purpose} is that of all sites, accepted: a Lattice of fewer cells"
+        raise ValueError(f"cells: given {self.lattice.cells} with a linear tail; {words}")
+
+    @property
+    def description(self) -> str:
+        cells = f"{self.core.cells} cells at the edge, where nonlinear forces are felt"
+        return f"the gauge; unknown are {cells}, and the linear tail is eliminated exactly"
+
+    def regime(self, point: Point) -> Regime:
+        """Whether Omega is pinned to a band."""
+        assert isinstance(point.problem, CoreWithTailProblem)
+        return point.problem.regime(point.z)
+
+    def band(self) -> tuple[float, float]:
+        edges = self.tail.edges
+        return edges[0].square, edges[-1].square
+
+    # The linear mode --------------------------------------------------------------------------------------------------
+
+    @property
+    def frequency(self) -> float:
+        return float(np.sqrt(self.edge_mode.square))
+
+    @cached_property
+    def _tail_angle(self) -> float:
+        """The angle of the linear mode's tail, from that which begins at the second cell."""
+        mode, first, last = self.edge_mode, self.lattice.tail(1), self.tail
+        if not mode.pinned or np.isfinite(self.lattice.cells):
+            return last.angle(mode.place)
+        P, v = first.transfer(mode.place.edge), np.array([np.sin(mode.angle), np.cos(mode.angle)])
+        back, angle = np.array([[P[1, 1], -P[0, 1]], [-P[1, 0], P[0, 0]]]), mode.angle
+        for _ in range(self.core.cells - 1):
+            v = back @ v
+            v /= np.linalg.norm(v)
+            turn = float(np.arctan2(*v)) - angle
+            angle += turn - np.pi * round(turn / np.pi)
+        return angle
+
+    @property
+    def start_unknown(self) -> float:
+        return self._tail_angle
+
+    @cached_property
+    def mode(self) -> Array:
+        """From the tail to the edge, cell by cell, so that small amplitudes keep their digits."""
+        lattice, s, square = self.lattice, self.tail.coupling, self.edge_mode.square
+        across, down, cells = math.sin(self._tail_angle), math.cos(self._tail_angle), []
+        for _ in range(self.core.cells - 1):
+            found = _cell_motion(lattice, lattice.cell, square, s, (across, down), True)
+            size = math.hypot(found[lattice.outlet], found[-1])
+            cells.append(found[:-1] / size)
+            across, down = found[lattice.outlet] / size, found[-1] / size
+        found = _cell_motion(lattice, lattice.edge_cell, square, s, (across, down), False)
+        motion, size = [found[:-1]], found[-1]  # `size` is of the two amplitudes at a bond
+        for cell in cells[::-1]:
+            size *= lattice.bond_sign
+            motion.append(size * cell[:-1])
+            size *= cell[-1]
+        return normalised(np.concatenate(motion[::-1] if lattice.at_last else motion), self.scale)
+
+    # Quantities -------------------------------------------------------------------------------------------------------
+
+    @property
+    def output_sites(self) -> Indices:
+        count, whole = self.mode.size, self.lattice.cells * len(self.lattice.sites)
+        first = (whole - count if np.isfinite(whole) else -count) if self.lattice.at_last else 0
+        return np.arange(1, count + 1) + int(first)
+
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        names, p = [site.name for site in self.lattice.sites], len(self.lattice.sites)
+        cells = [(int(n) - 1) // p + 1 for n in self.output_sites]
+        prefix = [f"{name}_" if p > 1 else "" for name in names]
+        return tuple(f"y_{prefix[i % p]}{cell}" for i, cell in enumerate(cells))
+
+    def _in_core(self, sites: Indices | None) -> Indices | None:
+        """Sites numbered from 1 in the core; raises ValueError for those of the tail."""
+        if sites is None:
+            return None
+        first, last = int(self.output_sites[0]), int(self.output_sites[-1])
+        if sites.size and (sites.min() < first or sites.max() > last):
+            raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: {first} to {last}, at the edge")
+        return np.asarray(sites - first + 1)
+
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
+        return super().displacements(problem, z, theta, self._in_core(sites))
+
+    def log_displacements(
+        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
+    ) -> tuple[Array, Array]:
+        return super().log_displacements(point, solved, self._in_core(sites))
+
+    def energy(self, problem: Problem, z: Array) -> float:
+        """Infinite where an infinite tail moves along; weights are 1 at the edge.
+
+        Products of two harmonics add up to a term at the end of the tail (Green's identity).
+        """
+        assert isinstance(problem, CoreWithTailProblem)
+        core = super().energy(problem, z)
+        parameter, values = self.parameter(problem.resolution), problem.values(z)
+        places, s = parameter.places(float(z[problem.Omega_index])), self.tail.coupling
+        site = problem.coefficients(z)[self.attached]
+        size = site / values.down
+        beside, squares = size * values.across, ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
+        apart = squares[None, :] - squares[:, None]
+        np.fill_diagonal(apart, 1.0)
+        products = -s * (np.outer(beside, site) - np.outer(site, beside)) / apart
+        np.fill_diagonal(products, [a**2 * self.tail.squares(place) for a, place in zip(size, places, strict=True)])
+        tail = 0.5 * float(np.sum(products @ squares)) - 0.5 * s * float(np.sum(site) * np.sum(beside))
+        rest, moving = np.zeros(self.mode.size), np.eye(self.mode.size)[self.attached]
+        parameter_value = float(z[problem.parameter_index])
+        energies = [float(self._hamiltonian(rest, v, parameter_value)) for v in (moving, rest)]
+        return (core + 2.0 * (energies[0] - energies[1]) * tail) * self._edge_weight
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        """From the distance to the edge of the band where that is known better, else by projection on the mode."""
+        assert isinstance(problem, CoreWithTailProblem)
+        place = self.tail.at_angle(self.edge_mode.gap, float(z[problem.Omega_index]))
+        Omega, mode = problem.frequency(z), self.edge_mode.place
+        if mode.edge == place.edge and self.edge_mode.pinned:
+            return (place.off - mode.off) / (Omega + self.frequency)
+        by_core = self._projections(problem, z)
+        coefficient = problem.coefficients(z)[self.attached, 0] * self.mode[self.attached]
+        overlap = by_core[1] + coefficient * self._tail_overlap(place, Omega)
+        by_projection = by_core[0] / overlap / (Omega + self.frequency)
+        subtraction_is_better = 100.0 * by_core[2] / abs(overlap) * abs(by_projection) > self.frequency
+        return Omega - self.frequency if subtraction_is_better else float(by_projection)
+
+    def _projections(self, problem: CoreWithTailProblem, z: Array) -> tuple[float, float, float]:
+        """Nonlinear forces and positions of the fundamental projected on the mode's part in the core, and a bound."""
+        theta = (np.arange(2 * max(32, problem.resolution)) + 0.5) * np.pi / (4 * max(32, problem.resolution))
+        q, cosine = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta)
+        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
+        forces, fundamental = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T, cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(self.mode))
+        return -float(cosine @ forces @ self.mode), float(fundamental @ self.mode), size
+
+    def _tail_overlap(self, place: Place, Omega: float) -> float:
+        """Sum of products of two waves' amplitudes over the tail, relative to that at the core's site."""
+        tail, square = self.tail, self.edge_mode.square
+        apart = Omega**2 - square
+        if abs(apart) > CLOSE * square:
+            return float(tail.coupling * (math.tan(tail.angle(place)) - math.tan(self._tail_angle)) / apart)
+        middle = tail.place(square + 0.5 * apart)
+        return float(tail.squares(middle) / math.cos(tail.angle(middle)) ** 2)
+
+
+def long_lattice_coordinates(
+    lattice: LongLattice, mode: int | str, amplitude_max: float, method: Method
+) -> CellCoreWithTail:
+    """Coordinates of the family that grows from an edge mode of a long lattice to S = `amplitude_max`.
+
+    Raises ValueError, naming the argument, for a mode or a method without such a family.
+    """
+    number = lattice.mode_number(mode)
+    if method.transcription not in (None, TRIGONOMETRIC) or method.walker == "series":
+        raise ValueError("method: accepted with a linear tail: transcription trigonometric with walker arclength")
+    if method.tail == "full":
+        raise ValueError('tail: given "full" with a LongLattice; accepted: eliminated')
+    core = core_of(lattice, lattice.modes[number - 1], amplitude_max)
+    return CellCoreWithTail(lattice, core, number, amplitude_max)
+
+
+def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
+    """The cells outside of which nonlinear forces are below round-off; raises ValueError where there are none."""
+    tail = lattice.tail(1)
+    decay = tail.decay(mode.place) if not mode.pinned else 0.0
+    for k in range(3, 2 * HARMONICS, 2):
+        try:
+            falls = tail.decay(tail.place(k**2 * mode.square)) + lattice.lean
+        except ArithmeticError:
+            falls = 0.0
+        if falls <= 0.0:
+            words = f"{k} times the frequency of the mode, which the tail carries away"
+            raise ValueError(f"mode: given one with {words}; accepted: harmonics that decay, or a Lattice of all sites")
+    reach = max(1.0, amplitude_max * _nonlinearity(lattice, amplitude_max))
+    for slowest in (0.0, KEPT * (decay + lattice.lean) - lattice.lean) if decay > 0.0 else (0.0,):
+        rate, cells = 2.0 * (slowest + lattice.lean), 2
+        while cells * len(lattice.sites) <= LONGEST_CORE and rate > 0.0:
+            if cells * rate >= 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE):
+                if cells + 2 > lattice.cells:
+                    accepted = f"more than {cells + 2} cells, of which so many are nonlinear, or a Lattice"
+                    raise ValueError(f"cells: given {lattice.cells}; accepted: {accepted}")
+                return Core(cells, slowest)
+            cells += max(1, cells // 64)
+    words = f"one that falls by {max(decay + lattice.lean, 0.0):.3g} a cell"
+    raise ValueError(f"mode: given {words}; accepted: {LONGEST_CORE} nonlinear sites at the edge at most")
+
+
+def _nonlinearity(lattice: LongLattice, amplitude_max: float) -> float:
+    """The nonlinear part of the forces on one site over its displacement and its amplitude squared."""
+    model, a = lattice.sample, math.sqrt(amplitude_max)
+    values = list(named_values(model, {}).values())
+    force = ca.Function("f", [model.state, model.parameters], [model.rhs, ca.jacobian(model.rhs, model.state)])
+    _, J = force(0, values)
+    unit = np.eye(model.size)
+    beside = [np.array(force(a * e, values)[0]).ravel() - a * np.array(J @ e).ravel() for e in unit]
+    largest = np.max(np.abs(beside), initial=0.0, where=np.isfinite(beside))
+    return float(largest / a**3 / np.max(np.abs(np.array(J))))
+
+
+def _cell_motion(
+    lattice: LongLattice, stiffness: Array, square: float, s: float, angle: tuple[float, float], inner: bool
+) -> Array:
+    """Amplitudes of a cell, the size of those at its bond to the tail, whose angle is known, and that of the next cell.
+
+    The last is there for an `inner` cell alone. They solve linear equations up to a factor.
+    """
+    unit = np.eye(len(stiffness))
+    inlet, outlet = unit[:, [lattice.inlet]], unit[:, [lattice.outlet]]
+    above = [stiffness - square * unit, -s * angle[0] * inlet]
+    below = [inlet.T, np.array([[-angle[1]]])]
+    if inner:
+        above.append(-s * outlet)
+        below.append(np.zeros((1, 1)))
+    return np.asarray(np.linalg.svd(np.block([above, below]))[2][-1])
+
+
+def _core_model(lattice: LongLattice, whole: Lattice) -> OdeModel:
+    """The cells at the edge of a lattice by themselves, with the cell beyond them held at rest."""
+    p = len(lattice.sites)
+    n = whole.size - p
+    kept, beyond = (slice(p, None), slice(None, p)) if lattice.at_last else (slice(None, n), slice(n, None))
+
+    held, at_rest = ca.vertcat(whole.state[beyond], ca.SX(whole.velocity)[beyond]), ca.SX.zeros(2 * p)
+    energy = None if whole.hamiltonian is None else ca.substitute(whole.hamiltonian, held, at_rest)
+    return OdeModel(
+        lattice.name, whole.state[kept], ca.substitute(whole.rhs, held, at_rest)[kept], whole.parameters, 2,
+        ca.SX(whole.velocity)[kept], nominal=whole.nominal, hamiltonian=energy, reversal=(1,) * n + (-1,) * n,
+        half_period=(-1,) * (2 * n), checked=False,
+    )  # fmt: skip

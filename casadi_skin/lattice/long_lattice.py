@@ -1,0 +1,267 @@
+"""Lattices of very many cells, or infinitely many, as they are declared: their edge, and its linear modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin import methods
+from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.lattice.cell_tail import CellTail, Place
+from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import cells_differ_by
+from casadi_skin.orbits.model_coordinates import symmetrising_scale
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.coordinates import Coordinates
+    from casadi_skin.orbits.method import Method
+
+FIRST, LAST = "first", "last"
+SAMPLE = 6  # cells that show what all are like
+FEWEST = 20  # cells of a lattice that is long
+ROUND_OFF = 1e-12
+
+
+@dataclass(frozen=True)
+class EdgeMode:
+    """A linear mode at the edge: bound in a gap, or pinned to an edge of a band, where it decays by the gauge alone.
+
+    `angle` is that of the tail which begins at the second cell; `gap` is the number of bands below.
+    """
+
+    gap: int
+    place: Place
+    square: float
+    angle: float
+    pinned: bool
+
+
+@dataclass(frozen=True)
+class LongLattice:
+    """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
+
+    Attributes:
+        cells: number of cells, 20 or more, or `math.inf`.
+        sites, bonds: of one cell, as of a `Lattice`; one bond, or several between the same two sites, joins
+            neighbouring cells.
+        boundary: "fixed" or "free".
+        parameters: numbers by name.
+        edge: "first" or "last", the end whose breathers are followed; left out, that to which the lattice leans.
+        name: of the model.
+
+    Raises ValueError and TypeError, naming the place, what was given and what is accepted.
+    """
+
+    cells: float
+    sites: Sequence[Site]
+    bonds: Sequence[Bond]
+    boundary: str = FIXED
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    edge: str | None = None
+    name: str = "lattice"
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
+        if not (self.cells == math.inf or (whole and self.cells >= FEWEST)):
+            accepted = f"a whole number >= {FEWEST}, or inf (with fewer a Lattice)"
+            raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: {accepted}")
+        lattice = self.sample
+        if self.boundary == PERIODIC:
+            raise ValueError(f"boundary: given {PERIODIC}, which has no edge; accepted: fixed, free")
+        if self.edge is not None:
+            check_name("edge", self.edge, (FIRST, LAST))
+        if differing := cells_differ_by(lattice):
+            words = f"cells that differ by {', '.join(differing)}"
+            raise ValueError(f"lattice: given {words}; accepted with a linear tail: cells alike")
+        if not lattice.structure.reversible or not lattice.structure.odd:
+            words = "damped or driven" if not lattice.structure.reversible else "not odd: there are even harmonics"
+            raise ValueError(f"lattice: given forces that are {words}; accepted with a linear tail: odd forces alone")
+        _ = self.joined
+
+    def of_cells(self, cells: int) -> Lattice:
+        """The same lattice with so many cells, all of whose sites are positions."""
+        return Lattice(cells, self.sites, self.bonds, self.boundary, self.parameters, self.name)
+
+    @cached_property
+    def sample(self) -> Lattice:
+        """The same lattice with a few cells."""
+        return self.of_cells(SAMPLE)
+
+    # Cells in the gauge -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _symmetric(self) -> tuple[Array, Array]:
+        """Stiffness of the sample in the gauge, and the logarithms of its factors."""
+        model = self.sample
+        K = -ca.densify(ca.jacobian(model.rhs, model.state))
+        values = list(named_values(model, {}).values())
+        stiffness = np.array(ca.Function("K", [model.state, model.parameters], [K])(0, values))
+        log_scale = symmetrising_scale(stiffness)
+        if log_scale is None:
+            raise ValueError(
+                "lattice: given cells without a gauge; accepted with a linear tail: a lattice that has one"
+            )
+        scale = np.exp(log_scale)
+        return stiffness / scale[:, None] * scale, log_scale
+
+    def _block(self, row: int, column: int) -> Array:
+        p = len(self.sites)
+        return self._symmetric[0][row * p : (row + 1) * p, column * p : (column + 1) * p]
+
+    @cached_property
+    def joined(self) -> tuple[int, int]:
+        """Sites of a cell and of the next between which the cells are joined; raises ValueError for other bonds."""
+        links = np.argwhere(self._block(2, 3) != 0.0)
+        if len(links) != 1 or np.any(self._block(1, 3) != 0.0):
+            words = "of one site of a cell with one of the next"
+            raise ValueError(f"bonds: given cells joined otherwise; accepted with a linear tail: bonds {words} alone")
+        return int(links[0, 0]), int(links[0, 1])
+
+    @property
+    def at_last(self) -> bool:
+        """Whether the edge is the last cell."""
+        return self.lean_to_last >= 0.0 if self.edge is None else self.edge == LAST
+
+    @cached_property
+    def lean_to_last(self) -> float:
+        """Logarithm by which displacements of waves grow from a cell to the next."""
+        logs = self._symmetric[1].reshape(SAMPLE, -1)
+        lean = float(np.mean(logs[3] - logs[2]))
+        return lean if abs(lean) > ROUND_OFF else 0.0
+
+    @property
+    def lean(self) -> float:
+        """Logarithm by which displacements of waves fall from cell to cell, away from the edge."""
+        return self.lean_to_last if self.at_last else -self.lean_to_last
+
+    @property
+    def inlet(self) -> int:
+        """Site of a cell that is joined to the cell farther from the edge."""
+        return self.joined[1] if self.at_last else self.joined[0]
+
+    @property
+    def outlet(self) -> int:
+        """Site of a cell that is joined to the cell nearer to the edge."""
+        return self.joined[0] if self.at_last else self.joined[1]
+
+    @cached_property
+    def cell(self) -> Array:
+        """Stiffness of a cell in the gauge, shape (sites, sites)."""
+        return 0.5 * (self._block(2, 2) + self._block(2, 2).T)
+
+    @cached_property
+    def edge_cell(self) -> Array:
+        """Stiffness of the cell at the edge in the gauge."""
+        last = SAMPLE - 1 if self.at_last else 0
+        return 0.5 * (self._block(last, last) + self._block(last, last).T)
+
+    @property
+    def bond_sign(self) -> float:
+        """-1 where the bonds between cells push apart: amplitudes then change their sign from cell to cell."""
+        return -float(np.sign(self._block(2, 3)[self.joined]))
+
+    @cached_property
+    def coupling(self) -> float:
+        """Strength of the bonds between cells in the gauge."""
+        return abs(float(self._block(2, 3)[self.joined]))
+
+    def tail(self, core: int) -> CellTail:
+        """The tail of all cells but `core` of them at the edge."""
+        strength, far = self.coupling, 0 if self.at_last else SAMPLE - 1
+        wall = float(self.cell[self.inlet, self.inlet] - self._block(far, far)[self.inlet, self.inlet]) / strength
+        return CellTail(self.cells - core, self.cell, strength, self.inlet, self.outlet, wall)
+
+    # Linear modes -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def modes(self) -> tuple[EdgeMode, ...]:
+        """Linear modes at the edge, by ascending frequency: bound ones, and where the lattice leans pinned ones."""
+        tail, found = self.tail(1), []
+        for gap in range(len(tail.edges) // 2 + 1):
+            found += list(self._bound(tail, gap))
+            if self.lean > 0.0:
+                found += list(self._pinned(tail, gap))
+        return tuple(sorted((mode for mode in found if mode.square > 0.0), key=lambda mode: mode.square))
+
+    def _missing(self, square: float) -> float:
+        """The angle that the edge cell has at its bond to the tail; falls with lambda."""
+        values, vectors = np.linalg.eigh(self.edge_cell)
+        weights = vectors[self.inlet] ** 2
+        seen = weights > ROUND_OFF
+        with np.errstate(divide="ignore"):
+            response = float(np.sum(weights[seen] / (values[seen] - square)))
+        return float(np.arctan2(1.0, self.coupling * response) - np.pi * np.sum(values[seen] < square))
+
+    def _bound(self, tail: CellTail, gap: int) -> list[EdgeMode]:
+        from scipy.optimize import brentq
+
+        below, above = tail.sides(gap)
+        ends = []
+        for edge, direction in ((below, 1.0), (above, -1.0)):
+            width = ROUND_OFF * tail.edges[-1].square
+            square = tail.edges[edge].square + direction * width if edge is not None else None
+            ends.append(square)
+        low = ends[0] if ends[0] is not None else 0.0
+        high = ends[1] if ends[1] is not None else 1e3 * tail.edges[-1].square
+        if not 0.0 <= low < high:
+            return []
+
+        def together(square: float) -> float:
+            return tail.angle(tail.place(square)) - self._missing(square)
+
+        first, last = together(low), together(high)
+        found = []
+        for turns in range(math.ceil(first / np.pi), math.floor(last / np.pi) + 1):
+            square = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-300, rtol=1e-15))
+            place = tail.place(square)
+            found.append(EdgeMode(gap, place, square, tail.angle(place), False))
+        return found
+
+    def _pinned(self, tail: CellTail, gap: int) -> list[EdgeMode]:
+        from scipy.optimize import brentq
+
+        found = []
+        for edge, direction in zip(tail.sides(gap), (-1.0, 1.0), strict=True):
+            if edge is None:
+                continue
+            start = tail.angle(Place(gap, edge, 0.0))
+
+            def together(phi: float) -> float:
+                return phi - self._missing(tail.square(tail.at_angle(gap, phi)))
+
+            here = together(start) / np.pi
+            turns = math.ceil(here) if direction > 0.0 else math.floor(here)
+            lobe = tail.end_of_lobe(Place(gap, edge, 0.0), direction)
+            end = tail.angle(lobe) if lobe.off else start + direction * np.pi
+            if (together(end) / np.pi - turns) * direction <= 0.0:
+                continue
+            low, high = min(start, end), max(start, end)
+            phi = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-15, rtol=1e-15))
+            place = tail.at_angle(gap, phi)
+            found.append(EdgeMode(gap, place, tail.square(place), phi, True))
+        return found
+
+    def mode_number(self, mode: int | str) -> int:
+        """The number of a mode that may be named "first" or "last"; raises ValueError for one that is not there."""
+        if not self.modes:
+            words = "none is bound in a gap, and the lattice does not lean there"
+            raise ValueError(f"mode: the lattice has no mode at this edge ({words}); accepted: a Lattice")
+        if isinstance(mode, str) and mode in (FIRST, LAST):
+            return 1 if mode == FIRST else len(self.modes)
+        if isinstance(mode, bool) or not isinstance(mode, int) or not 1 <= mode <= len(self.modes):
+            accepted = f"1..{len(self.modes)} of the modes at the edge, {FIRST}, {LAST}"
+            raise ValueError(f"mode: given {short_repr(mode)}; accepted: {accepted}")
+        return mode
+
+    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
+        """Coordinates of the family that grows from a mode at the edge to S = `amplitude_max`; see `follow_family`."""
+        coordinates: Coordinates = methods.TASKS["long_lattice_coordinates"].load()(self, mode, amplitude_max, method)
+        return coordinates

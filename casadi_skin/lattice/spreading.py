@@ -1,0 +1,181 @@
+"""How energy spreads over a lattice in time: by site, its centre, participation number and second moment; starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.arguments import number, short_repr
+from casadi_skin.bvp.statement import named_values
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.dynamics.evolve import checked_vector
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.declaration import PERIODIC, Array
+from casadi_skin.lattice.lattice import Bond, Lattice, Site
+from casadi_skin.lattice.linear import lattice_modes
+
+
+@dataclass(frozen=True, eq=False)
+class Spreading:
+    """Where the energy of a lattice is in time; dimensionless.
+
+    Attributes:
+        t: times, shape (time,).
+        energies: of the sites, half of a bond's at each of its ends, shape (time, sites). In a lattice with a gauge
+            they have its weights and add up to the energy that is conserved; without one weights are 1.
+        centre: mean cell along each direction, from 1, shape (time, directions); around a periodic direction the
+            angle of the mean of e^(i 2 pi n/N).
+        participation: (sum of e)^2 / sum of e^2: about the number of sites that hold the energy, shape (time,).
+        second_moment: mean square distance in cells from the centre, the shorter way round, shape (time,).
+    """
+
+    t: Array
+    energies: Array
+    centre: Array
+    participation: Array
+    second_moment: Array
+
+    @property
+    def total(self) -> Array:
+        """The sum over all sites, shape (time,)."""
+        return np.asarray(self.energies.sum(axis=1))
+
+
+def spreading(evolution: Evolution) -> Spreading:
+    """Where the energy of a lattice is in the course of a time evolution.
+
+    Arguments:
+        evolution: of a `Lattice`, or a `Chain` of finite length.
+
+    Returns:
+        Energies by site, their centre, participation number and second moment at all its times.
+
+    Raises:
+        TypeError: the model is no lattice.
+        ValueError: a force has no antiderivative that is known.
+    """
+    lattice = as_lattice(evolution.model)
+    energies = energies_by_site(lattice, evolution.states, evolution.parameters)
+    declaration = lattice.declaration
+    share = energies / energies.sum(axis=1, keepdims=True)
+    cells = np.array(list(declaration.all_cells()), dtype=float).repeat(len(declaration.sites), axis=0)
+    centre = np.empty((len(share), len(declaration.cells)))
+    square = np.zeros_like(share)
+    for k, (count, boundary) in enumerate(zip(declaration.cells, declaration.boundary, strict=True)):
+        if boundary == PERIODIC:
+            angle = np.angle(share @ np.exp(2j * np.pi * cells[:, k] / count))
+            centre[:, k] = np.mod(angle * count / (2.0 * np.pi), count)
+            off = np.abs(cells[:, k] - centre[:, [k]])
+            off = np.minimum(off, count - off)
+        else:
+            centre[:, k] = share @ cells[:, k]
+            off = cells[:, k] - centre[:, [k]]
+        square += off**2
+    second = np.sum(share * square, axis=1)
+    return Spreading(evolution.t, energies, centre + 1.0, 1.0 / np.sum(share**2, axis=1), second)
+
+
+def energies_by_site(lattice: Lattice, states: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
+    """Energies of all sites.
+
+    Arguments:
+        lattice: the lattice.
+        states: positions, then velocities, shape (many, 2 sites).
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        Shape (many, sites); see `Spreading`.
+
+    Raises:
+        ValueError: a force has no antiderivative that is known, or the states do not fit.
+    """
+    equations, energies = lattice.equations, lattice.structure.energies
+    if energies is None:
+        raise ValueError("energies: given a force without an antiderivative that is known; accepted: one that has one")
+    z = np.atleast_2d(np.asarray(states, dtype=float))
+    n = lattice.declaration.size
+    if z.shape[1] != 2 * n:
+        raise ValueError(f"states: given shape {z.shape}; accepted: (many, {2 * n})")
+    function = ca.Function("e", [equations.y, equations.v, equations.parameters], [energies])
+    values = np.array(list(named_values(lattice, parameters or {}).values()))
+    return np.array(function.map(len(z))(z[:, :n].T, z[:, n:].T, np.tile(values[:, None], len(z)))).T
+
+
+def as_lattice(model: Any) -> Lattice:
+    """A lattice, or a chain of finite length as one; raises TypeError for another model."""
+    if isinstance(model, Lattice):
+        return model
+    if not isinstance(model, Chain) or model.infinite:
+        raise TypeError(f"model: given {short_repr(model)}; accepted: a Lattice, or a Chain of finite length")
+    bonds = [Bond("a", "a", (1,), "d", ("1 - gamma", "1 + gamma"))]
+    if abs(model.gamma) == 1.0:
+        raise ValueError(f"gamma: given {model.gamma!r}, whose bonds act one way; accepted: |gamma| < 1")
+    parameters = {"alpha": model.alpha, "gamma": model.gamma, "g": model.g}
+    return Lattice(model.sites, [Site("a", "alpha*y + g*y^3")], bonds, "fixed", parameters, "chain")
+
+
+def initial_state(
+    model: Any,
+    size: float,
+    *,
+    mode: int | None = None,
+    site: int | None = None,
+    vector: ArrayLike | None = None,
+    seed: int | None = None,
+    moving: bool = False,
+    parameters: Mapping[str, float] | None = None,
+) -> tuple[Array, Array]:
+    """A state near rest for `evolve`: a linear mode, a kick of one site, a direction, or noise.
+
+    Starts near an orbit are those of `dynamics.perturbed`.
+
+    Arguments:
+        model: a `Lattice`, or a `Chain` of finite length.
+        size: norm of the displacements, or of the velocities.
+        mode: number of a linear mode by ascending frequency, from 1.
+        site: number of the one site that moves, from 1.
+        vector: a direction, shape (sites,).
+        seed: of normally distributed noise at all sites.
+        moving: whether the sites have velocities in place of displacements.
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        Displacements and velocities, shape (sites,) each.
+
+    Raises:
+        ValueError, TypeError: not one of mode, site, vector and seed is given, it does not fit, or the frequency of the
+            mode is not real.
+    """
+    lattice = as_lattice(model)
+    n = lattice.declaration.size
+    chosen = {"mode": mode, "site": site, "vector": vector, "seed": seed}
+    given = [name for name, value in chosen.items() if value is not None]
+    if len(given) != 1:
+        words = " and ".join(given) or "none"
+        raise ValueError(f"start: given {words}; accepted: one of mode, site, vector, seed")
+    for name, value in (("mode", mode), ("site", site)):
+        if value is not None and not (isinstance(value, int | np.integer) and 1 <= value <= n):
+            raise ValueError(f"{name}: given {short_repr(value)}; accepted: 1..{n}")
+    if mode is not None:
+        modes = lattice_modes(lattice, parameters)
+        if modes.squares[mode - 1].imag != 0.0 or modes.squares[mode - 1].real < 0.0:
+            words = f"{mode}, of omega^2 = {modes.squares[mode - 1]:.6g}"
+            raise ValueError(f"mode: given {words}; accepted: one with a real frequency")
+        direction = modes.right[:, mode - 1].real
+    elif site is not None:
+        direction = np.eye(n)[site - 1]
+    elif vector is not None:
+        direction = checked_vector("vector", vector, tuple(map(str, range(1, n + 1))), n)
+    else:
+        direction = np.random.default_rng(seed).normal(size=n)
+    norm = float(np.linalg.norm(direction))
+    if norm == 0.0:
+        raise ValueError("vector: given zeros; accepted: a vector with a direction")
+    start = number("size", size) / norm * direction
+    rest = np.zeros(n)
+    return (rest, start) if moving else (start, rest)

@@ -1,0 +1,160 @@
+"""The result of a cell as a row of named quantities: those of its solution, what is special, and how it ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.maps.names import LEFT_OUT, plain_kind
+from casadi_skin.maps.records import Row, Value
+from casadi_skin.optimise.result import SearchResult
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.quantities import csv_row, quantities_of
+from casadi_skin.results.quantity import Place
+
+
+class Meanings(dict[str, str]):
+    """What quantities mean by name, filled as rows are made."""
+
+    def named(self, pairs: Iterator[tuple[str, Any, str]], suffix: str = "") -> dict[str, Value]:
+        """Values by name, those that are not finite left out; their meanings are kept."""
+        found: dict[str, Value] = {}
+        for name, value, meaning in pairs:
+            self.setdefault(name + suffix, meaning)
+            if isinstance(value, str):
+                found[name + suffix] = value
+            elif math.isfinite(value):
+                found[name + suffix] = int(value) if isinstance(value, int | np.integer | np.bool_) else float(value)
+        return found
+
+
+def rows_of(
+    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: Meanings
+) -> list[Row]:
+    """Rows of a cell's branches: one at their ends, or one for each amplitude of its families.
+
+    `fault` is what went wrong beside the branches.
+    """
+    rows = []
+    for S in amplitudes or (None,):
+        values: dict[str, Value] = {}
+        faults = [fault] if fault else []
+        for number, branch in enumerate(branches):
+            several = sum(isinstance(b.space, Family) for b in branches) > 1
+            suffix = f"_j{_mode(branch)}" if several else f"_{number + 1}" if number else ""
+            solution, reason = _solution(branch, S)
+            faults += [reason] if reason else []
+            if solution is not None:
+                values |= meanings.named(_of_solution(branch, solution), suffix)
+            values |= meanings.named(_of_branch(branch, growth), suffix)
+        rows.append(Row(values, "; ".join(faults), *_start(branches)))
+    return rows
+
+
+def _mode(branch: Branch) -> int:
+    assert isinstance(branch.space, Family)
+    return branch.space.coordinates.mode_number
+
+
+def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
+    """The solution that a cell is about, and why it is not the one that was asked for."""
+    if not len(branch):
+        return None, branch.reason
+    if S is None:
+        return branch.solutions[-1], "" if branch.complete else branch.reason
+    found = next((o for o in branch.orbits if S in (o.exact.get("S"), o.S) and o.point.requested), None)
+    if found is None:
+        with suppress(ValueError, ArithmeticError):
+            return branch.at(S=S), ""
+    return found, "" if found is not None else branch.reason
+
+
+def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any, str]]:
+    quantities = [q for q in quantities_of(branch) if q.name not in LEFT_OUT]
+    mode = _mode(branch) if isinstance(branch.space, Family) else 0
+    row = csv_row(quantities, Place(solution, 0, mode))
+    meanings = {q.name: q.meaning for q in quantities}
+    for name, value in row.items():
+        if value != "":
+            yield name, value, meanings[name]
+
+
+def _of_branch(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
+    """What is special on a branch, and how it ended."""
+    if len(branch) > 1:
+        yield from _instabilities(branch, growth)
+        yield from _special(branch)
+        yield "points", len(branch), "points of the branch"
+    if branch.threshold is not None:
+        yield "threshold", branch.threshold, "S at which the end breather of the infinite chain is born"
+    yield "end", _end(branch), "why the branch ended, in a word"
+    yield "end_reason", branch.reason, "why the branch ended"
+
+
+def _end(branch: Branch) -> str:
+    return "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
+
+
+def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
+    if branch.stability_diagram is not None:
+        first = branch.first_instability(growth)
+        deep = f", of tongues of a growth of {growth:g} or more" if growth else ""
+        S, error = (math.nan, math.nan) if first is None else (first.S, first.S_error)
+        yield "first_instability", S, f"S at which the family first becomes unstable{deep}"
+        yield "first_instability_error", error, "its estimated absolute error"
+        yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
+        yield "changes", len(branch.changes), "changes of stability along the branch"
+    elif branch.with_events and not branch.space.knows_stability:
+        change = next((c for c in branch.located if not c.stable_after), None)
+        where, error = (math.nan, math.nan) if change is None else (change.value, change.error)
+        yield "first_instability", where, f"{branch.parameter} at which stability is first lost along the branch"
+        yield "first_instability_error", error, "its estimated absolute error"
+        yield "changes", len(branch.located), "changes of stability along the branch"
+
+
+def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
+    """The first special point of each kind, and how many there are."""
+    if isinstance(branch.space, Family):
+        return
+    points = branch.special_points
+    for kind in dict.fromkeys(point.kind for point in points):
+        mine, name = [point for point in points if point.kind == kind], plain_kind(kind)
+        first, parameter = mine[0], branch.parameter
+        yield f"{name}_count", len(mine), f"special points of the kind {kind} on the branch"
+        yield f"first_{name}", first.parameters[parameter], f"{parameter} at the first {kind} of the branch"
+        yield f"first_{name}_error", first.error, "its estimated absolute error"
+
+
+def _start(branches: Sequence[Branch]) -> tuple[tuple[float, ...], float]:
+    """State and period of the first solution of a branch that is no family: where a neighbour may start."""
+    first = branches[0] if branches else None
+    if first is None or not len(first) or isinstance(first.space, Family):
+        return (), 0.0
+    solution = first.solutions[0]
+    state = np.asarray(solution.evaluate(solution.interval[0]), dtype=float).ravel()
+    return tuple(state.tolist()), solution.period if isinstance(solution, Orbit) else 0.0
+
+
+def row_of_search(result: SearchResult, meanings: Meanings) -> Row:
+    """The row of a search: its best optimum, and how it ended."""
+
+    def pairs() -> Iterator[tuple[str, Any, str]]:
+        if result.found:
+            best = result.best
+            yield "objective", best.objective, "the objective at the best optimum"
+            numbers: Mapping[str, float] = best.parameters
+            for name, value in numbers.items():
+                yield name, value, f"{name} of the best optimum"
+            yield "Omega", best.Omega, "frequency of the best optimum"
+        yield "optima", len(result.optima), "distinct optima found"
+        yield "end", result.status.name.lower(), "how the search ended, in a word"
+        yield "end_reason", result.reason, "how the search ended"
+
+    return Row(meanings.named(pairs()), "" if result.found else result.reason)

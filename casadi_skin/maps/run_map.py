@@ -1,0 +1,244 @@
+"""A map of a scene from beginning to end: checked, computed by an engine, written."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from casadi_skin.arguments import file_path, short_repr, truth
+from casadi_skin.files import replacing
+from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.maps.boundary import boundaries, check_boundary, write_boundary
+from casadi_skin.maps.cell import Job
+from casadi_skin.maps.columns import Columns
+from casadi_skin.maps.drive import Drive, Part
+from casadi_skin.maps.engines import Engine, check_workers, dask_engine, given_engine, local_engine
+from casadi_skin.maps.grid import Grid, plain, scene_at
+from casadi_skin.maps.names import check_quantities
+from casadi_skin.maps.pictures import write_pictures
+from casadi_skin.maps.refine import needed
+from casadi_skin.maps.result import Map
+from casadi_skin.maps.store import UNKNOWN, Store
+from casadi_skin.maps.watch import Watch
+from casadi_skin.maps.writing import CSV, NETCDF, write_map, write_table
+from casadi_skin.progress import Progress
+from casadi_skin.runs.binding import bind
+from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, Existing, check_same_source, prepare, prepare_part
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.writing import origin
+from casadi_skin.scene import MapTable, Scene, SceneError, parse_scene, read_text
+from casadi_skin.threads import one_thread
+
+BOUNDARY = "boundary.csv"
+
+
+@dataclass(frozen=True)
+class Ways:
+    """How a map is computed: where, and which of it.
+
+    Attributes:
+        workers: processes on this machine.
+        scheduler: address of a dask scheduler in their place.
+        executor: an executor of the caller in their place.
+        part: the share that is computed here.
+        collect: nothing is computed: what all parts have is joined.
+        existing: what to do with a directory that is not empty.
+        pictures: whether pictures are drawn.
+    """
+
+    workers: int = 1
+    scheduler: str | None = None
+    executor: Executor | None = None
+    part: Part | None = None
+    collect: bool = False
+    existing: Existing = Existing.REFUSE
+    pictures: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """A scene that is to be mapped, bound to its model."""
+
+    scene: Scene
+    text: str
+    path: Path
+    request: Request
+    grid: Grid
+
+    @classmethod
+    def of(cls, text: str, path: Path) -> Mapped:
+        """The map in the text of a scene; raises SceneError that begins with its path."""
+        scene = parse_scene(text, str(path))
+        try:
+            grid = Grid.of(scene)
+            request = bind(scene, path)
+            check_quantities(request, grid)
+            check_boundary(scene, grid)
+            named = [pair for pair in grid.settings(0) if pair[0][:2] == ("model", "parameters")]
+            if named:  # by names that the model alone knows
+                bind(scene_at(plain(scene), named), path)
+        except SceneError as error:
+            raise SceneError(f"{path}: {error}") from None
+        return cls(scene, text, path, request, grid)
+
+    @property
+    def table(self) -> MapTable:
+        """The table [map]."""
+        assert self.scene.map is not None
+        return self.scene.map
+
+    @property
+    def job(self) -> Job:
+        """What all tasks share."""
+        return Job(plain(self.scene), str(self.path.resolve()), self.table.growth)
+
+
+def run_map(
+    scene: str | Path,
+    out: str | Path | None = None,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    part: Part | None = None,
+    collect: bool = False,
+    resume: bool = False,
+    overwrite: bool = False,
+    pictures: bool = True,
+    quiet: bool = False,
+) -> Map:
+    """Compute the map of a scene with a table [map], cell by cell, and write its tables and pictures.
+
+    Arguments:
+        scene: path of the scene.
+        out: directory of the results; results/NAME-OF-THE-SCENE unless given.
+        workers: processes on this machine.
+        scheduler: address of a dask scheduler, whose workers compute the cells; needs the extra `cluster`.
+        executor: any `concurrent.futures.Executor`, which computes the cells.
+        part: the share that is computed here and the number of shares, such as (3, 20); whoever comes last joins them.
+        collect: whether nothing is computed, and what all shares have is joined.
+        resume: whether to go on with a map that was begun; cells whose worker died or took too long are tried again.
+        overwrite: whether the results of a run in the directory are replaced.
+        pictures: whether a picture a quantity is drawn.
+        quiet: whether nothing is told of the progress.
+
+    Returns:
+        The map: values by name, status of cells, `complete` or not.
+
+    Raises:
+        ValueError, TypeError: the scene, a directory or an argument is wrong; the message names it.
+        ImportError: dask is not installed.
+        OSError: no scheduler answers, or a file cannot be written; what was computed is kept.
+    """
+    path = file_path("scene", scene)
+    directory = Path("results") / path.stem if out is None else file_path("out", out)
+    for name, value in (("collect", collect), ("resume", resume), ("overwrite", overwrite), ("pictures", pictures),
+                        ("quiet", quiet)):  # fmt: skip
+        truth(name, value)
+    existing = Existing.RESUME if resume else Existing.OVERWRITE if overwrite else Existing.REFUSE
+    ways = Ways(workers, scheduler, executor, part, collect, existing, pictures)
+    check_ways(ways)
+    mapped = Mapped.of(read_text(path), path)
+    with Progress(quiet) as progress:
+        return compute_map(mapped, directory, ways, progress)
+
+
+def check_ways(ways: Ways) -> None:
+    """Raises ValueError and TypeError for ways that cannot be gone, or not together."""
+    check_workers("workers", ways.workers)
+    if ways.executor is not None:
+        given_engine(ways.executor)
+    if ways.scheduler is not None and (not isinstance(ways.scheduler, str) or not ways.scheduler):
+        raise TypeError(f"scheduler: given {short_repr(ways.scheduler)}; accepted: an address, such as tcp://host:8786")
+    given = [name for name in ("scheduler", "executor") if getattr(ways, name) is not None]
+    if len(given) > 1:
+        raise ValueError("executor: given beside scheduler; accepted: one of them")
+    if ways.part is not None:
+        pair = ways.part if isinstance(ways.part, tuple | list) and len(ways.part) == 2 else None
+        whole = pair is not None and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
+        if pair is None or not whole or not 1 <= pair[0] <= pair[1] <= 32767:
+            raise ValueError(f"part: given {short_repr(ways.part)}; accepted: K/N with 1 <= K <= N <= 32767")
+        if ways.collect:
+            raise ValueError("collect: given beside part; accepted: one of them")
+
+
+def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
+    """Compute what is missing of a map and write what there is; see `run_map`."""
+    _prepare(mapped, directory, ways)
+    own = JOURNAL if ways.part is None else f"journal_{ways.part[0]}_of_{ways.part[1]}.msgpack"
+    store = Store(directory, mapped.grid, own, Watch(mapped.grid, mapped.table.watch), progress.tell)
+    with store:
+        if ways.existing is Existing.RESUME:
+            store.forget_outside()
+        waits = True
+        try:
+            waits = not ways.collect and not _driven(mapped, store, ways, progress)
+        finally:
+            with interrupts_deferred():  # all files are written before an interruption ends the map
+                found = _written(mapped, store, waits, ways, progress)
+        return found
+
+
+def _prepare(mapped: Mapped, directory: Path, ways: Ways) -> None:
+    request = mapped.request
+    shared = ways.part is not None or ways.collect
+    if request.path is not None and (shared or ways.existing is Existing.RESUME):
+        check_same_source(directory, request.path, request.source)
+    if shared and ways.existing is not Existing.OVERWRITE:
+        prepare_part(directory, mapped.scene, mapped.text)
+    else:
+        prepare(directory, mapped.scene, mapped.text, ways.existing)
+    if request.path is not None:
+        with replacing(directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
+            temporary.write_text(request.source, encoding="utf-8")
+
+
+def _engine(ways: Ways) -> Engine:
+    if ways.executor is not None:
+        return given_engine(ways.executor)
+    return local_engine(ways.workers) if ways.scheduler is None else dask_engine(ways.scheduler)
+
+
+def _driven(mapped: Mapped, store: Store, ways: Ways, progress: Progress) -> bool:
+    """Compute what is missing; False where other shares are waited for."""
+    if not mapped.grid.refined and bool(np.all(store.final(mapped.grid.coarsest))):
+        return True
+    drive = Drive(
+        mapped.grid, store, _engine(ways), msgspec.msgpack.encode(mapped.job), progress, mapped.table.cell_limit,
+        ways.part, ways.workers,
+    )  # fmt: skip
+    try:
+        return drive.run()
+    finally:
+        with interrupts_deferred(), suppress(Exception):
+            drive.engine.close()
+
+
+def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Progress) -> Map:
+    """The map with its tables and pictures written, but for a share whose other shares are waited for."""
+    store.refresh()
+    complete = not waits and not needed(mapped.grid, store.watch.labels).size if mapped.grid.refined else bool(
+        np.all(store.final(mapped.grid.coarsest)))  # fmt: skip
+    columns = Columns(store, mapped.table.quantities)
+    found = Map(store.directory, columns, complete, waits)
+    if not np.any(store.states != UNKNOWN) or (waits and ways.part is not None):
+        return found
+    if mapped.table.boundary and complete:
+        progress.say("following the boundary")
+        with one_thread():
+            lines = boundaries(mapped.scene, mapped.path, plain(mapped.scene), columns)
+        write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
+        found = replace(found, boundary=lines)
+    progress.say("writing tables and pictures")
+    write_table(columns, store.directory / CSV)
+    varied = {axis.name for axis in mapped.grid.axes}
+    attributes = {name: v for name, v in origin(mapped.request, mapped.text).items() if name not in varied}
+    write_map(columns, store.directory / NETCDF, attributes, mapped.scene.model is None)
+    if ways.pictures:
+        write_pictures(found)
+    return found

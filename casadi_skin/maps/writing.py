@@ -1,0 +1,127 @@
+"""Files of a map: map.csv, map.nc and a picture a quantity, made from the journals."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_skin.files import replacing
+from casadi_skin.maps.columns import REASON, STATUS, Columns
+from casadi_skin.maps.grid import Axis
+from casadi_skin.maps.store import UNKNOWN
+from casadi_skin.results.dataset import EMPTY, Cell, write_csv
+
+if TYPE_CHECKING:
+    from scipy.io import netcdf_file
+
+CSV, NETCDF = "map.csv", "map.nc"
+CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
+                  "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
+                  "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
+
+
+def write_table(columns: Columns, path: Path) -> None:
+    """map.csv: a row a cell that is known, axes first."""
+    axes = columns.store.grid.axes
+    names = [*(axis.name for axis in axes), "status", *columns.names, REASON]
+
+    def rows() -> Iterator[Mapping[str, Cell]]:
+        whole = {name: columns.is_whole(name) for name in columns.numbers}
+        for cell in np.flatnonzero(columns.store.states != UNKNOWN).tolist():
+            row: dict[str, Cell] = dict(zip(names, columns.store.grid.values(cell), strict=False))
+            row["status"] = STATUS[columns.store.states[cell]]
+            for name in columns.names:
+                if name in columns.texts:
+                    row[name] = columns.text(name, cell)
+                else:
+                    value = float(columns.numbers[name][cell])
+                    row[name] = "" if np.isnan(value) else int(value) if whole[name] else value
+            row[REASON] = columns.text(REASON, cell)
+            yield row
+
+    write_csv(path, names, rows())
+
+
+def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimensionless: bool) -> None:
+    """map.nc: dimensions named by the parameters, quantities over them; netCDF 3, which every reader opens."""
+    from scipy.io import netcdf_file
+
+    unit = "1" if dimensionless else "as in the model"
+    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
+        for name, value in attributes.items():
+            setattr(file, name, value if value != "" else "untitled")
+        names = dimension_names(columns)
+        for axis, dimension in zip(columns.store.grid.axes, names, strict=True):
+            _put_axis(file, axis, dimension, unit)
+        shape = columns.store.grid.shape
+        flags = file.createVariable("status", "i4", names)
+        flags[:] = columns.store.states.reshape(shape)
+        flags.long_name = "what is known of a cell"  # type: ignore[attr-defined]
+        flags.flag_values = np.arange(len(STATUS), dtype="i4")  # type: ignore[attr-defined]
+        flags.flag_meanings = " ".join(word.replace(" ", "_") for word in STATUS)  # type: ignore[attr-defined]
+        for name in columns.names:
+            meaning = columns.store.meanings.get(name, name)
+            if name in columns.texts:
+                _put_text(file, columns, name, names, meaning)
+            else:
+                _put_numbers(file, columns, name, names, meaning, unit)
+        _put_text(file, columns, REASON, names, "why a cell failed, or ended early")
+
+
+def dimension_names(columns: Columns) -> tuple[str, ...]:
+    """Names of the dimensions: those of the parameters, told apart from quantities."""
+    return tuple(re.sub(r"\W+", "_", axis.name) for axis in columns.store.grid.axes)
+
+
+def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
+    values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
+    file.createDimension(dimension, len(axis.values))
+    if values.dtype.kind in "US":
+        encoded = np.char.encode(values.astype(str))
+        file.createDimension(f"{dimension}_length", encoded.dtype.itemsize)
+        stored = file.createVariable(dimension, "c", (dimension, f"{dimension}_length"))
+        stored[:] = np.array([list(word.ljust(encoded.dtype.itemsize).decode("latin-1")) for word in encoded], "S1")
+    else:
+        kind = "i4" if values.dtype.kind in "bi" else "f8"
+        stored = file.createVariable(dimension, kind, (dimension,))
+        stored[:] = values.astype(kind)
+        stored.units = unit  # type: ignore[attr-defined]
+    stored.long_name = CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")  # type: ignore[attr-defined]
+
+
+def _put_numbers(
+    file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str, unit: str
+) -> None:
+    """A column as it is on the disk; what is not known has netCDF's fill value."""
+    stored = file.createVariable(_free(file, name), "f8", dimensions)
+    values = columns.numbers[name]
+    scratch = np.memmap(columns.scratch(), ">f8", "w+", shape=values.shape)
+    scratch[:] = np.where(np.isfinite(values), values, EMPTY)
+    stored.__dict__["data"] = scratch.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
+    stored.long_name, stored.units, stored._FillValue = meaning, unit, EMPTY  # type: ignore[attr-defined]
+
+
+def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str) -> None:
+    """Texts as characters along a last dimension, the convention of netCDF 3."""
+    width = max(int(columns.lengths(name).max(initial=0)), 1)
+    free = _free(file, name)
+    file.createDimension(f"{free}_length", width)
+    stored = file.createVariable(free, "c", (*dimensions, f"{free}_length"))
+    scratch = np.memmap(columns.scratch(), "S1", "w+", shape=(columns.store.grid.size, width))
+    scratch[:] = b" "
+    for cell in np.flatnonzero(columns.lengths(name)).tolist():
+        data = columns.text(name, cell).encode()
+        scratch[cell, : len(data)] = np.frombuffer(data, "S1")
+    stored.__dict__["data"] = scratch.reshape(*columns.store.grid.shape, width)
+    stored.long_name = meaning  # type: ignore[attr-defined]
+
+
+def _free(file: netcdf_file, name: str) -> str:
+    """A name that no dimension and no other variable has."""
+    while name in file.variables or name in file.dimensions:
+        name = f"{name}_of_cell"
+    return name

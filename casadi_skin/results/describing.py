@@ -1,0 +1,140 @@
+"""Results in a few words: rows of a name and a value, as lines for print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.arguments import cut
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.statics import Spectrum
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.stability.result import Floquet
+
+MOST = 6  # special points, parameters or states that are named
+LONGEST = 100  # characters of a value
+Rows = list[tuple[str, str]]
+
+
+def lines(result: Any) -> str:
+    """A result in a few lines."""
+    head, rows = words(result)
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join([head, *(f"  {name:<{width}}  {cut(value, LONGEST)}" for name, value in rows)])
+
+
+@singledispatch
+def words(result: Any) -> tuple[str, Rows]:
+    """What a result is, and its rows; raises TypeError for what is no result."""
+    raise TypeError(f"no result: {type(result).__name__}")
+
+
+@words.register
+def _(result: Orbit) -> tuple[str, Rows]:
+    family, known = isinstance(result.space, Family), result.known_floquet or vars(result).get("_floquet")
+    rows = [("S", f"{result.S:.10g}"), ("Omega", _with_error(result.Omega, result.Omega_error))] if family else []
+    rows += [("period", _with_error(result.period, result.period_error)), *_parameters(result.parameters)]
+    rows += [("error", f"{result.profile_error:.1e}, relative, of the state")]
+    rows += [("stability", _stability(known) if known is not None else "not computed; see floquet()")]
+    return f"Orbit of {model_name(result.model)}", rows
+
+
+@words.register
+def _(result: Equilibrium) -> tuple[str, Rows]:
+    states = _named(dict(zip(result.space.state_names, result.positions.tolist(), strict=True)))
+    stable = "stable" if result.stable else f"unstable: {result.unstable} eigenvalues with a positive real part"
+    rows = [("state", states), *_parameters(result.parameters), ("error", f"{result.error:.1e}, relative")]
+    return f"Equilibrium of {model_name(result.model)}", [*rows, ("stability", stable)]
+
+
+@words.register
+def _(result: Solution) -> tuple[str, Rows]:
+    start, end = result.interval
+    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *_parameters(result.parameters)]
+    if result.optimum is not None:
+        rows.append(("objective", f"{result.objective:.10g}: {result.status}"))
+    return f"Solution of {model_name(result.model)}", [*rows, ("error", f"{result.error:.1e}, relative")]
+
+
+@words.register
+def _(result: Branch) -> tuple[str, Rows]:
+    values, name = result.values if result.parameter else np.zeros(0), result.parameter or "alone"
+    kind = type(result.solutions[0]).__name__.lower() if result.solutions else "solution"
+    plural = {"orbit": "orbits", "equilibrium": "equilibria"}.get(kind, "solutions")
+    what = "family of orbits" if isinstance(result.space, Family) else f"branch of {plural}"
+    rows = [("points", str(len(result)))]
+    if values.size:
+        rows.append((name, f"{values[0]:.8g} to {values[-1]:.8g}, within {values.min():.8g} to {values.max():.8g}"))
+    if result.with_stability and not result.space.knows_stability:
+        stable = int(np.count_nonzero(result.stable))
+        rows.append(("stable", f"{stable} of {len(result)} points"))
+        known = result.with_events and (not isinstance(result.space, Family) or "stability_diagram" in vars(result))
+        rows += [("changes of stability", _listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
+    special = result.special_points if result.space.locates_folds else ()
+    if special:
+        rows.append(("special points", _listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
+    return f"{what.capitalize()} of {model_name(result.space.model)}", [*rows, ("end", result.reason)]
+
+
+@words.register
+def _(result: Floquet) -> tuple[str, Rows]:
+    largest = _listed([_complex(value) for value in sorted(result.others, key=abs, reverse=True)])
+    rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial"), ("largest", largest)]
+    return "Floquet multipliers", [*rows, ("error", f"{result.error:.1e}"), ("stability", _stability(result))]
+
+
+@words.register
+def _(result: Spectrum) -> tuple[str, Rows]:
+    rows = [("eigenvalues", _listed([_complex(value) for value in result.values]))]
+    rows += [("error", f"{np.max(result.errors):.1e}"), ("stability", "stable" if result.stable else "unstable")]
+    return "Eigenvalues of the linearisation", rows
+
+
+@words.register
+def _(result: Evolution) -> tuple[str, Rows]:
+    rows = [("times", f"{result.t.size}, from {result.t[0]:g} to {result.t[-1]:g}"), ("states", _listed(result.names))]
+    rows += [*_parameters(result.parameters), ("method", f"{result.method}, tolerance {result.tolerance:.1e}")]
+    return f"Time evolution of {model_name(result.model)}", rows
+
+
+def model_name(model: Any) -> str:
+    """A model in a few words."""
+    return str(model.name) if hasattr(model, "name") else repr(model)
+
+
+def _with_error(value: float, error: float) -> str:
+    return f"{value:.12g} +- {error:.1e}"
+
+
+def _parameters(values: Mapping[str, float]) -> Rows:
+    shown = {name: value for name, value in values.items() if name != "period"}
+    return [("parameters", _named(shown))] if shown else []
+
+
+def _named(values: Mapping[str, float]) -> str:
+    return _listed([f"{name} = {value:.8g}" for name, value in values.items()])
+
+
+def _listed(items: Any) -> str:
+    texts = [str(item) for item in items]
+    more = f", ... ({len(texts)} in all)" if len(texts) > MOST else ""
+    return (", ".join(texts[:MOST]) + more) or "none"
+
+
+def _complex(value: complex) -> str:
+    return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}i"
+
+
+def _stability(floquet: Floquet) -> str:
+    if floquet.stable:
+        return "stable"
+    largest = f"largest modulus {floquet.max_abs_multiplier:.8g}"
+    outside = f"{floquet.unstable_real} real and {floquet.unstable_complex} complex multipliers outside"
+    return f"unstable: {outside}, {largest}"

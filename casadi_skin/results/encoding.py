@@ -1,0 +1,185 @@
+"""Results as data: numbers, names, arrays and the fields of known classes; nothing in them is run when they are read.
+
+A value is written as what MessagePack knows, or as a list that begins with a word: ["array", type, shape, bytes],
+["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields], ["point", resolution, constants,
+fields], and ["shared", number] for what stands in the list of models and spaces, each of which is written once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from importlib import import_module
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.arguments import short_repr
+from casadi_skin.continuation.points import Point
+from casadi_skin.solvers.levels import Refinement
+
+KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
+PLACES = {  # of every class that a file may name
+    "Bond": "lattice.declaration", "BoundarySpace": "orbits.boundary_space", "Branch": "orbits.branch",
+    "Certificate": "orbits.certificate", "Chain": "lattice.chain", "Constants": "orbits.certificate",
+    "ContinuationSettings": "continuation.points", "Course": "equilibria.problem", "Cycle": "dynamics.evolution",
+    "CurveSpace": "equilibria.curve", "Declaration": "lattice.declaration", "End": "continuation.points",
+    "Equilibrium": "equilibria.equilibrium", "EquilibriumSpace": "equilibria.space",
+    "ErrorEstimate": "solvers.levels", "Evolution": "dynamics.evolution", "FamilyRequest": "orbits.request",
+    "FullPeriodFloquet": "stability.result", "Method": "orbits.method", "Optimality": "orbits.optimum",
+    "Optimum": "orbits.optimum", "Orbit": "orbits.orbit", "Periodic": "orbits.boundary_space",
+    "ReversibleFloquet": "stability.result", "Scalar": "bvp.problem", "Site": "lattice.declaration",
+    "Sizes": "orbits.boundary_space", "Solution": "orbits.solution", "SpecialPoint": "orbits.special_points",
+    "Spectrum": "equilibria.statics", "StabilityChange": "orbits.stability_changes", "Statics": "equilibria.statics",
+    "SymmetryClass": "bvp.symmetry", "Target": "continuation.points", "Targets": "orbits.method",
+    "Uniform": "lattice.declaration",
+}  # fmt: skip
+
+
+def class_named(name: object) -> Any:
+    """The class of a name in a file; raises ValueError for any other."""
+    if not isinstance(name, str) or name not in PLACES:
+        raise ValueError(f"a thing of kind {short_repr(name)}, which no result holds")
+    return getattr(import_module(f"casadi_skin.{PLACES[name]}"), name)
+
+
+def is_known(kind: type) -> bool:
+    """Whether a class may stand in a file."""
+    return kind.__name__ in PLACES and class_named(kind.__name__) is kind
+
+
+class Writer:
+    """Makes data of values; `shared` holds models and spaces, each of which `write_shared` makes data of once."""
+
+    def __init__(self, write_shared: Callable[[Writer, Any], Any | None]) -> None:
+        self.shared: list[Any] = []
+        self._write_shared = write_shared
+        self._places: dict[int, int] = {}
+        self._kept: list[Any] = []  # so that no other object gets the id of one of these
+
+    def value(self, value: Any) -> Any:
+        """A value as data; raises ValueError for what a file cannot hold."""
+        if value is None or isinstance(value, bool | str):
+            return value
+        if isinstance(value, Enum):
+            if not is_known(type(value)):
+                raise _stranger(value)
+            return ["enum", type(value).__name__, value.name]
+        if isinstance(value, np.generic):
+            return self.value(value.item())
+        if isinstance(value, int | float):
+            return value
+        if isinstance(value, PurePath):
+            return str(value)
+        if isinstance(value, np.ndarray):
+            array = np.ascontiguousarray(value)
+            if array.dtype.str not in KINDS:
+                raise _stranger(value)
+            return ["array", array.dtype.str, list(value.shape), array.tobytes()]
+        if isinstance(value, tuple | list):
+            return ["tuple" if isinstance(value, tuple) else "list", *(self.value(item) for item in value)]
+        if isinstance(value, Mapping):
+            return ["map", {str(name): self.value(item) for name, item in value.items()}]
+        return self._object(value)
+
+    def _object(self, value: Any) -> Any:
+        if id(value) in self._places:
+            return ["shared", self._places[id(value)]]
+        data = self._write_shared(self, value)
+        if data is not None:
+            self.shared.append(data)
+            self._kept.append(value)
+            self._places[id(value)] = len(self.shared) - 1
+            return ["shared", len(self.shared) - 1]
+        if isinstance(value, Point):
+            constants = self.value(value.problem.constants)
+            return ["point", value.problem.resolution, constants, self.named_fields(value, ("problem",))]
+        if isinstance(value, Refinement):
+            return ["refinement", value.problem.resolution, self.value(value.problem.constants), self.value(value.z)]
+        if is_dataclass(value) and is_known(type(value)):
+            return ["object", type(value).__name__, self.named_fields(value)]
+        raise _stranger(value)
+
+    def named_fields(self, value: Any, without: Sequence[str] = ()) -> dict[str, Any]:
+        """Fields by name, those that every object of the class makes itself left out."""
+        names = [field.name for field in fields(value) if field.init and field.name not in without]
+        return {name: self.value(known_now(value, name)) for name in names}
+
+
+def _stranger(value: object) -> ValueError:
+    what = f"what holds {short_repr(value)} ({type(value).__name__})"
+    return ValueError(f"result: given {what}; accepted: results of this package, of models in expressions")
+
+
+def known_now(value: Any, name: str) -> Any:
+    """A field; of an orbit the stability too that was computed since."""
+    found = getattr(value, name)
+    return vars(value).get("_floquet") if name == "known_floquet" and found is None else found
+
+
+class Reader:
+    """Makes values of data; `read_shared` makes those of models and spaces."""
+
+    def __init__(self, shared: Sequence[Any], read_shared: Callable[[Reader, Any], Any]) -> None:
+        self._shared: list[Any] = []
+        for data in shared:
+            self._shared.append(read_shared(self, data))
+
+    def value(self, data: Any, space: Any = None) -> Any:
+        """A value of data, points among it those of a space; raises ValueError and others for what is none."""
+        if not isinstance(data, list):
+            if not (data is None or isinstance(data, bool | str | int | float)):
+                raise ValueError(f"a value {short_repr(data)}")
+            return data
+        word, *rest = data
+        if word in ("tuple", "list"):
+            items = [self.value(item, space) for item in rest]
+            return tuple(items) if word == "tuple" else items
+        if word == "map":
+            return {name: self.value(item, space) for name, item in rest[0].items()}
+        if word == "array":
+            return _array(*rest)
+        if word == "enum":
+            return class_named(rest[0])[rest[1]]
+        if word == "shared":
+            return self._shared[_place(rest[0], len(self._shared))]
+        if word == "point":
+            resolution, constants, named = rest
+            problem = self._problem(space, resolution, constants)
+            return Point(problem=problem, **self.named(named, space))
+        if word == "refinement":
+            return Refinement(self._problem(space, rest[0], rest[1]), self.value(rest[2]))
+        if word == "object":
+            return self._object(class_named(rest[0]), rest[1])
+        raise ValueError(f"a value of kind {short_repr(word)}")
+
+    def named(self, data: Mapping[str, Any], space: Any = None) -> dict[str, Any]:
+        """Values by name."""
+        return {name: self.value(item, space) for name, item in data.items()}
+
+    def _object(self, kind: Any, data: Mapping[str, Any]) -> Any:
+        space = self.value(data["space"]) if "space" in data else None
+        return kind(**self.named(data, space))
+
+    def _problem(self, space: Any, resolution: int, constants: Any) -> Any:
+        if resolution not in space.levels.resolutions:
+            raise ValueError(f"a resolution {short_repr(resolution)}; accepted: {space.levels.resolutions}")
+        problem = space.levels.problem(resolution)
+        found = self.value(constants)
+        if found.shape != problem.constants.shape:
+            raise ValueError("a point of another discretisation")
+        return problem.with_constants(found)
+
+
+def _array(kind: str, shape: Sequence[int], data: bytes) -> np.ndarray[Any, Any]:
+    if kind not in KINDS:
+        raise ValueError(f"an array of {short_repr(kind)}")
+    return np.frombuffer(data, kind).reshape(shape).copy()
+
+
+def _place(place: int, count: int) -> int:
+    if not 0 <= place < count:
+        raise ValueError(f"a reference to {short_repr(place)}, of {count}")
+    return place

@@ -1,0 +1,104 @@
+"""Results as tables of other packages: pandas and xarray, each an extra that is imported when it is asked for."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.statics import Spectrum
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.dataset import Dataset, Variable, to_xarray, unique_names
+from casadi_skin.results.quantities import branch_to_xarray, places_of, quantities_of
+from casadi_skin.results.quantity import NETCDF
+from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+SAMPLES = 401  # times of an orbit
+Columns = dict[str, Any]
+
+
+def result_to_xarray(result: Any) -> xarray.Dataset:
+    """A result as an xarray Dataset: branches along `point`, states along `t`, multipliers along their number."""
+    if isinstance(result, Branch):
+        return branch_to_xarray(result)
+    index, meaning, columns = table(result)
+    along = [Variable(name, (index,), np.asarray(values), name) for name, values in columns.items()]
+    return to_xarray(Dataset(along, {"title": meaning}), (index,))
+
+
+def result_to_dataframe(result: Any) -> pandas.DataFrame:
+    """A result as a pandas DataFrame; raises ImportError, naming the extra, without pandas."""
+    try:
+        import pandas
+    except ImportError as error:
+        extra = 'it comes with the extra: pip install "casadi-skin[pandas]"'
+        raise ImportError(f"pandas is not installed; {extra}") from error
+    if isinstance(result, Branch):
+        quantities = quantities_of(result) if result.solutions else []
+        columns = [q for q in quantities if not (q.dimensions or q.where == NETCDF)]
+        return pandas.DataFrame([{q.name: q.of(place) for q in columns} for place in places_of(result)])
+    return pandas.DataFrame(table(result)[2])
+
+
+@singledispatch
+def table(result: Any) -> tuple[str, str, Columns]:
+    """The name of the first column, what the table is, and its columns; raises TypeError for what is no result."""
+    raise TypeError(f"no result: {type(result).__name__}")
+
+
+@table.register
+def _(result: Solution) -> tuple[str, str, Columns]:
+    start, end = result.interval
+    t = np.linspace(start, end, SAMPLES)
+    names = result.space.state_names
+    sites = result.space.output_sites if isinstance(result.space, Family) else None
+    values = result.evaluate(t) if sites is None else result.evaluate(t, sites)  # type: ignore[call-arg]
+    return "t", "states over the interval or the period", _states(t, names, values)
+
+
+@table.register
+def _(result: Evolution) -> tuple[str, str, Columns]:
+    return "t", "states in time", _states(result.t, result.names, result.states)
+
+
+@table.register
+def _(result: Equilibrium) -> tuple[str, str, Columns]:
+    names = unique_names(result.space.state_names, ["error"])
+    states = {name: [value] for name, value in zip(names, result.positions.tolist(), strict=True)}
+    values = {name: [value] for name, value in result.parameters.items() if name not in states}
+    known = {"stable": [result.stable], "error": [result.error]}
+    return "equilibrium", "an equilibrium", {"equilibrium": [0], **values, **states, **known}
+
+
+@table.register
+def _(result: Floquet) -> tuple[str, str, Columns]:
+    trivial = np.arange(result.multipliers.size) < result.trivial
+    outside = np.append(np.zeros(result.trivial, dtype=bool), result.outside)
+    return (
+        "multiplier",
+        "Floquet multipliers",
+        _plane("multiplier", result.multipliers, trivial=trivial, outside=outside),
+    )
+
+
+@table.register
+def _(result: Spectrum) -> tuple[str, str, Columns]:
+    return "eigenvalue", "eigenvalues", _plane("eigenvalue", result.values, error=result.errors)
+
+
+def _states(t: Any, names: Any, values: Any) -> Columns:
+    return {"t": t, **dict(zip(unique_names(map(str, names), ["t"]), values.T, strict=False))}
+
+
+def _plane(index: str, values: Any, **more: Any) -> Columns:
+    number = np.arange(1, values.size + 1)
+    return {index: number, "real": values.real, "imaginary": values.imag, "modulus": np.abs(values), **more}

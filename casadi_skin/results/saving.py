@@ -1,0 +1,202 @@
+"""Results in files: saved as data with a checksum, and read back to go on from, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import msgspec
+
+from casadi_skin._version import __version__
+from casadi_skin.arguments import cut, file_path, short_repr
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
+from casadi_skin.equilibria.space import EquilibriumSpace
+from casadi_skin.files import replacing
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.operations import from_operations, to_operations
+from casadi_skin.models.saved import dumps, loads, programs_in
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.family import Family
+from casadi_skin.results.encoding import Reader, Writer, class_named
+from casadi_skin.results.journal import framed, read_records
+
+FORMAT = "casadi_skin result 1"
+ACCEPTED = "accepted: a file that save_result wrote"
+DAMAGED = (ValueError, TypeError, KeyError, IndexError, AttributeError, ArithmeticError, AssertionError, RuntimeError,
+           RecursionError)  # fmt: skip
+
+
+class SavedResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a file holds."""
+
+    format: str
+    version: str
+    shared: list[Any]
+    result: Any
+
+
+def save_result(result: Any, path: str | Path) -> Path:
+    """Write a result to a file, from which `read_result` makes it again.
+
+    Arguments:
+        result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
+            certificate, or a time evolution.
+        path: the file; one that is there is replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: the result belongs to a model that is a program, as that of an FMU, or is of another kind.
+        TypeError: the path is none.
+        OSError: the file cannot be written.
+    """
+    target = file_path("path", path)
+    writer = Writer(_write_shared)
+    try:
+        data = writer.value(result)
+    except RecursionError:
+        raise ValueError(f"result: given {short_repr(result)}; accepted: a result of this package") from None
+    if not (isinstance(data, list) and data[0] == "object"):
+        raise ValueError(f"result: given {short_repr(result)}; accepted: a result of this package")
+    payload = msgspec.msgpack.encode(SavedResult(FORMAT, __version__, writer.shared, data))
+    with replacing(target) as temporary:
+        temporary.write_bytes(framed(payload))
+    return target
+
+
+def read_result(path: str | Path) -> Any:
+    """The result in a file that `save_result` wrote; what is computed from it has the bits of what is computed before.
+
+    Arguments:
+        path: the file.
+
+    Returns:
+        An object of the class that was saved, of which a branch can be followed on.
+
+    Raises:
+        ValueError: the file cannot be read, holds no result, or is damaged; in one line.
+        TypeError: the path is none.
+    """
+    source = file_path("path", path)
+    try:
+        if not source.is_file():
+            raise ValueError("no such file")
+        records, _, fault = read_records(source.read_bytes(), msgspec.msgpack.Decoder(SavedResult))
+        if fault or len(records) != 1:
+            raise ValueError(fault or f"{len(records)} records")
+        saved = records[0]
+        if saved.format != FORMAT:
+            raise ValueError(f"format {short_repr(saved.format)}")
+        return Reader(saved.shared, _read_shared).value(saved.result)
+    except OSError as error:
+        raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED}") from None
+    except DAMAGED as error:
+        reason = cut(" ".join(str(error).split()) or type(error).__name__, 200)
+        raise ValueError(f"{source}: not a result saved by casadi_skin: {reason}; {ACCEPTED}") from error
+
+
+# Models and spaces ----------------------------------------------------------------------------------------------------
+
+
+def _write_shared(writer: Writer, value: Any) -> Any | None:
+    """The data of what is written once; None for everything else."""
+    if isinstance(value, Lattice) and value.equations.autonomous:
+        return ["lattice", value.name, writer.value(value.declaration)]
+    if isinstance(value, OdeModel):
+        return ["model", dumps(value)]
+    if isinstance(value, Chain):
+        return ["plain", "Chain", writer.named_fields(value, ())]
+    if isinstance(value, Family):
+        return ["family", writer.value(value.request)]
+    if isinstance(value, Statement):
+        return _statement(writer, value)
+    if isinstance(value, EquationsOfMotion):
+        values = None if isinstance(value.model, Chain) else dict(value.parameters)
+        return ["motion", writer.value(value.model), values]
+    if isinstance(value, BoundarySpace | EquilibriumSpace):
+        return ["space", type(value).__name__, writer.named_fields(value, ("first",)), writer.value(value.first)]
+    return None
+
+
+def _read_shared(reader: Reader, data: Sequence[Any]) -> Any:
+    word, *rest = data
+    if word == "lattice":
+        d = reader.value(rest[1])
+        return Lattice(d.cells, d.sites, d.bonds, d.boundary, d.parameters, rest[0])
+    if word == "model":
+        return loads(rest[0])
+    if word == "plain" and rest[0] == "Chain":
+        return Chain(**reader.named(rest[1]))
+    if word == "family":
+        return Family(reader.value(rest[0]))
+    if word == "statement":
+        return _statement_of(reader, *rest)
+    if word == "motion":
+        return equations_of_motion(reader.value(rest[0]), rest[1])
+    if word == "space":
+        kind = class_named(rest[0])
+        if not issubclass(kind, BoundarySpace | EquilibriumSpace):
+            raise ValueError(f"a space of kind {rest[0]}")
+        space = kind(**reader.named(rest[1]))
+        first = reader.value(rest[2], space)
+        return space if first is None else replace(space, first=first)
+    raise ValueError(f"a thing of kind {short_repr(word)}")
+
+
+# Statements -----------------------------------------------------------------------------------------------------------
+
+
+def _statement(writer: Writer, statement: Statement) -> Any:
+    """A statement: its model, its expressions as operations on ends, time, states and parameters, and its numbers."""
+    model, kind = statement.model, type(statement.model.state)
+    columns: dict[str, list[Any]] = {
+        "conditions": [*statement.conditions],
+        "integrals": [*statement.integrals],
+        "interval": [kind(end) for end in statement.interval],
+        "objective": [] if statement.objective is None else [statement.objective],
+        "running": [] if statement.running is None else [statement.running],
+    }
+    symbols = [*model.ends, statement._time, model.full_state, model.parameters]
+    results = [ca.vec(expression) for expressions in columns.values() for expression in expressions]
+    function = ca.Function("statement", symbols, results)
+    if programs_in(function):
+        raise ValueError(f"{model.name}: cannot be saved: its conditions are those of a program")
+    try:
+        operations, entries = to_operations(function)
+    except ValueError as error:
+        raise ValueError(f"{model.name}: cannot be saved: its conditions {error}") from error
+    counts = {name: len(expressions) for name, expressions in columns.items()}
+    numbers = {name: writer.value(getattr(statement, name)) for name in ("parameters", "free", "bounds")}
+    plain = [not isinstance(end, ca.SX | ca.MX) for end in statement.interval]
+    return ["statement", writer.value(model), operations, entries, counts, numbers, plain]
+
+
+def _statement_of(
+    reader: Reader, model_data: Any, operations: list[str], entries: list[list[int | None]], counts: dict[str, int],
+    numbers: dict[str, Any], plain: list[bool],
+) -> Statement:  # fmt: skip
+    model = reader.value(model_data)
+    time = ca.SX.sym("t") if model.time is None else model.time
+    symbols = [*model.ends, time, model.full_state, model.parameters]
+    columns = from_operations([s for block in symbols for s in ca.vertsplit(block)], operations, entries)
+    taken = iter(columns)
+    parts = {name: [next(taken) for _ in range(count)] for name, count in counts.items()}
+    ends: list[Any] = [float(end) if is_plain else end for end, is_plain in zip(parts["interval"], plain, strict=True)]
+    statement = Statement(
+        model,
+        tuple(parts["conditions"]),
+        tuple(parts["integrals"]),
+        (ends[0], ends[1]),
+        **reader.named(numbers),
+        objective=next(iter(parts["objective"]), None),
+        running=next(iter(parts["running"]), None),
+    )
+    vars(statement)["_time"] = time  # the symbol that the integrals are written in
+    return statement

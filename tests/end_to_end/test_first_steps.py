@@ -1,0 +1,165 @@
+"""What a newcomer types first: help, a scene to start from, results as JSON, quiet, completion, the schema."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drawing import blank_pictures
+from outputs import EXAMPLES, read_rows
+
+from casadi_skin.cli import _parser, main
+from casadi_skin.scene import SceneError, parse_scene, scene_schema
+
+CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
+FAMILY = "[family]\nmode = 1\namplitude_max = 0.1\n"
+VERBS = tuple(_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_an_example_that_its_parser_takes(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", verb]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert told.startswith(f"usage: casadi-skin {verb}")
+    example = told.rpartition("Example: ")[2].removeprefix('eval "$(').removesuffix(')"')
+    words = example.split()
+    assert words[:2] == ["casadi-skin", verb]
+    assert _parser().parse_args(words[1:]).command == verb
+
+
+def test_help_without_a_verb_names_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help"]) == 0
+    told = capsys.readouterr().out
+    assert all(verb in told for verb in VERBS)
+
+
+@pytest.mark.parametrize("kind", ["chain", "lattice", "model"])
+def test_a_new_scene_is_commented_and_can_be_meant(kind: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", kind]) == 0
+    assert capsys.readouterr().out.endswith(f"next: casadi-skin run {kind}.toml\n")
+    text = (here / f"{kind}.toml").read_text(encoding="utf-8")
+    assert text.count("#") > 10
+    parse_scene(text)
+    assert kind != "model" or main(["check", "model.toml", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main(["new", kind]) == 2
+    assert capsys.readouterr().err == f"casadi-skin: new: {kind}.toml is there already; accepted: another --out\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["chain", "lattice", "model"])
+def test_a_new_scene_runs(kind: str, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blank_pictures(monkeypatch)
+    assert main(["new", kind, "--out", "mine.toml", "--quiet"]) == 0
+    assert main(["run", "mine.toml", "--quiet"]) == 0
+    table = "branch.csv" if kind == "model" else "family.csv"
+    assert any(row["requested"] == "1" for row in read_rows(here / "results" / "mine" / table))
+
+
+@pytest.mark.parametrize(("out", "reason"), [("a.txt", "ends in .toml"), ("no/a.toml", "no is no directory")])
+def test_names_that_no_scene_can_have(out: str, reason: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "chain", "--out", out]) == 2
+    assert reason in capsys.readouterr().err
+    assert not list(here.iterdir())
+
+
+def results(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+    """What a command prints with --json, which is all that is on standard output."""
+    main([*arguments, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def test_results_as_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
+    assert len(results(["spectrum", "a.toml"], capsys)["omega"]) == 3
+    assert {"subject": "chain", "words": "N = 3, alpha = 1, gamma = 0.25, g = -1"} in results(
+        ["check", "a.toml"], capsys
+    )
+
+
+@pytest.mark.usefixtures("pictures")
+def test_a_run_as_json_has_the_numbers_of_its_tables(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
+    told = results(["run", "a.toml"], capsys)
+    rows = read_rows(here / "results" / "a" / "family.csv")
+    assert (told["directory"], told["complete"], told["reasons"]) == ("results/a", True, [])
+    assert "family.nc" in told["files"]
+    family = told["tables"]["family"]
+    assert [row["Omega"] for row in family] == [float(row["Omega"]) for row in rows]
+    assert {type(family[0][name]) for name in ("mode", "S")} == {int, float}
+    assert results(["run", "a.toml", "--resume"], capsys) == told
+
+
+@pytest.mark.slow
+def test_a_study_is_quiet_or_prints_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["honesty", "--cases", "1", "--out", "out"]
+    status = main([*arguments, "--quiet"])
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert (status == 1) == bool(told.err)
+    assert results([*arguments, "--overwrite"], capsys)["tables"]
+
+
+def test_quiet_and_json_do_not_go_together(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "a.toml", "--quiet", "--json"])
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_several_unknown_names_are_told_at_once_with_the_names_that_papers_use() -> None:
+    text = "[chain]\nN = 3\nalpha = 1\ngamma = 0\ng = 1\n[family]\nmode = 1\nS_max = 1\n[stabilty]\n"
+    with pytest.raises(SceneError) as caught:
+        parse_scene(text, "a.toml")
+    assert str(caught.value) == (
+        "a.toml: [chain] N: unknown key, did you mean 'sites'?; [family] S_max: unknown key, did you mean "
+        "'amplitude_max'?; [stabilty]: unknown table, did you mean [stability]?"
+    )
+    many = "".join(f"{'x' * 50}{i} = 1\n" for i in range(40))
+    with pytest.raises(SceneError, match=r"; and 3\d more$") as caught:
+        parse_scene(CHAIN + many)
+    assert len(str(caught.value)) < 500
+
+
+def test_the_schema_has_no_null_and_is_written(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == json.dumps(scene_schema(), indent=2) + "\n"
+    assert "null" not in printed
+    assert main(["schema", "--out", "scene.schema.json"]) == 0
+    assert (here / "scene.schema.json").read_text(encoding="utf-8") == printed
+
+
+@pytest.mark.slow
+def test_editors_take_every_example_by_the_schema_and_mark_a_wrong_key() -> None:
+    from jsonschema import Draft202012Validator
+
+    schema = Draft202012Validator(scene_schema())
+    for path in EXAMPLES.glob("*.toml"):
+        scene = tomllib.loads(path.read_text(encoding="utf-8"))
+        assert not list(schema.iter_errors(scene)), path
+        (fault,) = schema.iter_errors(scene | {"famly": {}})
+        assert "famly" in fault.message
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_every_verb(shell: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(verb in script for verb in VERBS)
+    if shell == "bash":
+        (here / "completion").write_text(script, encoding="utf-8")
+        complete = "COMP_WORDS=(casadi-skin ru); COMP_CWORD=1; _shtab_casadi_skin; echo ${COMPREPLY[@]}"
+        done = subprocess.run(
+            ["bash", "-c", f"source completion; {complete}"], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == ["run"]

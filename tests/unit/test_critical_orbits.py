@@ -1,0 +1,231 @@
+"""Folds, period doublings and tori of orbits in closed form: places, errors, normal forms, curves in two parameters."""
+
+from __future__ import annotations
+
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+from critical_models import across_circle, cycles_with_fold
+from equilibrium_models import lorenz, symbols
+from test_orbit_bifurcations import _cycle, circuit, cycles
+
+from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import End
+from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.stability.result import TrivialMultiplierWarning
+
+
+def circle(t: float) -> list[float]:
+    return [np.cos(t), np.sin(t), 0.0]
+
+
+def first_special(model: OdeModel, k: float, start: float, to: float, radius: float = 1.0) -> SpecialPoint:
+    """The only special point in a of the orbits near a circle."""
+    guess = lambda t: [radius * x for x in circle(t)]  # noqa: E731
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"a": start, "k": k}, corrector="newton")
+    (point,) = orbit.follow("a", to, stability=True).special_points
+    assert isinstance(point, SpecialPoint)
+    return point
+
+
+def test_a_fold_of_cycles_is_where_it_is_known_and_is_followed_in_two_parameters() -> None:
+    """r' = r (mu + a r^2 - r^4): the fold is along mu = -a^2/4, and r'' at it is half of -2 sqrt(2) for a = 1."""
+    model = cycles_with_fold()
+    orbit = find_orbit(
+        model, lambda t: circle(t)[:2], 6.28, parameters={"mu": 0.1, "a": 1.0}, corrector="newton", tolerance=1e-6
+    )
+    branch = orbit.follow("mu", -0.26, until=lambda solution: solution.point.special == "fold")
+    (fold,) = branch.special_points
+    assert abs(fold.parameters["mu"] + 0.25) <= fold.error < 1e-14
+    assert fold.coefficient == pytest.approx(-np.sqrt(2.0), rel=1e-9)
+    curve = fold.curve("a", 1.3)
+    assert curve.complete
+    assert np.max(np.abs(curve["mu"] + curve["a"] ** 2 / 4.0)) < 1e-9
+
+
+@pytest.mark.slow
+def test_folds_of_cycles_end_at_a_generalized_hopf_point() -> None:
+    """The curve mu = -a^2/4 ends at a = 0, where l1 of the Hopf points mu = 0 is zero."""
+    model = cycles_with_fold()
+    orbit = find_orbit(model, lambda t: circle(t)[:2], 6.28, parameters={"mu": 0.1, "a": 1.0}, corrector="newton")
+    branch = orbit.follow("mu", -0.5, stability=True)
+    assert branch.end is End.HOPF
+    curve = branch.special_points[0].curve("a", -1.0)
+    assert curve.end is End.BAUTIN
+    (end,) = curve.special_points
+    assert end.kind == "generalized hopf"
+    assert abs(end.parameters["a"]) < 1e-9
+    assert end.solution.period == pytest.approx(2.0 * np.pi, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coefficient", [-0.8, 0.5])
+def test_normal_forms_of_period_doublings_and_tori_are_the_ones_written_down(coefficient: float) -> None:
+    """xi' = a xi + c xi^3 on a band of Moebius; w' = (a + 0.3 i) w + c w |w|^2, with v of mean square 1 twice c."""
+    doubling = first_special(
+        across_circle(lambda xi, eta, a, k: (a * xi + coefficient * xi**3, -eta + k * xi**2 * eta), half=True),
+        0.3,
+        -0.1,
+        0.1,
+    )
+    assert doubling.kind == "period doubling"
+    assert abs(doubling.parameters["a"]) <= doubling.error < 1e-13
+    assert doubling.coefficient == pytest.approx(coefficient, rel=1e-9)
+    assert doubling.frequency == pytest.approx(0.5, rel=1e-9)
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        growth, turn = a + coefficient * (xi**2 + eta**2), 0.3 + k * (xi**2 + eta**2)
+        return growth * xi - turn * eta, turn * xi + growth * eta
+
+    torus = first_special(across_circle(rates, half=False), 0.3, -0.1, 0.1)
+    assert torus.kind == "torus"
+    assert abs(torus.parameters["a"]) <= torus.error < 1e-13
+    assert torus.coefficient == pytest.approx(2.0 * coefficient, rel=1e-9)
+    assert torus.criticality == ("supercritical" if coefficient < 0.0 else "subcritical")
+
+
+@pytest.mark.slow
+def test_coefficients_that_change_their_sign_and_double_multipliers_are_named() -> None:
+    """c = k along a = 0; det [[a, 1], [-k, -1]] = 0 along a = k, with trace zero at k = 1."""
+    flip = first_special(
+        across_circle(lambda xi, eta, a, k: (a * xi + k * xi**3 - xi**5, -eta), half=True), -0.5, -0.1, 0.1
+    )
+    _codimension_two(flip.curve("k", 0.5), {"generalized period doubling": 0.0})
+    both = first_special(
+        across_circle(lambda xi, eta, a, k: (a * xi + eta - xi**3, -k * xi - eta), half=True), 0.5, 0.4, 0.6
+    )
+    _codimension_two(both.curve("k", 1.4), {"1:2 resonance": 1.0})
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        square = xi**2 + eta**2
+        growth = a + k * square - square**2
+        return growth * xi - 0.3 * eta, 0.3 * xi + growth * eta
+
+    _codimension_two(
+        first_special(across_circle(rates, half=False), -0.5, -0.1, 0.1).curve("k", 0.5), {"chenciner": 0.0}
+    )
+
+
+def _codimension_two(curve: Branch, known: dict[str, float]) -> None:
+    """The special points of a curve are the known ones, within their errors, which are not more than small."""
+    points = curve.special_points
+    assert [point.kind for point in points] == list(known)
+    for point, value in zip(points, known.values(), strict=True):
+        assert abs(point.parameters[curve.parameter] - value) <= 3.0 * point.error < 1e-9
+
+
+@pytest.mark.slow
+def test_tori_pass_the_strong_resonances_and_end_at_one_to_one_and_one_to_two() -> None:
+    """Bogdanov and Takens' normal form across the circle: tori along a = -k^2 with the angle 2 pi sqrt(2 k).
+
+    On a band of Moebius xi' = eta, eta' = -k xi + a eta: tori along a = 0 with the cosine -cos(2 pi sqrt(k)).
+    """
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        turn = 1 + 0.7 * xi**2  # as fast as the circle is run through
+        return turn * eta, turn * (a + k * eta + xi**2 + xi * eta)
+
+    model = across_circle(rates, half=False)
+    curve = first_special(model, 0.07, -0.0064, -0.003, radius=0.92).curve("k", -0.1)
+    _codimension_two(curve, {"1:3 resonance": 1.0 / 18.0, "1:4 resonance": 1.0 / 32.0, "1:1 resonance": 0.0})
+    assert curve.end is End.RESONANCE_ONE
+    assert np.max(np.abs(curve["a"] + curve["k"] ** 2)) < 1e-9
+    model = across_circle(lambda xi, eta, a, k: (eta - xi**3, -k * xi + a * eta), half=True)
+    curve = first_special(model, 0.08, -0.1, 0.1).curve("k", -0.1)
+    _codimension_two(curve, {"1:4 resonance": 1.0 / 16.0, "1:3 resonance": 1.0 / 36.0, "1:2 resonance": 0.0})
+    assert curve.end is End.RESONANCE_TWO
+
+
+@pytest.mark.slow
+def test_two_folds_of_cycles_meet_at_a_cusp() -> None:
+    """r' = r (mu + b s - s^3) with s = r^2 - 1: folds along 27 mu^2 = 4 b^3."""
+    x, y, mu, b = symbols("x y mu b")
+    s = x**2 + y**2 - 1
+    growth = mu + b * s - s**3
+    rhs = ca.vertcat(growth * x - y, growth * y + x)
+    model = OdeModel("three cycles", ca.vertcat(x, y), rhs, ca.vertcat(mu, b))
+    guess = lambda t: [1.3 * value for value in circle(t)[:2]]  # noqa: E731
+    orbit = find_orbit(model, guess, 6.28, parameters={"mu": 0.0, "b": 0.3}, corrector="newton")
+    fold = orbit.follow("mu", -0.3).special_points[0]
+    curve = fold.curve("b", -0.1)
+    _codimension_two(curve, {"cusp of cycles": 0.0})
+    assert np.max(np.abs(27.0 * curve["mu"] ** 2 - 4.0 * curve["b"] ** 3)) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_fold_and_a_period_doubling_meet_at_a_fold_flip() -> None:
+    """Cycles that fold along mu = -a^2/4 drive two coordinates that turn half as fast, and grow at the rate a - 1.2."""
+    x, y, u, v, mu, a = symbols("x y u v mu a")
+    square, angle = x**2 + y**2, ca.atan2(y, x)
+    growth, c, s = mu + a * square - square**2, ca.cos(angle / 2), ca.sin(angle / 2)
+    xi, eta = c * u + s * v, -s * u + c * v
+    xi_rate, eta_rate = (a - 1.2) * xi - xi**3, -eta
+    rates = (c * xi_rate - s * eta_rate - v / 2, s * xi_rate + c * eta_rate + u / 2)
+    rhs = ca.vertcat(growth * x - y, growth * y + x, *rates)
+    model = OdeModel("fold and flip", ca.vertcat(x, y, u, v), rhs, ca.vertcat(mu, a))
+    orbit = find_orbit(model, lambda t: [*circle(t), 0.0], 6.28, parameters={"mu": 0.1, "a": 1.0}, corrector="newton")
+    fold = orbit.follow("mu", -0.26, until=lambda found: found.point.special == "fold").special_points[0]
+    curve = fold.curve("a", 1.5)
+    _codimension_two(curve, {"fold-flip": 1.2})
+
+
+@pytest.mark.slow
+def test_places_of_period_doublings_and_tori_are_within_their_errors_and_these_are_not_large() -> None:
+    """Each at a coarse tolerance against a fine one: the error covers the difference, and is no more than rounding."""
+    model, start = lorenz(), _cycle(lorenz(), 240.0)
+    found = []
+    for tolerance in (1e-4, 1e-10):
+        orbit = find_orbit(model, start, parameters={"r": 240.0}, tolerance=tolerance)
+        found.append(orbit.follow("r", 225.0, stability=True).special_points[0])
+    coarse, fine = found
+    apart = abs(coarse.parameters["r"] - fine.parameters["r"])
+    assert apart <= coarse.error + fine.error
+    assert coarse.error <= max(10.0 * apart, 1e-10)
+
+
+@pytest.mark.slow
+def test_no_trivial_multiplier_is_suspected_beside_a_fold_and_the_circuit_has_two_curves() -> None:
+    """The multiplier that passes 1 does so by itself; the torus and the doubling are followed in MatCont's epsilon."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", TrivialMultiplierWarning)
+        branch = cycles(0.001, -0.63)
+    fold, torus, doubling = branch.special_points
+    assert np.min(np.abs(fold.solution.floquet().others - 1.0)) < 1e-9
+    assert (torus.criticality, doubling.criticality) == ("subcritical", "supercritical")
+    multipliers = torus.solution.floquet(by="cvodes").others
+    assert np.max(np.abs(np.abs(multipliers[:2]) - 1.0)) < 1e-6
+    assert abs(fold.coefficient) > 1e-3
+    assert circuit(0.001).parameter_names == ("nu",)
+
+
+@pytest.mark.slow
+def test_the_edge_of_a_tongue_of_a_chain_is_followed_in_gamma() -> None:
+    """Against the search for every change of stability at each gamma, which shares nothing with it but the chain."""
+
+    def edges(gamma: float) -> tuple[Branch, Array]:
+        chain = Chain(sites=4, alpha=0.5, gamma=gamma, g=1.0)
+        branch = follow_family(chain, mode=1, amplitude_max=1.3, stability=True)
+        return branch, np.array([change.S for change in branch.changes if change.kind == "real"])
+
+    branch, known = edges(0.2)
+    there = edges(0.25)[1]
+    for number, (S, S_there) in enumerate(zip(known, there, strict=True)):
+        curve = branch.edge(number).curve("gamma", 0.25)
+        assert curve.complete
+        assert abs(curve["S"][0] - S) < 1e-9
+        assert abs(curve["S"][-1] - S_there) < 1e-9
+    with pytest.raises(ValueError, match="number: given 7; accepted: 0, 1"):
+        branch.edge(7)
+
+
+def test_a_curve_of_orbits_tells_what_it_accepts() -> None:
+    model = cycles_with_fold()
+    orbit = find_orbit(model, lambda t: circle(t)[:2], 6.28, parameters={"mu": 0.1, "a": 1.0}, tolerance=1e-6)
+    point = SpecialPoint("branch point", "mu", orbit.parameters, 0.0, orbit)
+    with pytest.raises(
+        ValueError, match="curve: given a branch point of orbits; accepted: fold, period doubling, torus"
+    ):
+        point.curve("a", 2.0)

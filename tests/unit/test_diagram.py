@@ -1,0 +1,54 @@
+"""Whole diagrams: all that leaves a branch, and what leaves that, each walked once."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import rosenzweig_macarthur, symbols
+
+from casadi_skin import OdeModel, find_equilibrium
+
+
+def _from_zero(rhs: ca.SX, x: ca.SX, p: ca.SX) -> object:
+    return find_equilibrium(OdeModel("diagram", x, rhs, p), [0.0], parameters={"p": -2.0})
+
+
+def test_both_halves_leave_a_branch_point_and_what_meets_the_branch_again_is_not_walked_back() -> None:
+    """x (1 - p^2 - x): a parabola through two branch points; x (1 - p^2 - x^2): a circle through both."""
+    x, p = symbols("x p")
+    parabola = _from_zero(x * (1 - p**2 - x), x, p).follow_all("p", 2.0)  # type: ignore[attr-defined]
+    assert [point.kind for point in parabola.special_points] == ["branch point", "branch point"]
+    assert parabola.names == ("", "_1", "_1b")
+    assert parabola.complete
+    assert {float(branch.values[-1]) for branch in parabola.branches[1:]} == {2.0, -2.0}
+    for branch in parabola.branches[1:]:
+        states = np.array([solution["x"] for solution in branch.solutions])
+        np.testing.assert_allclose(states, 1.0 - branch["p"] ** 2, atol=1e-10)
+    circle = _from_zero(x * (1 - p**2 - x**2), x, p).follow_all("p", 2.0)  # type: ignore[attr-defined]
+    assert len(circle) == 2
+    assert "closed" in circle.branches[1].reason
+    assert [point.parameters["p"] for point in circle.special_points] == pytest.approx([-1.0, 1.0])
+
+
+def test_depth_and_limit_bound_a_diagram() -> None:
+    """Prey alone; with predators from K = 1 on; cycles from K = 3 on."""
+    branch = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5}).follow("K", 3.2)
+    assert len(branch.follow_all(depth=0)) == 1
+    shallow = branch.follow_all(depth=1)
+    assert [point.kind for point in shallow.special_points] == ["branch point", "hopf"]
+    assert len(shallow) == 3
+    assert shallow.complete
+    limited = branch.follow_all(depth=1, limit=2)
+    assert len(limited) == 2
+    assert not limited.complete
+    with pytest.raises(ValueError, match="depth: given -1"):
+        branch.follow_all(depth=-1)
+
+
+@pytest.mark.slow
+def test_cycles_belong_to_a_diagram() -> None:
+    start = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5})
+    diagram = start.follow_all("K", 3.2)
+    assert diagram.names == ("", "_1", "_1b", "_1_1")
+    assert all(orbit.floquet().stable for orbit in diagram.branches[3].solutions[1:])

@@ -1,0 +1,197 @@
+"""Tails of long lattices of any cells, eliminated: against matrices, closed forms, harmonic balance."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from lattices import GAINS
+
+from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family
+from casadi_skin.lattice.cell_tail import CellTail
+from casadi_skin.lattice.linear import lattice_modes
+from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail_parameter import Regime
+
+DIMER = ([Site("a", "y + g*y^3"), Site("b", "y + g*y^3")], [Bond("a", "b", (0,), "u*d", GAINS), Bond("b", "a", (1,))])
+VALUES = {"u": 0.4, "gamma": 0.4, "g": 1.0}
+RESONATORS: tuple[list[Site], list[Bond]] = (
+    [Site("a", "0.5*y + 0.4*y^3"), Site("b", "0.2*y", mass="0.7")],
+    [Bond("a", "b", (0,), "0.8*d + d^3"), Bond("a", "a", (1,), "d + 0.5*d^3", GAINS)],
+)
+PUSHING: tuple[list[Site], list[Bond]] = (
+    [Site("a", "y + y^3"), Site("b", "1.2*y - 0.3*y^3"), Site("c", "sin(y)")],
+    [Bond("a", "b", (0,), "-0.4*d", GAINS), Bond("b", "c", (0,), "0.6*d"), Bond("c", "a", (1,), "-0.3*d", GAINS)],
+)
+
+
+# One harmonic -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sites", "inlet", "outlet"), [(1, 0, 0), (2, 0, 1), (3, 1, 1), (4, 3, 1)])
+def test_the_angle_is_that_of_the_whole_tails_response(sites: int, inlet: int, outlet: int) -> None:
+    generator, cells, s, wall = np.random.default_rng(0), 9, 0.7, 0.3
+    A = generator.normal(size=(sites, sites))
+    A = A + A.T + 8.0 * np.eye(sites)
+    K = np.kron(np.eye(cells), A)
+    for j in range(cells - 1):
+        a, b = j * sites + outlet, (j + 1) * sites + inlet
+        K[a, b] = K[b, a] = -s
+    K[inlet, inlet] -= s * wall
+    tail, end = CellTail(cells, A, s, inlet, outlet, wall), (cells - 1) * sites + outlet
+    for square in np.linspace(0.1, tail.edges[-1].square + 3.0, 23):
+        if np.sum([edge.square < square for edge in tail.edges]) % 2:
+            with pytest.raises(ArithmeticError, match="in a band"):
+                tail.place(square)
+            continue
+        place = tail.place(square)
+        G = np.linalg.inv(K - square * np.eye(len(K)))
+        ratio, growth = s * G[end, end], s * (G @ G)[end, end]
+        angle = tail.angle(place)
+        assert np.sin(angle - np.arctan(ratio)) == pytest.approx(0.0, abs=1e-11)
+        assert tail.slope(place) == pytest.approx(growth / (1.0 + ratio**2), rel=1e-9)
+        assert tail.square(tail.at_angle(place.gap, angle)) == pytest.approx(square, rel=1e-9)
+
+
+@pytest.mark.parametrize("sites", [120, 10**6, math.inf])
+@pytest.mark.parametrize("psi", [0.7, 0.78, 0.79, 1.57, 2.5])
+def test_the_chain_is_the_cell_of_one_site(sites: float, psi: float) -> None:
+    s = math.sqrt(1.0 - 0.25**2)
+    closed, cell = Tail(sites, 1.0, s), CellTail(sites - 1, np.array([[3.0]]), s, 0, 0)
+    wave, place = closed.wave(psi), cell.at_angle(0, psi)
+    assert place.off == pytest.approx(-4.0 * s * closed.outside(wave), rel=1e-12)
+    known = -4.0 * s * closed.outside_slope(wave)
+    assert (1.0 / cell.slope(place) if np.isfinite(sites) or place.off else 0.0) == pytest.approx(known, rel=1e-9)
+
+
+# Families -----------------------------------------------------------------------------------------------------------
+
+
+def long(cell: Any, cells: float, boundary: str = "fixed", edge: str | None = None, **values: float) -> LongLattice:
+    return LongLattice(cells, *cell, boundary, values, edge)
+
+
+def nearest(lattice: Lattice, square: float) -> int:
+    """The number of the mode whose omega^2 is nearest."""
+    return int(np.argmin(np.abs(lattice_modes(lattice).squares - square))) + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cell", "boundary", "edge", "mode", "values", "S"),
+    [
+        (DIMER, "fixed", "first", 1, VALUES, 0.6),  # bound at the edge that displacements lean away from
+        (PUSHING, "free", None, 7, {"gamma": 0.3}, 0.6),
+    ],
+)
+def test_an_eliminated_tail_changes_nothing(
+    cell: Any, boundary: str, edge: str | None, mode: int, values: dict[str, float], S: float
+) -> None:
+    lattice = long(cell, 90, boundary, edge, **values)
+    branch = follow_family(lattice, mode=mode, amplitude_max=S, at=(S,), tolerance=1e-9)
+    whole = lattice.of_cells(90)
+    other = follow_family(whole, nearest(whole, lattice.modes[mode - 1].square), S, at=(S,), tolerance=1e-9).at(S=S)
+    found = branch.at(S=S)
+    assert found.Omega == pytest.approx(other.Omega, rel=1e-13)
+    assert found.Omega_shift == pytest.approx(other.Omega_shift, rel=1e-8)
+    sites = branch.space.coordinates.output_sites
+    np.testing.assert_allclose(found.evaluate(0.7), other.evaluate(0.7, sites=sites), atol=1e-9)
+    if edge is None:  # else the whole lattice has its weights from its other end
+        assert found.energy == pytest.approx(other.energy, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_chain() -> None:
+    at = (0.2, 1.0, 3.0)
+    cell = [Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]
+    branch = follow_family(long(cell, math.inf, gamma=0.25, g=1.0), "last", 3.0, at=at, tolerance=1e-11)
+    known = follow_family(Chain(math.inf, 1.0, 0.25, 1.0), "last", 3.0, at=at, tolerance=1e-11)  # type: ignore[arg-type]
+    for S in at:
+        one, other = branch.at(S=S), known.at(S=S)
+        assert one.Omega == pytest.approx(other.Omega, rel=1e-14)
+        assert one.energy == pytest.approx(other.energy, rel=1e-12)
+        pinned = branch.space.coordinates.regime(one.point) is Regime.PINNED
+        assert pinned == (S < 0.367762)
+
+
+@pytest.mark.slow
+def test_the_edge_breather_of_a_dimer_agrees_with_harmonic_balance() -> None:
+    """Newton's method on odd cosines of 40 cells, written by hand in physical coordinates without nonreciprocity."""
+    S, H, n, u = 0.3, 6, 80, 0.4
+    orbits = []
+    for cells in (10**6, math.inf):
+        lattice = long(DIMER, cells, edge="last", **{**VALUES, "gamma": 0.0})
+        orbits.append(follow_family(lattice, 1, S, at=(S,), tolerance=1e-10).at(S=S))
+    inner = np.where(np.arange(n - 1) % 2 == 0, u, 1.0)
+    K = np.diag(1.0 + u + np.ones(n)) - np.diag(inner, 1) - np.diag(inner, -1)
+    k, theta = 2 * np.arange(H) + 1, (np.arange(4 * H) + 0.5) * np.pi / (8 * H)
+    C = np.cos(np.outer(theta, k))
+    a, Omega = np.zeros((H, n)), float(np.sqrt(1.0 + u + 1.0))
+    a[0, 1::2] = (-u) ** np.arange(40)[::-1] * np.sqrt(S * (1 - u**2))
+    for _ in range(12):
+        y = C @ a
+        residual = a @ K - (Omega * k)[:, None] ** 2 * a + 2.0 / theta.size * C.T @ y**3
+        J = np.zeros((H * n + 1, H * n + 1))
+        for i in range(H):
+            for j in range(H):
+                block = np.diag(2.0 / theta.size * (C[:, i] * C[:, j]) @ (3.0 * y**2))
+                J[i * n : (i + 1) * n, j * n : (j + 1) * n] = block + (i == j) * (K - (Omega * k[i]) ** 2 * np.eye(n))
+        J[:-1, -1] = (-2.0 * Omega * k[:, None] ** 2 * a).ravel()
+        J[-1, :-1] = np.tile(2.0 * a.sum(axis=0), H)
+        step = np.linalg.solve(J, -np.append(residual.ravel(), np.sum(a.sum(axis=0) ** 2) - S))
+        a, Omega = a + step[:-1].reshape(H, n), Omega + step[-1]
+    for orbit in orbits:
+        assert orbit.Omega == pytest.approx(Omega, abs=1e-11)
+        np.testing.assert_allclose(np.abs(orbit.evaluate(0.0)[0, -6:]), np.abs(a.sum(axis=0)[-6:]), atol=1e-9)
+
+
+# Linear modes and refusals --------------------------------------------------------------------------------------------
+
+
+def test_modes_at_an_edge_are_those_of_a_long_lattice_there() -> None:
+    first, last = (long(DIMER, math.inf, edge=edge, **VALUES) for edge in ("first", "last"))
+    assert [mode.square for mode in first.modes] == pytest.approx([2.24], rel=1e-12)  # 1 + w + u (1 - gamma)
+    assert [mode.square for mode in last.modes if not mode.pinned] == pytest.approx([2.56], rel=1e-12)
+    finite = long(DIMER, 40, **VALUES)
+    squares = lattice_modes(finite.of_cells(40)).squares.real
+    for mode in finite.modes:
+        assert np.min(np.abs(squares - mode.square)) < 1e-11
+    assert first.lean == -last.lean == pytest.approx(-0.5 * math.log(1.4 / 0.6))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cells": 5}, "cells: given 5; accepted: a whole number >= 20, or inf"),
+        ({"boundary": "periodic"}, "boundary: given periodic, which has no edge"),
+        ({"edge": "left"}, "edge: given 'left'; accepted: first, last"),
+        ({"bonds": [*DIMER[1], Bond("a", "a", (1,), "d", GAINS)]}, "bonds: given cells joined otherwise"),
+        ({"bonds": [*DIMER[1], Bond("b", "a", (2,), "d", GAINS)]}, "bonds: given cells joined otherwise"),
+        ({"sites": [Site("a", "y + y^2"), Site("b", "y")]}, "given forces that are not odd: there are even harmonics"),
+        ({"sites": [Site("a", "n*y"), Site("b", "y")]}, "given cells that differ by n; accepted with a linear tail"),
+        ({"sites": [Site("a", "y", damping="0.1"), Site("b", "y")]}, "given forces that are damped or driven"),
+    ],
+)
+def test_refusals_are_one_line_with_the_place(change: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"cells": math.inf, "sites": DIMER[0], "bonds": DIMER[1], "parameters": VALUES} | change
+    with pytest.raises((ValueError, TypeError), match=message) as caught:
+        LongLattice(**given)
+    assert "\n" not in str(caught.value)
+
+
+def test_modes_and_harmonics_without_a_linear_tail_are_refused() -> None:
+    plain = LongLattice(math.inf, [Site("a", "y + y^3")], [Bond("a", "a", (1,))])
+    with pytest.raises(ValueError, match="the lattice has no mode at this edge"):
+        follow_family(plain, 1, 1.0)
+    low = long(RESONATORS, math.inf, "free", gamma=0.3)
+    with pytest.raises(
+        ValueError, match="mode: given one with 3 times the frequency of the mode, which the tail carries"
+    ):
+        follow_family(low, 1, 1.0)
+    with pytest.raises(ValueError, match="with a linear tail; stability is that of all sites, accepted: a Lattice"):
+        follow_family(long(DIMER, math.inf, **VALUES), 3, 0.1, stability=True)
+    leaning = long(DIMER, math.inf, edge="first", **{**VALUES, "u": 0.6, "gamma": 0.9})
+    with pytest.raises(ValueError, match=r"mode: given one that falls by 0 a cell; accepted: 2000 nonlinear sites"):
+        follow_family(leaning, 1, 0.1)

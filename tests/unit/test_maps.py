@@ -1,0 +1,230 @@
+"""Maps: what [map] accepts, which cells are computed, what is kept of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawing import blank_pictures
+from maps import TINY, tasks, write
+from outputs import read_rows
+
+from casadi_skin import Chain, follow_family
+from casadi_skin.cli import main
+from casadi_skin.maps.cell import Computer, Job
+from casadi_skin.maps.grid import Axis, Grid, plain
+from casadi_skin.maps.names import SUFFIX, known_names
+from casadi_skin.maps.refine import UNKNOWN, needed
+from casadi_skin.runs.binding import bind
+from casadi_skin.scene import parse_scene
+from casadi_skin.scene.map_reading import values_of
+
+BASE, _, AXES = TINY.partition("[map]\n")
+REFUSED = {
+    "gama = { from = 0.0, to = 0.5, points = 3 }": "[map] gama: neither a parameter of the scene nor an option; did",
+    "gamma = 3": "[map] gamma: given 3 (a whole number); accepted: a table { from, to, points }, or a list of values",
+    "gamma = { from = 0.0, points = 3 }": "[map] gamma, to: missing; accepted: a finite number, not the first one",
+    "gamma = { from = 0.0, to = 0.5, point = 3 }": "[map] gamma, point: unknown key; did you mean points?",
+    "gamma = { from = 0.0, to = 0.5, points = 1 }": "[map] gamma, points: given 1 (a whole number); accepted: a whole",
+    "gamma = { from = 0.2, to = 0.2, points = 3 }": "[map] gamma, to: given 0.2, where it starts; accepted: another",
+    "gamma = { from = 0.0, to = 1.2, points = 3 }": "[map] gamma: given 1.2, which the scene refuses: [chain] gamma",
+    "gamma = { from = 0.0, to = 0.5, points = 3, log = true }": "[map] gamma, log: given true from 0.0 to 0.5;",
+    "gamma = [0.1, 0.1]": "[map] gamma: given 0.1 as item 2 again; accepted: each value once",
+    "gamma = []": "[map] gamma: given []; accepted: a list of one or more finite numbers or names",
+    "sites = [2]\nN = [3]": "[map] N: given the same parameter as sites; accepted: each parameter once",
+    '"family.modes" = [1]': "[map] family.modes: given 1, which the scene refuses: [family] modes: unknown key",
+    '"nowhere.key" = [1]': "[map] nowhere.key: given no key of the scene; accepted: TABLE.KEY",
+    "cell_limit = 0.0\ngamma = [0.1]": "[map] cell_limit: given 0.0; accepted: a finite number > 0",
+    'gamma = [0.1]\nquantities = ["Omga"]': '[map] quantities: given "Omga"; did you mean "Omega"?',
+    'gamma = [0.1]\nwatch = ["stabel"]': '[map] watch: given "stabel"; did you mean "stable"?',
+    "gamma = [0.1]\nboundary = true": "[map] boundary: given without two ranges; accepted: beside two ranges",
+    "": "[map]: no axis; accepted: a parameter of the scene with a table { from, to, points }, or a list of values",
+}
+
+
+@pytest.mark.parametrize("given", REFUSED)
+def test_a_bad_map_is_refused_in_one_line(given: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write(tmp_path, f"{BASE}[map]\n{given}\n"), tmp_path / "out"
+    assert main(["map", str(scene), "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"casadi-skin: {scene}: {REFUSED[given]}"), told
+    assert told.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--part", "4/3"], "map: --part: given (4, 3); accepted: K/N with 1 <= K <= N <= 32767"),
+        (["--part", "x"], "map: given --part x; accepted: K/N, such as 3/20"),
+        (["--workers", "0"], "map: --workers: given 0; accepted: a whole number from 1 to 256"),
+    ],
+)
+def test_bad_words_are_refused(words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", str(write(tmp_path, TINY)), *words]) == 2
+    assert capsys.readouterr().err == f"casadi-skin: {told}\n"
+
+
+def test_values_of_a_refined_axis_hold_those_of_the_coarse_one() -> None:
+    def axis(words: str) -> tuple[tuple[float, ...], int]:
+        scene = parse_scene(f"{BASE}[map]\ngamma = {{ {words} }}")
+        assert scene.map is not None
+        return values_of(scene.map.axes["gamma"])
+
+    coarse, one = axis("from = 0.1, to = 0.7, points = 4")
+    fine, stride = axis("from = 0.1, to = 0.7, points = 4, resolution = 0.06")
+    assert (one, stride) == (1, 4)
+    assert fine[::4] == coarse
+    ratios = np.array(axis("from = 0.01, to = 0.8, points = 5, log = true")[0])
+    assert ratios[1:] / ratios[:-1] == pytest.approx(80**0.25)
+    assert axis("from = 0, to = 1, points = 2")[0] == (0, 1)
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.3, 0.49])
+def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
+    """Every two neighbours of the finest grid that differ are computed; the truth is a circle."""
+    values = tuple(np.linspace(0.0, 1.0, 257).tolist())
+    grid = Grid((Axis("x", (("a", "x"),), values, 16, True), Axis("y", (("a", "y"),), values, 16, True)))
+    x, y = np.meshgrid(values, values, indexing="ij")
+    truth = ((x - 0.45) ** 2 + (y - 0.5) ** 2 < radius**2).astype(np.int32)
+    labels = np.full(grid.shape, UNKNOWN, dtype=np.int32)
+    while (cells := needed(grid, labels)).size:
+        assert np.all(labels.flat[cells] == UNKNOWN)
+        labels.flat[cells] = truth.flat[cells]
+    known = labels != UNKNOWN
+    assert np.mean(known) < 0.1
+    for axis in (0, 1):
+        differ = np.diff(truth, axis=axis) != 0
+        assert np.all(np.compress(np.ones(256, bool), known[:-1] if axis == 0 else known[:, :-1], axis=axis)[differ])
+        assert np.all((known[1:] if axis == 0 else known[:, 1:])[differ])
+
+
+def test_a_map_is_that_of_its_families(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blank_pictures(monkeypatch)
+    scene, out = write(tmp_path, TINY), tmp_path / "out"
+    assert main(["check", str(scene)]) == 0
+    plan = capsys.readouterr().out
+    assert "3 gamma x 2 S x 2 mode = 12, orbits of 6 families" in plan
+    assert "for one (measured on gamma = 0.2, S = 0.05, mode = 2); " in plan
+    assert main(["map", str(scene), "--out", str(out)]) == 0
+    rows = read_rows(out / "map.csv")
+    assert len(rows) == 12
+    branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
+    for row in (row for row in rows if (row["gamma"], row["mode"]) == ("0.29999999999999999", "2")):
+        assert float(row["Omega"]) == branch.at(S=float(row["S"])).Omega
+    xarray = pytest.importorskip("xarray")
+    with xarray.open_dataset(out / "map.nc") as found:
+        assert dict(found.sizes)["gamma"] == 3
+        assert found["Omega"].dims == ("gamma", "S", "mode")
+        assert found["Omega"].attrs["long_name"] == "frequency"
+        assert found["Omega"].attrs["units"] == "1"
+        assert float(found["Omega"].sel(S=0.1, mode=2)[-1]) == branch.orbits[-1].Omega
+        assert bytes(found["end"].values[0, 0, 0]).strip() == b"reached"
+    assert main(["map", str(scene), "--out", str(out)]) == 2
+    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+    assert len(tasks(out / "journal.msgpack")) == 6
+
+
+FAMILY = BASE + "[stability]\n[map]\nmode = [1]\n"
+ORBIT = """[chain]
+sites = 1
+alpha = 1.0
+gamma = 0.0
+g = 1.0
+[orbit]
+start = [0.3, 0.0]
+period = 4.0
+symmetric = true
+select = { y_1 = 0.3 }
+[map]
+alpha = [1.0]
+"""
+SEARCH = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
+    '[search]\nobjective = "Omega"\nfree = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
+)
+EQUILIBRIUM = """[model]
+file = "models.py"
+name = "good"
+[equilibrium]
+start = [0.1]
+[continuation]
+parameter = "p"
+to = 1.0
+[map]
+p = [0.2]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [FAMILY, ORBIT, SEARCH, EQUILIBRIUM], ids=["family", "orbit", "search", "equilibrium"])
+def test_names_of_quantities_are_known_before_a_cell_is_computed(text: str, tmp_path: Path) -> None:
+    path = write(tmp_path, text)
+    scene = parse_scene(text)
+    grid = Grid.of(scene)
+    result = Computer(Job(plain(scene), str(path))).compute(next(grid.tasks(grid.coarsest)))
+    assert result.rows, result.reason
+    known = known_names(bind(scene, path))
+    assert [name for name in result.rows[0].values if SUFFIX.sub("", name) not in known] == []
+
+
+MANY = """
+import sys, threading, time
+from concurrent.futures import Executor, Future
+from pathlib import Path
+import msgspec
+from casadi_skin.maps.grid import Task
+from casadi_skin.maps.records import Result, Row
+from casadi_skin.maps.run_map import run_map
+from casadi_skin.results.journal import os
+
+words = {f"quantity_{k}": float(k) for k in range(30)}
+meanings, peak = dict.fromkeys(words, "a number"), 0
+
+def compute(job, task, limit):
+    cells = msgspec.msgpack.decode(task, type=Task).cells
+    rows = tuple(Row({**words, "end": "reached", "Omega": float(cell)}) for cell in cells)
+    return msgspec.msgpack.encode(Result(rows, seconds=1.0, meanings=meanings))
+
+class Now(Executor):
+    def submit(self, function, *given, **named):
+        future = Future()
+        future.set_result(compute(*given))
+        return future
+
+def own():  # KiB of this process alone, which no file backs
+    (line,) = (x for x in Path("/proc/self/status").read_text().splitlines() if x.startswith("RssAnon"))
+    return int(line.split()[1])
+
+def watch():
+    global peak
+    while True:
+        peak = max(peak, own())
+        time.sleep(0.01)
+
+os.fsync = lambda descriptor: None  # the disk is not what is measured
+run_map(Path(sys.argv[1]), sys.argv[2] + "0", executor=Now(), pictures=False, quiet=True)
+before = own()
+threading.Thread(target=watch, daemon=True).start()
+assert run_map(Path(sys.argv[3]), sys.argv[2], executor=Now(), pictures=False, quiet=True).complete
+print(max(peak, own()) - before, (Path(sys.argv[2]) / "journal.msgpack").stat().st_size // 1024)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
+def test_many_cells_need_no_memory_for_their_results(tmp_path: Path) -> None:
+    """Memory in KiB that a map of 20,000 cells needs beyond one of 4, and the size of its journal."""
+    ranges = "alpha = {{ from = 1.0, to = 2.0, points = {} }}\ngamma = {{ from = 0.1, to = 0.2, points = {} }}\n"
+    few = write(tmp_path / "few", f"{BASE}[map]\n{ranges.format(2, 2)}")
+    many = write(tmp_path / "many", f"{BASE}[map]\n{ranges.format(200, 100)}")
+    words = [sys.executable, "-c", MANY, str(few), str(tmp_path / "out"), str(many)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    grown, journal = map(int, ended.stdout.split())
+    assert journal > 14_000
+    assert grown < 0.4 * journal
