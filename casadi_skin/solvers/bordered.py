@@ -212,7 +212,7 @@ class BorderedSolver:
             if not self.problem.in_order:
                 return splu(self._closed).solve
             self._closed.data *= self._scale[self._closed.indices]
-            solve = splu(self._closed, permc_spec="NATURAL", diag_pivot_thresh=0.1).solve
+            solve = splu(self._closed, permc_spec="NATURAL").solve
             return lambda b: solve((self._scale * b.T).T)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
