@@ -13,7 +13,7 @@ from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.commands import map_command, start_commands, study_commands
+from casadi_skin.commands import explore_command, map_command, start_commands, study_commands
 from casadi_skin.commands.json_output import add_output
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
@@ -76,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
 
     map_command.add_map(commands)
     study_commands.add_studies(commands)
+    explore_command.add_explore(commands)
     start_commands.add_first_steps(commands, parser)
     return parser
 

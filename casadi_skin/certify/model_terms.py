@@ -13,8 +13,8 @@ import numpy as np
 from casadi_skin.certify.odd_system import OddSystem, Terms
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, exact_terms
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.coordinates import Coordinates
-from casadi_skin.orbits.model_coordinates import amplitude_square
 
 if TYPE_CHECKING:
     from flint import arb

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.bvp.problem import EPSILON
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
 from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, NotLocatedError
 from casadi_skin.stability.reduction import ComplexArray
-
-if TYPE_CHECKING:
-    from casadi_skin.critical_orbits.curve import OrbitCurveSpace
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
 RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
@@ -36,7 +33,7 @@ NEUTRAL = 1e-6  # imaginary part of a pair that is one
 Test = Callable[[Point], float]
 
 
-def special_on_curve(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[Point]:
+def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
     if space.kind == EDGE:
         return
@@ -49,7 +46,7 @@ def special_on_curve(space: OrbitCurveSpace, before: Point, after: Point) -> Ite
     yield from (point for _, point in sorted((one for one in found if one is not None), key=lambda entry: entry[0]))
 
 
-def _tests(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
+def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
     """Kinds of the points that are passed, each with a function that changes its sign there."""
     candidates: list[tuple[str, Test]] = []
     if space.kind == TORUS:
@@ -65,7 +62,7 @@ def _tests(space: OrbitCurveSpace, before: Point, after: Point) -> Iterator[tupl
             continue
 
 
-def others(space: OrbitCurveSpace, point: Point) -> ComplexArray:
+def others(space: Followed, point: Point) -> ComplexArray:
     """Multipliers but the trivial and the critical ones."""
     values = space.multipliers(point)
     roots = {FOLD: [1.0], DOUBLING: [-1.0]}.get(space.kind)
@@ -78,17 +75,26 @@ def others(space: OrbitCurveSpace, point: Point) -> ComplexArray:
     return values
 
 
-def _real(space: OrbitCurveSpace, value: float) -> Test:
-    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it."""
+def _real(space: Followed, value: float) -> Test:
+    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it.
+
+    Where the critical one is there too, the nearest other comes with it: of two that meet the sum alone has its digits.
+    """
+    meets = {FOLD: 1.0, DOUBLING: -1.0}.get(space.kind) == value
 
     def test(point: Point) -> float:
         found = others(space, point)
-        return float(np.prod((found - value) / (1.0 + np.abs(found))).real)
+        distances = found - value
+        if meets and found.size:
+            every = space.multipliers(point)
+            nearest = np.argmin(np.abs(distances))
+            distances[nearest] = np.sum(every - value) - np.sum(np.delete(distances, nearest))
+        return float(np.prod(distances / (1.0 + np.abs(found))).real)
 
     return test
 
 
-def _pairs(space: OrbitCurveSpace) -> Test:
+def _pairs(space: Followed) -> Test:
     """The product over pairs of other multipliers of 1 minus their product."""
 
     def test(point: Point) -> float:
@@ -100,19 +106,23 @@ def _pairs(space: OrbitCurveSpace) -> Test:
     return test
 
 
-def _terms(space: OrbitCurveSpace, point: Point) -> Array:
-    """The terms of the coefficient of the normal form at a point."""
-    linear = space.linearised(point)
-    angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
-    v, adjoint = critical_functions(space.kind, linear, angle)
-    return terms_of(space.kind, linear, angle, v, adjoint)
+def _coefficient(space: Followed) -> Test:
+    """The coefficient of the normal form, computed once for the last few points."""
+
+    def test(point: Point) -> float:
+        for known, found in space.coefficients:
+            if known is point:
+                return found
+        linear = space.linearised(point)
+        angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
+        terms = terms_of(space.kind, linear, angle, *critical_functions(space.kind, linear, angle))
+        space.coefficients[:] = [*space.coefficients[-7:], (point, float(np.sum(terms)))]
+        return float(np.sum(terms))
+
+    return test
 
 
-def _coefficient(space: OrbitCurveSpace) -> Test:
-    return lambda point: float(np.sum(_terms(space, point)))
-
-
-def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
     """The point between two where a test vanishes, with its place; None where it has a pole in place of a root.
 
     Raises NotLocatedError.
@@ -142,7 +152,7 @@ def _root(space: OrbitCurveSpace, before: Point, after: Point, kind: str, test: 
     return root, replace(known[root], error=error, requested=False, walked=False, special=kind)
 
 
-def _is_pair(space: OrbitCurveSpace, point: Point, kind: str) -> bool:
+def _is_pair(space: Followed, point: Point, kind: str) -> bool:
     """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
     if kind != ANOTHER[space.kind][2]:
         return True
@@ -152,11 +162,11 @@ def _is_pair(space: OrbitCurveSpace, point: Point, kind: str) -> bool:
     return bool(abs(found[i[nearest]].imag) > NEUTRAL)
 
 
-def _length(space: OrbitCurveSpace, before: Point, after: Point) -> float:
+def _length(space: Followed, before: Point, after: Point) -> float:
     return space.point_solver.curve(before, after)[1]
 
 
-def _error(space: OrbitCurveSpace, point: Point, test: Test, slope: float) -> float:
+def _error(space: Followed, point: Point, test: Test, slope: float) -> float:
     """Estimated relative error of the parameter where a test vanishes, from its value on a finer level."""
     better = point.better
     assert better is not None

@@ -123,6 +123,11 @@ class OrbitCurveSpace(BoundarySpace):
         return found
 
     @cached_property
+    def coefficients(self) -> list[tuple[Point, float]]:
+        """Coefficients of the normal form at the last few points."""
+        return []
+
+    @cached_property
     def _known(self) -> list[tuple[Point, ComplexArray]]:
         return []
 
@@ -142,8 +147,8 @@ def curve(
     """A special point followed in a second parameter, with that in which it was found free.
 
     Arguments:
-        point: a fold or a Hopf point of equilibria; of orbits a fold, a period doubling or a torus; of a family the
-            edge of a real tongue (`Branch.edge`), which is followed with S free.
+        point: a fold, a Hopf point or, where something keeps it, a branch point of equilibria; of orbits a fold, a
+            period doubling or a torus; of a family the edge of a real tongue (`Branch.edge`), with S free.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
         at, max_points, max_step, back_to, until, progress: as in `follow`.

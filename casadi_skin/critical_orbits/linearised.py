@@ -7,13 +7,14 @@ derivatives are those of the field at the stages, exact by CasADi.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -106,32 +107,10 @@ class Linearised:
         """What the equations of collocation gain where the field loses v, shape (inner,)."""
         return -self._increments(self._at_stages(v)[0])
 
-    @cached_property
-    def _second(self) -> ca.Function:
-        return self._derivative(2)
-
-    @cached_property
-    def _third(self) -> ca.Function:
-        return self._derivative(3)
-
-    def _derivative(self, order: int) -> ca.Function:
-        """Function (s, x, scalars, directions in x and scalars) -> the derivative of the field in these."""
-        formulation = self.problem.formulation
-        known = [formulation.s, formulation.x, formulation.scalars]
-        kind = type(formulation.x)
-        field = ca.Function("field", known, [ca.densify(formulation.field[: self.components])])
-        s, x, scalars = kind.sym("s"), kind.sym("x", formulation.states), kind.sym("q", known[2].numel())
-        found, directions = field(s, x, scalars), []
-        for k in range(order):
-            a, b = kind.sym(f"a{k}", x.numel()), kind.sym(f"b{k}", scalars.numel())
-            found = ca.jtimes(found, x, a) + ca.jtimes(found, scalars, b)
-            directions += [a, b]
-        return ca.Function("derivative", [s, x, scalars, *directions], [ca.densify(found)])
-
     def derivative(self, *directions: Vector) -> Vector:
         """The second or third derivative of the equations of collocation in as many directions, shape (inner,)."""
         problem = self.problem
-        function = self._second if len(directions) == 2 else self._third
+        function = _derivative(problem.formulation, self.components, len(directions))
         stages = problem.stages
         starts = np.cumsum(problem.constants) - problem.constants
         places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()[None]
@@ -147,6 +126,21 @@ class Linearised:
                 total += 1j ** sum(choice) * np.array(mapped(places, x, scalars, *given))
         found = self._increments(total)
         return found if any(np.iscomplexobj(v) for v in directions) else np.asarray(found.real)
+
+
+@lru_cache(maxsize=16)
+def _derivative(formulation: Formulation, components: int, order: int) -> ca.Function:
+    """Function (s, x, scalars, directions in x and scalars) -> the derivative of the leading field in these."""
+    known = [formulation.s, formulation.x, formulation.scalars]
+    kind = type(formulation.x)
+    field = ca.Function("field", known, [ca.densify(formulation.field[:components])])
+    s, x, scalars = kind.sym("s"), kind.sym("x", formulation.states), kind.sym("q", known[2].numel())
+    found, directions = field(s, x, scalars), []
+    for k in range(order):
+        a, b = kind.sym(f"a{k}", x.numel()), kind.sym(f"b{k}", scalars.numel())
+        found = ca.jtimes(found, x, a) + ca.jtimes(found, scalars, b)
+        directions += [a, b]
+    return ca.Function("derivative", [s, x, scalars, *directions], [ca.densify(found)])
 
 
 def velocities(problem: BoundaryProblem, z: Array) -> Array:

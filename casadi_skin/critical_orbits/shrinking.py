@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import Point
+from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.equilibria.curve import curve as hopf_curve
+from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.equilibria.location import HOPF, locate
 from casadi_skin.equilibria.problem import sizes_of
@@ -19,15 +21,12 @@ from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.special_points import FOLD, TORUS, SpecialPoint
 from casadi_skin.solvers.levels import ErrorEstimate
 
-if TYPE_CHECKING:
-    from casadi_skin.critical_orbits.curve import OrbitCurveSpace
-
 KINDS = {FOLD: ("generalized hopf",), TORUS: ("hopf-hopf", "zero-hopf")}  # at which curves of orbits end
 AROUND = 0.5  # of the way of the second parameter: how far Hopf points are followed
 NEAR = 0.1  # of it: how far from the smallest orbit the end may be
 
 
-def shrunk(space: OrbitCurveSpace, before: Point, after: Point) -> Point | None:
+def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
     """The point of a curve of Hopf points at which the orbits have amplitude zero; None where none is found."""
     smaller = min((before, after), key=lambda point: float(np.max(np.ptp(_states(space, point), axis=0))))
     hopf = _hopf_near(space, smaller)
@@ -45,11 +44,11 @@ def shrunk(space: OrbitCurveSpace, before: Point, after: Point) -> Point | None:
     return _as_orbit(space, smaller, nearest)
 
 
-def _states(space: OrbitCurveSpace, point: Point) -> Array:
+def _states(space: Followed, point: Point) -> Array:
     return space.states_at(point, np.linspace(0.0, 2.0 * np.pi, 257)[:-1], None)
 
 
-def _hopf_near(space: OrbitCurveSpace, orbit: Point) -> SpecialPoint | None:
+def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     """The Hopf point near an orbit of small amplitude, in the first parameter, from its mean and its period."""
     model, values = space.model, space.parameters(orbit)
     assert space.critical is not None
@@ -69,7 +68,7 @@ def _hopf_near(space: OrbitCurveSpace, orbit: Point) -> SpecialPoint | None:
     return SpecialPoint(HOPF, name, at, found.error * unit, resting)
 
 
-def _as_orbit(space: OrbitCurveSpace, orbit: Point, end: SpecialPoint) -> Point:
+def _as_orbit(space: Followed, orbit: Point, end: SpecialPoint) -> Point:
     """The end as an orbit of amplitude zero of the curve."""
     problem = orbit.problem
     assert isinstance(problem, BoundaryProblem)
@@ -79,7 +78,9 @@ def _as_orbit(space: OrbitCurveSpace, orbit: Point, end: SpecialPoint) -> Point:
     states[:, :n] = end.solution.evaluate(0.0)
     for place, name in enumerate(space.statement.free, start=problem.states):
         if name == PERIOD:
-            z[place] = 2.0 * np.pi / end.frequency
+            values = cast(Equilibrium, end.solution).eigenvalues
+            known = 2.0j * np.pi / z[place]
+            z[place] = 2.0 * np.pi / float(values[np.argmin(np.abs(values - known))].imag)
         elif name in end.parameters:
             z[place] = end.parameters[name]
     start = space.statement.values[space.parameter]

@@ -19,7 +19,7 @@ from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.model_coordinates import symmetrising_scale
+from casadi_skin.orbits.linear_modes import scale_of_couplings
 from casadi_skin.orbits.spectrum import linear_spectrum
 
 GAUGE, PHYSICAL = "gauge", "physical"
@@ -81,7 +81,7 @@ class EquationsOfMotion:
         force = ca.substitute(model.rhs, model.parameters, ca.SX(ca.DM(self.values)))
         slope = ca.Function("slope", [model.state], [ca.jacobian(force, model.state)])
         K = -np.array(slope(0.0))
-        log_scale = symmetrising_scale(K) if np.all(np.isfinite(K)) else None
+        log_scale = scale_of_couplings(K, force, model.state) if np.all(np.isfinite(K)) else None
         if log_scale is None:
             return None
         D = ca.SX(ca.DM(np.exp(log_scale)))

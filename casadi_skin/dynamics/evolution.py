@@ -202,11 +202,15 @@ class Evolution(Result):
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """A stretch of a time evolution after which it repeats itself: a guess for `find_orbit`, period included."""
+    """A stretch of a time evolution after which it repeats itself: a guess for `find_orbit`, period included.
+
+    `turns` are how many times 2 pi each state has grown by then, where angles rotate.
+    """
 
     evolution: Evolution
     start: float
     period: float
+    turns: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Cycle: from t = {self.start:.6g}, period {self.period:.10g}>"
@@ -220,7 +224,11 @@ class Cycle:
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times from the start of the cycle on, shape (time, component)."""
         times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
-        return self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
+        states = self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
+        if any(self.turns):
+            periods = np.floor(np.atleast_1d(np.asarray(t, dtype=float)) / self.period)
+            states = states + 2.0 * np.pi * np.outer(periods, self.turns)
+        return states
 
 
 class EvolutionError(ArithmeticError):

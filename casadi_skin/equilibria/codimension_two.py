@@ -1,14 +1,16 @@
-"""Points of codimension two on curves of folds and of Hopf points: where one condition more holds.
+"""Points of codimension two on curves of folds, branch points and Hopf points: where one condition more holds.
 
 On a curve of folds: a cusp, where the quadratic coefficient is zero; a Bogdanov-Takens point, where a second real
-eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of Hopf points: a
-Bogdanov-Takens point, where the frequency is zero; a zero-Hopf point; a Hopf-Hopf point, where a second pair is on the
-axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is zero (Kuznetsov 2004, chapter 8).
+eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of branch points the last two.
+On a curve of Hopf points: a Bogdanov-Takens point, where the frequency is zero; a zero-Hopf point; a Hopf-Hopf point,
+where a second pair is on the axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is zero
+(Kuznetsov 2004, chapter 8).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -17,23 +19,27 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
-from casadi_skin.equilibria.location import HOPF, jacobian_of
+from casadi_skin.equilibria.location import FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
+from casadi_skin.equilibria.samples import Sample
+from casadi_skin.equilibria.search import Search
 from casadi_skin.equilibria.statics import ComplexArray
-from casadi_skin.equilibria.stretch import Stretch, crossings, height
+from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import NotLocatedError
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
 FINE = 1e-11  # of a step, to which a root is found
-VANISHES = 1e-4  # of its terms: the first Lyapunov coefficient where it has a root
+VANISHES = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
+CHANGE = 1e-6  # of the unknowns: a step along a curve, for rates
+NEAR_END = 6  # divisions of a step after which a curve of Hopf points is taken to end in a Bogdanov-Takens point
 Test = Callable[[Point], float]
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Folds or Hopf points (`kind`) that are followed, by their equations."""
+    """Folds, Hopf points or branch points (`kind`) that are followed, by their equations."""
 
     equations: EquilibriumEquations
     kind: str
@@ -41,46 +47,75 @@ class Followed:
 
 def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
-    found = [_root(space, before, after, kind, test) for kind, test in _tests(space, before, after)]
-    yield from (point for _, point in sorted(found, key=lambda entry: entry[0]) if not _is_pole(space, point))
+    yield from _Search(space, before).between(before, after)
 
 
-def _is_pole(space: Followed, point: Point) -> bool:
-    """Whether the first Lyapunov coefficient changes its sign through infinity, as it does at a zero-Hopf point."""
-    if point.special != BAUTIN:
-        return False
-    terms = _lyapunov(space, point)
-    return bool(abs(np.sum(terms)) > VANISHES * np.sum(np.abs(terms)))
+class _Search(Search):
+    """Points of codimension two on one stretch of a curve."""
+
+    def __init__(self, space: Followed, start: Point) -> None:
+        super().__init__(space.equations, "real parts")
+        self.space, self.tests = space, dict(_tests(space, start))
+
+    def sample(self, point: Point) -> Sample:
+        sample = super().sample(point)
+        places = _critical(self.space, point, sample.values)
+        h = CHANGE / max(1e-300, float(np.max(np.abs(point.tangent))))
+        ahead = replace(point, z=point.z + h * point.tangent)
+        values = [(test(point), test(ahead)) for test in self.tests.values()]
+        return replace(less(sample, places), leading=tuple((here, (there - here) / h) for here, there in values))
+
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+        ending = (
+            TAKENS in self._changed(stretch) and depth >= NEAR_END
+        )  # where the first Lyapunov coefficient has a pole
+        if not (last or ending or np.all(stretch.settled)):
+            return None
+        ends, found = (stretch.first.point, stretch.last.point), list[tuple[float, Point]]()
+        for kind, test in self._passed(stretch):
+            place, point = _root(self.space, *ends, kind, test)
+            if abs(test(point)) <= VANISHES * max(abs(test(end)) for end in ends):  # l1 has poles at zero-Hopf points
+                found.append((place, point))
+        return [point for _, point in sorted(found, key=lambda entry: entry[0])]
+
+    def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
+        """Kinds of the points that are passed, each with a function that changes its sign there."""
+        changed = self._changed(stretch)
+        kinds = [TAKENS] if TAKENS in changed else changed
+        yield from ((kind, self.tests[kind]) for kind in kinds)
+        if TAKENS in kinds:
+            return
+        hopf, (reals, pairs) = self.space.kind == HOPF, crossings(stretch)
+        for _ in reals:
+            yield (ZERO_HOPF if hopf else TAKENS), _tracked(self.space, 0j)
+        for place in pairs:
+            at = 1j * height(stretch.first.values[place], stretch.last.values[stretch.order[place]])
+            yield (HOPF_HOPF if hopf else ZERO_HOPF), _tracked(self.space, at)
+
+    def _changed(self, stretch: Stretch) -> list[str]:
+        """Kinds whose functions change their sign."""
+        return [kind for kind, changed in zip(self.tests, stretch.changed, strict=False) if changed]
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
+        yield from ()
 
 
-def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
-    """Kinds of the points that are passed, each with a function that changes its sign there."""
-    hopf = space.kind == HOPF
-    whole = Stretch.of((space.equations.sample(before), space.equations.sample(after)), "real parts")
-    stretch = whole.without(lambda sample: _critical(space, sample.point, sample.values))
-    if hopf and _kappa(before) * _kappa(after) < 0.0:
-        yield TAKENS, _kappa
+def _tests(space: Followed, start: Point) -> Iterator[tuple[str, Test]]:
+    """Functions of a point that vanish at points of some kinds; of others eigenvalues tell."""
+    if space.kind == FOLD:
+        yield CUSP, _quadratic(space, start)
+    if space.kind != HOPF:
         return
-    if not hopf:
-        quadratic = _quadratic(space, before)
-        if quadratic(before) * quadratic(after) < 0.0:
-            yield CUSP, quadratic
-    reals, pairs = crossings(stretch)
-    for _ in reals:
-        yield (ZERO_HOPF if hopf else TAKENS), _tracked(space, 0j)
-    for place in pairs:
-        at = 1j * height(stretch.first.values[place], stretch.last.values[stretch.order][place])
-        yield (HOPF_HOPF if hopf else ZERO_HOPF), _tracked(space, at)
-    if hopf:
+    yield TAKENS, _kappa
+
+    with suppress(RuntimeError):  # the model has no third derivatives
+        size = float(np.sum(np.abs(_lyapunov(space, start)))) or 1.0
 
         def lyapunov(point: Point) -> float:
-            return float(np.sum(_lyapunov(space, point)))
+            l1 = float(np.sum(_lyapunov(space, point))) if _kappa(point) > 0.0 else np.inf
+            return float(np.tanh(l1 / size))  # it has poles
 
-        try:
-            if lyapunov(before) * lyapunov(after) < 0.0:
-                yield BAUTIN, lyapunov
-        except RuntimeError:  # the model has no third derivatives
-            return
+        yield BAUTIN, lyapunov
 
 
 def _quadratic(space: Followed, reference: Point) -> Test:

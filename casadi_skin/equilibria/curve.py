@@ -1,4 +1,4 @@
-"""Folds and Hopf points followed in a second parameter, by the extended systems of which they are regular solutions."""
+"""Folds, Hopf points and branch points followed in a second parameter, by extended systems that are regular there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from casadi_skin.continuation.points import End, Point
 from casadi_skin.equilibria.codimension_two import TAKENS, Followed, special_on_curve
 from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.location import FOLD, HOPF, SYSTEMS, jacobian_of
+from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, jacobian_of
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
@@ -24,13 +24,19 @@ from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.solvers.levels import Levels
 
+UNFOLDS = 1e-7  # of a step: an imperfection that grows along a curve of branch points
+
+
+class UnfoldingError(EquilibriumError):
+    """A branch point does not stay one in a second parameter: nothing keeps both branches together."""
+
 
 @dataclass(frozen=True, eq=False)
 class CurveSpace(EquilibriumSpace):
-    """Folds or Hopf points of a model in two parameters, of which one is followed and the other one free.
+    """Special points of a model in two parameters, of which one is followed and the other one free.
 
     Attributes:
-        kind: "fold" or "hopf".
+        kind: "fold", "hopf" or "branch point".
         second: how the free parameter is measured: it has its start at 0 and changes by its usual size to 1.
         rate: of time, that omega is measured by.
     """
@@ -79,10 +85,11 @@ def curve(
     until: Callable[[Any], bool] | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
-    """A fold or a Hopf point of equilibria followed in a second parameter, with that in which it was found free.
+    """A special point of equilibria followed in a second parameter, with that in which it was found free.
 
     Arguments:
-        point: the fold or Hopf point.
+        point: the fold, Hopf point or branch point; a branch point where a symmetry, or a state that stays zero, keeps
+            both branches together.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
         at, max_points, max_step, back_to, until, progress: as in `follow`.
@@ -94,7 +101,7 @@ def curve(
 
     Raises:
         ValueError: an argument is out of range, or the point is of another kind.
-        EquilibriumError: the curve cannot be started.
+        EquilibriumError: the curve cannot be started, or the branch point does not stay one.
     """
     space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
@@ -112,8 +119,8 @@ def curve_space(
 ) -> CurveSpace:
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     solution = point.solution
-    if not isinstance(solution, Equilibrium) or point.kind not in (FOLD, HOPF) or solution.space.free:
-        raise ValueError(f"curve: given a {point.kind}; accepted: a fold or a Hopf point of a branch of equilibria")
+    if not isinstance(solution, Equilibrium) or point.kind not in SYSTEMS or solution.space.free:
+        raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     if parameter == point.parameter:
         others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
@@ -146,7 +153,11 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     matrix = jacobian_of(space.problem, z)
     near = 1j * rate if point.kind == HOPF else None
     problem, z = _extended(space, matrix, x / sizes, near)
-    return replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
+    space = replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
+    if point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDS:  # of beta
+        why = "no symmetry, and no state that stays zero, keeps both branches together"
+        raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
+    return space
 
 
 def _extended(space: CurveSpace, matrix: Array, y: Array, near: complex | None) -> tuple[AlgebraicProblem, Array]:

@@ -9,7 +9,7 @@ what is known (see `stretch`). Neutral saddles have no eigenvalue on the axis, a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +17,14 @@ import numpy as np
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
-from casadi_skin.equilibria.stretch import WITHIN, Signs, Stretch, crossings, height
+from casadi_skin.equilibria.search import Search
+from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
 from casadi_skin.solvers.levels import ErrorEstimate
 
-DEEPEST = 20  # divisions of a stretch between two points of the continuation
-MOST = 400  # parts that it is divided into
 TOGETHER = 4  # divisions after which a fold and a branch point that are not told apart are one
 BISECTIONS = 40
 SAME = 1e-9  # of a step or of a frequency
 BESIDE = 0.7  # of a stretch: how far from where it is expected a special point may be found
-PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,48 +45,34 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
 
     Warns with UnresolvedWarning where several lie too near to each other to be told apart.
     """
-    yield from _Search(equations).between(before, after, 0)
+    yield from _Search(equations, before, after).between(before, after)
 
 
-class _Search:
-    """The search on one stretch of the continuation; `parts` counts what it has been divided into."""
+class _Search(Search):
+    """Folds, branch points and Hopf points on one stretch of a branch."""
 
-    def __init__(self, equations: EquilibriumEquations) -> None:
-        self.equations, self.parts = equations, 0
-        self.free = equations.statics.oscillates  # whether pairs may cross the axis one by one
-        self.signs: Signs = "real parts" if self.free else "real" if equations.model.order == 2 else "squares"
+    def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:
+        conserves = equations.model.order == 1 and all(equations.sample(end).symmetric for end in (before, after))
+        self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
+        signs: Signs = "real parts" if self.free else "real" if equations.model.order == 2 else "squares"
+        super().__init__(equations, signs)
 
-    def between(self, before: Point, after: Point, depth: int) -> Iterator[Point]:
-        """Special points between two points, in order."""
-        self.parts += 1
-        stretch, middle = self._stretch(before, after)
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         reals, pairs = crossings(stretch) if self.free else ([], [])
         expected = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
-        last = middle is None or depth >= DEEPEST or self.parts > MOST
         one = set(expected) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER or last)
         if one:  # where a branch leaves another one to one side
             expected, reals = [BRANCH_POINT], [0]
-        if one or last or np.all(stretch.settled):
-            if not (expected or reals or pairs):
-                return
-            found = self._each(stretch, expected, reals, pairs)
-            if found is not None:
-                yield from found
-                return
-        if last or middle is None:
-            yield from _unresolved(self.equations, stretch, expected + [HOPF] * len(pairs))
-            return
-        dip = stretch.dip()
-        divided = None if dip is None else self.equations.point_solver.along(before, after, dip)
-        yield from self.between(before, divided or middle, depth + 1)
-        yield from self.between(divided or middle, after, depth + 1)
+        if not (one or last or np.all(stretch.settled)):
+            return None
+        if not (expected or reals or pairs):
+            return ()
+        return self._each(stretch, expected, reals, pairs)
 
-    def _stretch(self, before: Point, after: Point) -> tuple[Stretch, Point | None]:
-        """The stretch between two points, with a point in between where one is found."""
-        tried = (self.equations.point_solver.along(before, after, place) for place in PLACES)
-        middle = next((point for point in tried if point is not None), None)
-        points = (before, after) if middle is None else (before, middle, after)
-        return Stretch.of(tuple(self.equations.sample(point) for point in points), self.signs), middle
+    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
+        _, pairs = crossings(stretch) if self.free else ([], [])
+        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients + [HOPF] * len(pairs)
+        yield from _unresolved(self.equations, stretch, kinds)
 
     def _each(self, stretch: Stretch, expected: list[str], reals: list[int], pairs: list[int]) -> list[Point] | None:
         """The special points that are seen at the ends, where each is found; None where they are not."""
@@ -115,8 +99,8 @@ def _differ(found: list[Found]) -> bool:
 def _located(equations: EquilibriumEquations, stretch: Stretch, kind: str, place: int) -> Found | None:
     """The special point of a kind at which an eigenvalue crosses, with its place along; None where it is not found."""
     guess = stretch.curve.at(stretch.root(None if kind == BRANCH_POINT else 0 if kind == FOLD else place + 1))
-    first, last = stretch.first.values[place], stretch.last.values[stretch.order[place]]
-    near = 1j * abs(height(first, last)) if kind == HOPF else None
+    ends = stretch.first.values[place], stretch.last.values[stretch.order[place]]
+    near = 1j * abs(height(*ends)) if kind == HOPF else None
     found = locate(equations, kind, guess[:-1], float(guess[-1]), near)
     if found is None:
         point = _by_bisection(equations, stretch, kind) if not equations.systems.get(kind, True) else None

@@ -20,6 +20,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
+from casadi_skin.result import Result
 
 LEAVING = (HOPF, BRANCH_POINT, DOUBLING)
 SAME = 1e-6  # relative distance of special points that are one
@@ -28,7 +29,7 @@ SAMPLED = 1e-3  # relative error of such an extremum
 
 
 @dataclass(frozen=True, eq=False)
-class Diagram:
+class Diagram(Result):
     """Branches in one parameter that are connected by special points.
 
     Attributes:

@@ -40,15 +40,18 @@ def leaving_orbits(
     model, period = periodic.model, orbit.period
     values = {name: orbit.parameters[name] for name in model.parameter_names}
 
+    rotated = tuple(turns * k for k in periodic.turns)
+
     def guess(t: float) -> Array:
         return np.asarray(orbit.evaluate(t)[0])
 
     if model.forced:
         cycles = round(period / model.forcing_period_at(list(values.values())))
-        statement = forced_statement(model, turns * cycles, values)
+        statement = forced_statement(model, turns * cycles, values, rotated)
     else:
-        statement = closed_statement(model, guess, turns * period, values)
+        statement = closed_statement(model, guess, turns * period, values, rotated)
     sizes = Sizes(orbit.problem.floors, turns * orbit.problem.scalar_floors)
+    periodic = replace(periodic, turns=rotated)
     space = BoundarySpace(
         statement, old.tolerance, old.method, sizes, periodic, parameter, to, at, None, settings, leaves=True
     )

@@ -28,6 +28,7 @@ class Sample:
         noise: what rounding leaves of them.
         bend: the second derivative of z by the length along the branch.
         orientation: the sign of the determinant of the Jacobian closed by `row`.
+        leading: values and rates of other quantities that matter, in place of the rate of the parameter.
     """
 
     point: Point
@@ -37,6 +38,13 @@ class Sample:
     noise: Array
     bend: Array
     orientation: float
+    leading: tuple[tuple[float, float], ...] | None = None
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether with each eigenvalue its opposite is one, as where an energy is conserved, declared or not."""
+        apart = np.min(np.abs(self.values[:, None] + self.values), axis=1)
+        return bool(np.all(apart <= self.noise) and np.any(self.values))
 
     def along(self, row: Array) -> tuple[float, float, float]:
         """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""

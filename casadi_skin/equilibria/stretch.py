@@ -8,7 +8,6 @@ within that bound.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -76,6 +75,11 @@ class Stretch:
         return float(self.sigma[-1])
 
     @property
+    def leading(self) -> int:
+        """Number of quantities before the eigenvalues: the rate of the parameter, unless there are others."""
+        return 1 if self.first.leading is None else len(self.first.leading)
+
+    @property
     def turns(self) -> bool:
         """Whether the parameter turns back an odd number of times."""
         return bool(_sign(self.first.point.tangent[-1]) != _sign(self.last.point.tangent[-1]))
@@ -102,19 +106,20 @@ class Stretch:
 
     @cached_property
     def quantities(self) -> tuple[Array, Array]:
-        """The rate of the parameter, then what is told of each eigenvalue; and derivatives; (sample, quantity)."""
-        told, rates, noisy = [], [], []
+        """Leading quantities, then what is told of each eigenvalue; and derivatives; (sample, quantity)."""
+        told, rates, noisy, many = [], [], [], self.leading
         for sample, order in zip(self.samples, self.orders, strict=True):
             scale, rate, curved = sample.along(self.first.row)
             values, slopes = sample.values[order], scale * sample.rates[order]
             if self.signs == "squares":
                 values, slopes = values**2, 2.0 * values * slopes
             no = np.abs(values.real) <= sample.noise[order] if self.signs == "real parts" else _unreal(values)
-            told.append(np.append(rate, values.real))
-            rates.append(np.append(curved, slopes.real))
-            noisy.append(np.append(abs(rate) <= STILL, no))
+            leading = ((rate, curved),) if sample.leading is None else [(g, scale * d) for g, d in sample.leading]
+            told.append(np.concatenate([[g for g, _ in leading], values.real]))
+            rates.append(np.concatenate([[d for _, d in leading], slopes.real]))
+            noisy.append(np.concatenate([[abs(g) <= STILL for g, _ in leading], no]))
         counts = ~(np.all(noisy, axis=0) if self.signs == "real parts" else np.any(noisy, axis=0))
-        counts[0] = not np.all([entry[0] for entry in noisy])
+        counts[:many] = ~np.all(noisy, axis=0)[:many]
         return np.array(told) * counts, np.array(rates) * counts
 
     @cached_property
@@ -143,6 +148,12 @@ class Stretch:
         still = np.all(g == 0.0, axis=0)
         return np.asarray(still | np.where(sign != _sign(g[-1]), steady, clear))
 
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whether each quantity has one sign at the first end and the other one at the last."""
+        g, _ = self.quantities
+        return np.asarray(_sign(g[0]) != _sign(g[-1]))
+
     def dip(self) -> float | None:
         """Where a quantity of one sign at the samples seems to have the other one in between; None where none does."""
         g, _ = self.quantities
@@ -156,9 +167,8 @@ class Stretch:
 
     def root(self, quantity: int | None) -> float:
         """Where a quantity vanishes by its cubics; the first one of an eigenvalue that changes its sign where None."""
-        g, _ = self.quantities
         if quantity is None:
-            quantity = 1 + int(np.argmax((_sign(g[0]) != _sign(g[-1]))[1:]))
+            quantity = self.leading + int(np.argmax(self.changed[self.leading :]))
         sigma = self._places(quantity)
         order = np.argsort(sigma)
         sigma, values = sigma[order], self._halves[0].values[..., quantity].ravel()[order]
@@ -173,10 +183,6 @@ class Stretch:
         return np.asarray(
             self.sigma[:-1, None] + self._halves[0].places[..., quantity] * np.diff(self.sigma)[:, None]
         ).ravel()
-
-    def without(self, places: Callable[[Sample], list[int]]) -> Stretch:
-        """The stretch without some of the eigenvalues of each sample, such as critical ones of a curve."""
-        return replace(self, samples=tuple(_less(sample, places(sample)) for sample in self.samples))
 
 
 def matched(first: Sample, last: Sample, length: float, row: Array) -> Indices:
@@ -218,7 +224,8 @@ def _unreal(values: ComplexArray) -> NDArray[np.bool_]:
     return np.abs(values.imag) > REAL * np.abs(values)
 
 
-def _less(sample: Sample, places: list[int]) -> Sample:
+def less(sample: Sample, places: list[int]) -> Sample:
+    """A sample without some of its eigenvalues, such as critical ones of a curve."""
     return replace(
         sample, values=np.delete(sample.values, places), rates=np.delete(sample.rates, places),
         noise=np.delete(sample.noise, places),

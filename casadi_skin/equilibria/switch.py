@@ -21,6 +21,7 @@ from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.branch_points import other_tangent
+from casadi_skin.orbits.breaking import breaking_space, start_of
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
@@ -55,7 +56,8 @@ def switch(
 
     Arguments:
         point: a Hopf point or a branch point of equilibria; of orbits a period doubling, or a branch point that the
-            other branch leaves to both sides, as where a symmetry is lost.
+            other branch leaves to both sides, as where a symmetry is lost; of a family too, whose amplitude is then a
+            parameter, "S".
         parameter: name of the parameter to follow: at a branch point that in which it was found.
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
@@ -86,13 +88,20 @@ def leaving_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
+    if side not in (1, -1):
+        raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
+    if point.mu is not None and isinstance(solution, Orbit):
+        start = start_of(solution)
+        chosen = following_settings(
+            start, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+        )
+        both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
+        return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
     of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
     of_orbits = point.kind == DOUBLING and isinstance(solution, Orbit)
     if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
         accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
-    if side not in (1, -1):
-        raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
     settings = following_settings(
         solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )

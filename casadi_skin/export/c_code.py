@@ -10,8 +10,9 @@ from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 
+from casadi_skin._version import __version__
 from casadi_skin.arguments import short_repr
-from casadi_skin.export.c_text import Part, comment, plain
+from casadi_skin.export.c_text import MOST_ENTRIES, Part, comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
 from casadi_skin.export.equations import (
     flow_part,
@@ -86,7 +87,7 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
     texts = {
         f"{name}.h": _header(exported, every),
         f"{name}.c": _definitions(plainly, generated),
-        f"{name}_generated.c": generated.text,
+        **({f"{name}_generated.c": generated.text} if generated.functions else {}),
         **{f"{name}_{stem}.c": _template(stem) for stem in templates},
         "main.c": main_text(exported, chosen),
     }
@@ -97,6 +98,7 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
     texts |= {
         "CMakeLists.txt": cmake_text(name, sources),
         "README.md": readme_text(exported, parts, sources),
+        "license.txt": files("casadi_skin.export.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8"),
     }
     return {file: text.replace("@p", name).replace("@P", name.upper()) for file, text in texts.items()}
 
@@ -104,12 +106,17 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
 def _header(exported: ExportedModel, parts: list[Part]) -> str:
     guard = f"{exported.name.upper()}_H"
     about = (
-        f"{plain(exported.model.name)}: C99 written by casadi_skin. The model is dimensionless. Arrays are the "
-        "caller's; matrices are stored by columns, indices count from 0. Each function has an array `work` of its own "
-        "length, is free of other memory, and may be called from several threads with different arrays."
+        f"{plain(exported.model.name)}: C99 written by casadi_skin {__version__}; see license.txt. The model is "
+        "dimensionless. Arrays are the caller's; matrices are stored by columns, indices count from 0, and fit into an "
+        "int. Each function has an array `work` of its own length, is free of other memory, and may be called from "
+        "several threads with different arrays."
     )
     lines = [comment(about), f"#ifndef {guard}\n#define {guard}\n", "#include <stddef.h>\n", CPLUSPLUS_OPEN]
     for part in parts:
+        for size in part.sizes:
+            if size.value > MOST_ENTRIES:
+                words = f"{size.value} {size.words}; accepted: up to {MOST_ENTRIES}, which an int of C holds"
+                raise ValueError(f"{exported.name}: {size.suffix}: {words}")
         lines.append(f"{comment(part.title + '.')}\n")
         if part.sizes:
             entries = [f"    @P_{size.suffix} = {size.value}, {comment(size.words)}" for size in part.sizes]
@@ -127,7 +134,7 @@ def _definitions(parts: list[Part], generated: CSource) -> str:
     prototypes = [f"{function.prototype};" for function in generated.functions]
     about = comment("Tables, and plain functions around the generated ones.")
     texts = [definition for part in parts for definition in part.definitions]
-    return "\n\n".join([f'{about}\n\n#include "@p.h"', *prototypes, *texts]) + "\n"
+    return "\n\n".join([f'{about}\n\n#include "@p.h"', "#include <math.h>", *prototypes, *texts]) + "\n"
 
 
 def _template(stem: str) -> str:

@@ -11,18 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 WIDTH = 120
+MOST_ENTRIES = 2**31 - 1  # sizes and indices are ints of C
 BY_COLUMNS, BY_ROWS = ("colptr", "row"), ("rowptr", "column")
 
 
 def plain(words: str) -> str:
-    """Words of a user that may stand in a comment or a string of C: printable ASCII that ends neither."""
-    shown = "".join(char if " " <= char <= "~" else "?" for char in words)
+    """Words of a user that may stand in a comment or a string of C: printable ASCII that ends neither.
+
+    Other characters are told by their numbers, as (U+03B1), so that names stay different.
+    """
+    shown = "".join(char if " " <= char <= "~" else f"(U+{ord(char):04X})" for char in words)
     return shown.replace("\\", "/").replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("@", "(at)")
 
 
 def string(words: str) -> str:
-    """A C string."""
-    return '"' + plain(words).replace('"', '\\"') + '"'
+    """A C string: the words in UTF-8, in octal where they are not ASCII."""
+    inside = words.replace("\\", "/").replace('"', '\\"').replace("??", "? ?").replace("@", "\\100")
+    return '"' + "".join(c if " " <= c <= "~" else "".join(f"\\{b:03o}" for b in c.encode()) for c in inside) + '"'
 
 
 def comment(words: str) -> str:
@@ -31,7 +36,8 @@ def comment(words: str) -> str:
     return "/* " + "\n * ".join(lines) + " */"
 
 
-def _filled(values: Iterable[str]) -> str:
+def filled(values: Iterable[str]) -> str:
+    """Words in lines, with commas between."""
     return "\n".join(wrap(", ".join(values), WIDTH, initial_indent="    ", subsequent_indent="    ",
                           break_long_words=False, break_on_hyphens=False))  # fmt: skip
 
@@ -42,20 +48,25 @@ def doubles(name: str, values: ArrayLike) -> str:
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: holds a number that is not finite; accepted: finite numbers")
     entries = [f"{value:.17g}" for value in array.tolist()] or ["0.0"]
-    return f"const double {name}[{len(entries)}] = {{\n{_filled(entries)}}};"
+    return f"const double {name}[{len(entries)}] = {{\n{filled(entries)}}};"
 
 
 def integers(name: str, values: Sequence[int]) -> str:
     """Definition of an array of ints."""
     entries = [str(value) for value in values] or ["0"]
-    return f"const int {name}[{len(entries)}] = {{\n{_filled(entries)}}};"
+    return f"const int {name}[{len(entries)}] = {{\n{filled(entries)}}};"
 
 
 def strings(name: str, values: Sequence[str]) -> str:
     """Definition of an array of strings."""
     entries = [string(value) for value in values] or ['""']
-    body = "".join(f"    {entry},\n" for entry in entries)
-    return f"const char *const {name}[{len(entries)}] = {{\n{body}}};"
+    lines, line = list[str](), "   "
+    for entry in entries:  # strings are not cut
+        if len(line) + len(entry) + 2 > WIDTH and line.strip():
+            lines, line = [*lines, line], "   "
+        line += f" {entry},"
+    body = "\n".join([*lines, line])
+    return f"const char *const {name}[{len(entries)}] = {{\n{body}\n}};"
 
 
 def pattern(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMNS) -> tuple[str, str]:
@@ -136,12 +147,6 @@ class Part:
 def declared(prototype: str, words: str) -> str:
     """A declaration with its comment."""
     return f"{comment(words)}\n{prototype};"
-
-
-def called(title: str, call: Call, size: str, words: str, *more: Size) -> Part:
-    """The part that is one generated function behind a plain prototype."""
-    sizes = (*more, Size(size, call.work, "doubles of work"))
-    return Part(title, sizes, (declared(call.prototype, words),), (call.text(),), (call.function,))
 
 
 def constants(prefix: str, values: Mapping[str, tuple[float, str]]) -> tuple[str, str]:

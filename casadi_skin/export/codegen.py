@@ -73,8 +73,12 @@ class CSource:
 
 
 def c_name(words: str) -> str:
-    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header."""
-    stem = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_") or "model"
+    """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header.
+
+    Letters that are not ASCII are told by their numbers, as u3b1, so that names stay different.
+    """
+    told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
+    stem = re.sub(r"[^a-z0-9]+", "_", told).strip("_") or "model"
     return stem if stem[0].isalpha() and stem not in KEYWORDS | HEADERS else f"m_{stem}"
 
 
@@ -88,7 +92,7 @@ def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[st
         raise CodegenError(f"name: given {name!r}; accepted: a C identifier such as {c_name(name)}")
     for function in functions:
         check_parts(function)
-    generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True})
+    generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True, "verbose": False})
     with contextlib.redirect_stderr(io.StringIO()):  # CasADi warns of what is refused below
         for function in functions:
             generator.add(function)

@@ -7,11 +7,11 @@ import numpy as np
 
 from casadi_skin.export.c_text import (
     BY_ROWS,
+    MOST_ENTRIES,
     Call,
     Part,
     Size,
     arrays,
-    called,
     comment,
     declared,
     doubles,
@@ -20,6 +20,7 @@ from casadi_skin.export.c_text import (
     strings,
 )
 from casadi_skin.export.exported_model import ExportedModel
+from casadi_skin.export.site_loops import called, definition
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
@@ -138,14 +139,23 @@ def flow_part(exported: ExportedModel) -> Part:
         return part.plus(sizes=(Size("FLOW_WORK", work, "doubles of work"),), files=("flow_extrapolation",))
     force = _force_call(exported.name, model)
     sparsity = force.function.sparsity_out(1)
-    size = Size("FLOW_WORK", model.size + sparsity.nnz() + force.work, "doubles of work")
+    text, functions, work = definition(force)
+    size = Size("FLOW_WORK", 3 * model.size + sparsity.nnz() + work, "doubles of work")
+    rows, columns = (np.array(t) for t in sparsity.get_triplet())
+    width = int(np.abs(rows - columns).max(initial=0))
+    if n * n > MOST_ENTRIES:
+        raise ValueError(f"{exported.name}: a transition matrix of {n * n} entries; accepted: up to {MOST_ENTRIES}")
     indices, extern = pattern("@p_force", sparsity, BY_ROWS)
     coefficients = dict(zip(("drifts", "kicks"), srkn_coefficients(), strict=True))
     part = part.plus(*arrays("@p_flow", coefficients, "Coefficients of the splitting.")).plus(
-        f"{indices}\n\n{force.text()}",
+        f"{indices}\n\n{text}",
         f"{declared(force.prototype, 'Used by the flow.')}\n{extern}",
-        sizes=(Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"), size),
-        functions=(force.function,),
+        sizes=(
+            Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"),
+            Size("FORCE_WIDTH", width, "how far a site acts on others"),
+            size,
+        ),
+        functions=functions,
         files=("flow_splitting",),
     )
     return part if chain is None else _with_multipliers(part, int(chain.sites))
@@ -171,5 +181,5 @@ def _with_multipliers(part: Part, sites: int) -> Part:
         "A mu that is real and in [-1, 0] within `tolerance` has modulus 1: the orbit is stable where all are. Returns "
         "0, or 1 where the QR iteration does not converge."
     )
-    size = Size("MULTIPLIERS_WORK", 2 * sites * (sites + 2), "doubles of work")
+    size = Size("MULTIPLIERS_WORK", sites * (sites + 1), "doubles of work")
     return part.plus(declaration=declared(prototype, words), sizes=(size,), files=("multipliers",))

@@ -29,10 +29,10 @@ PARTS: Mapping[str, str] = MappingProxyType({
     "orbit": "a converged orbit as data, with its evaluation",
     "ipopt": "the orbit equations as a problem for Ipopt (needs libipopt)",
 })  # fmt: skip
+LONGEST_NAME = 60  # characters: names of files are made of it
 NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType({"variational": ("jacobian",), "newton": ("residual",)})
 EQUATIONS_OF_ORBITS = ("residual", "newton", "ipopt")
 OPTIONAL = ("ipopt",)  # not exported unless asked for: it needs more than libm
-LONGEST_NAME = 60  # characters: names of files are made of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def exported_model(source: object, name: str | None, harmonics: int) -> Exported
     if name is not None and not isinstance(name, str):
         raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
     own = model.name if isinstance(model, OdeModel) else "chain"
-    accepted = c_name((own if name is None else name)[:LONGEST_NAME])
+    accepted = c_name(own if name is None else name)[:LONGEST_NAME].strip("_")
     if name not in (None, accepted):
         words = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {accepted}"
         raise ValueError(f"name: given {short_repr(name)}; accepted: {words}")

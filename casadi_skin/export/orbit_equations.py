@@ -12,7 +12,6 @@ from casadi_skin.export.c_text import (
     Part,
     Size,
     arrays,
-    called,
     comment,
     constants,
     declared,
@@ -21,6 +20,7 @@ from casadi_skin.export.c_text import (
     plain,
 )
 from casadi_skin.export.exported_model import ExportedModel
+from casadi_skin.export.site_loops import called
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.solvers.nlp import nlp_solver
 from casadi_skin.stability.result import Floquet

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from casadi_skin._version import __version__
 from casadi_skin.export.c_text import Part, plain
 from casadi_skin.export.example_program import CHAIN_S
 from casadi_skin.export.exported_model import PARTS, ExportedModel
@@ -53,7 +54,8 @@ def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Col
     rows = "\n".join(f"| `{what}` | {PARTS[what]} |" for what in parts if what in PARTS)
     text = f"""# {plain(exported.model.name)} in C
 
-Written by casadi_skin: C99 that needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
+Written by casadi_skin {__version__} (license.txt). It is C99 and
+needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
 The model is dimensionless. `{name}.h` tells every function, size and order; `main.c` is an example.
 
 | part | what it is |
@@ -68,14 +70,16 @@ cc {FLAGS} {plain_sources} -lm -o {name}_main
 ```
 
 or, with CMake, `cmake -S . -B build && cmake --build build && ./build/{name}_main`.
-Parameters that generated functions do not use may be warned about with `-Wextra`; add `-Wno-unused-parameter`.
+Without warnings by gcc 12 and clang 14 with `-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wdouble-promotion
+-Wstrict-prototypes -Wno-unused-parameter`; no complex numbers of C, which some compilers lack.
 """
     if "ipopt" in parts:
+        needed = " ".join(file for file in sources if file in (f"{name}.c", f"{name}_generated.c") or "_ipopt" in file)
         text += f"""
 Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
 
 ```sh
-cc {FLAGS} YOUR_PROGRAM.c {name}.c {name}_generated.c {name}_ipopt.c {name}_ipopt_generated.c -lipopt -lm
+cc {FLAGS} YOUR_PROGRAM.c {needed} -lipopt -lm
 ```
 """
     return text + _expected(exported, parts)

@@ -8,6 +8,7 @@ from casadi_skin.figures.bifurcation import bifurcation_figure, curves_figure
 from casadi_skin.figures.branch import branch_figure, orbit_figure
 from casadi_skin.figures.frequencies import frequency_figure
 from casadi_skin.figures.multipliers import multiplier_figure
+from casadi_skin.figures.portrait import portrait_figure
 from casadi_skin.figures.profiles import profile_figure
 from casadi_skin.figures.spectrum import spectrum_figure
 from casadi_skin.figures.style import save
@@ -19,6 +20,7 @@ __all__ = [
     "frequency_figure",
     "multiplier_figure",
     "orbit_figure",
+    "portrait_figure",
     "profile_figure",
     "save",
     "spectrum_figure",

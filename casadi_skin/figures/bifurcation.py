@@ -26,6 +26,8 @@ MARKS = {  # the symbols of the field, as far as there are any
     "hopf": ("s", "black"),
     "period doubling": ("^", "0.6"),
     "torus": ("h", "0.6"),
+    "homoclinic": ("|", "black"),
+    "heteroclinic": ("|", "black"),
     "cusp": ("v", "black"),
     "bogdanov-takens": ("o", "black"),
     "zero-hopf": ("P", "black"),
@@ -47,6 +49,7 @@ DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
 CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
     ("fold", False): ("folds", "-"),
     ("hopf", False): ("Hopf points", DASHED),
+    ("branch point", False): ("branch points", DOTTED),
     ("fold", True): ("folds of cycles", "-"),
     ("period doubling", True): ("period doublings", DASHED),
     ("torus", True): ("tori", DOTTED),

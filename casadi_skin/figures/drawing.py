@@ -11,6 +11,7 @@ import numpy as np
 from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.figures.branch_lines import LOOKS, draw_marks, stability_pieces
@@ -45,7 +46,7 @@ def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
 
 
 @singledispatch
-def draw(result: Any, axes: Axes) -> None:
+def draw(result: Any, axes: Axes, **options: Any) -> None:
     """Draw a result into axes; raises TypeError for what is no result, ValueError where there is nothing to draw."""
     raise TypeError(f"no result that can be drawn: {type(result).__name__}")
 
@@ -71,6 +72,12 @@ def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None) ->
     draw_marks(axes, result, path, colour)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     _legend(axes)
+
+
+@draw.register(Diagram)
+def _(result: Diagram, axes: Axes, x: str | None = None, y: str | None = None) -> None:
+    for branch in result.branches:
+        draw(branch, axes, x=x, y=y)
 
 
 def _second(branch: Branch) -> str:
@@ -172,5 +179,10 @@ def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
 def _legend(axes: Axes) -> None:
     """A legend in which each label stands once, with what was drawn before."""
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    if handles:
-        axes.legend(handles.values(), handles.keys(), frameon=False)
+    if not handles:
+        return
+    legend = axes.legend(handles.values(), handles.keys(), frameon=False)
+    looks = {look["label"] for look in LOOKS.values()}
+    for handle, label in zip(legend.legend_handles, handles, strict=True):
+        if label in looks and handle is not None:  # that of any branch, whatever its colour
+            handle.set(color="black")

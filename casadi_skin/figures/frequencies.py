@@ -55,12 +55,13 @@ def _draw_theory(axes: Axes, branch: Branch, S: Array, shift: bool) -> None:
 
 
 def draw_band(axes: Axes, model: Any, offset: float = 0.0, parameters: Mapping[str, float] | None = None) -> None:
-    """From the lowest to the highest linear frequency, a line where they are the same; less `offset`."""
-    squares = linear_spectrum(model, parameters).ends
-    low, high = np.sqrt(np.maximum(squares, 0.0)) - offset
-    is_line = squares[1] - squares[0] <= 1e-12 * abs(squares[1])
-    label, width = ("linear frequency", 2.5) if is_line else ("linear band", 0.0)
-    axes.axhspan(low, high, fc="0.9", ec="0.75", lw=width, label=label, zorder=0)
+    """From the lowest to the highest linear frequency of each band, a line where they are the same; less `offset`."""
+    spectrum = linear_spectrum(model, parameters)
+    for k, squares in enumerate(spectrum.bands or (spectrum.ends,)):
+        low, high = np.sqrt(np.maximum(squares, 0.0)) - offset
+        is_line = squares[1] - squares[0] <= 1e-12 * abs(squares[1])
+        label, width = ("linear frequency", 2.5) if is_line else ("linear band", 0.0)
+        axes.axhspan(low, high, fc="0.9", ec="0.75", lw=width, label=None if k else label, zorder=0)
 
 
 def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:

@@ -118,6 +118,9 @@ def edges_of(axis: MapAxis) -> Values:
 
 
 def _draw_plane(place: Axes, axes: Sequence[MapAxis], panel: Panel, norm: Normalize, colours: Any, few: bool) -> None:
+    from matplotlib.patches import Rectangle
+    from matplotlib.ticker import MaxNLocator
+
     x, y = axes
     masked = np.ma.masked_invalid(panel.values.T)
     place.pcolormesh(edges_of(x), edges_of(y), masked, norm=norm, cmap=colours, rasterized=True)
@@ -135,6 +138,11 @@ def _draw_plane(place: Axes, axes: Sequence[MapAxis], panel: Panel, norm: Normal
         i, j = np.nonzero(panel.failed)
         place.plot(x.values[i], y.values[j], "x", color="#c02020", ms=4.0, mew=0.9, label="failed or ended early")
     _draw_boundary(place, panel.lines)
+    for axis, values in ((place.xaxis, x.values), (place.yaxis, y.values)):
+        if np.all(values == np.round(values)):
+            axis.set_major_locator(MaxNLocator(integer=True))
+    if np.any(~np.isfinite(panel.values) & ~panel.failed):
+        place.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, fc="white", ec="0.5", lw=0.6, label="none"))
     box = edges_of(x), edges_of(y)
     place.set(xlim=sorted((box[0][0], box[0][-1])), ylim=sorted((box[1][0], box[1][-1])))
 
@@ -147,7 +155,7 @@ def _draw_boundary(place: Axes, lines: Sequence[Values]) -> None:
     points = [line for line in lines if len(line) == 1]
     if points:
         look: dict[str, Any] = {"color": "black", "mfc": "white", "mew": 0.7, "ms": 3.0}
-        place.plot(*np.concatenate(points).T, "o", label="first instability", **look)
+        place.plot(*np.concatenate(points).T, "o", label="boundary, at one place", **look)
 
 
 def _draw_contours(place: Axes, axes: Sequence[MapAxis], panel: Panel) -> None:

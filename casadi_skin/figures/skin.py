@@ -49,7 +49,7 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
         on_ring = squares[np.isnan(windings)]
         if on_ring.size:
             panels["a"].plot(on_ring.real, on_ring.imag, "|", ms=5, color="black", label="none: on the ring's")
-        panels["a"].legend(title="winding number", loc="best")
+        panels["a"].legend(title="winding number", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
         panels["a"].set_ylabel(r"Im $\omega^2$")
         circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))

@@ -193,7 +193,15 @@ class Chain:
         alpha, gamma, g = (ca.SX.sym(name) for name in ("alpha", "gamma", "g"))
         force = self._linear_force(y, 1 + gamma, 1 - gamma, alpha) - g * y**3
         parameters, nominal = ca.vertcat(alpha, gamma, g), (self.alpha, self.gamma, self.g)
-        return OdeModel("chain", y, force, parameters, 2, v, nominal=nominal, **self._signs(self.sites))
+        energy = None
+        if abs(self.gamma) < 1:  # that of the gauge, whose weights are at most 1
+            ratio = (1 - gamma) / (1 + gamma) if self.gamma >= 0 else (1 + gamma) / (1 - gamma)
+            weights = [ratio**n for n in range(self.sites)]
+            w = ca.vertcat(*(weights if self.gamma >= 0 else weights[::-1]))
+            site = v**2 / 2 + (2 + alpha) * y**2 / 2 + g * y**4 / 4
+            energy = ca.dot(w, site) - (1 - gamma) * ca.dot(w[:-1] * y[:-1], y[1:])
+        signs = self._signs(self.sites)
+        return OdeModel("chain", y, force, parameters, 2, v, nominal=nominal, hamiltonian=energy, **signs)
 
     def gauge_model(self) -> OdeModel:
         """The scaled equations q'' = -L q - kappa w q^3 in the gauge, parameter kappa = g S, with their Hamiltonian."""

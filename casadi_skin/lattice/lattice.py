@@ -20,9 +20,9 @@ __all__ = ["Bond", "Lattice", "Site", "Uniform"]
 class Lattice(OdeModel):
     """A lattice as a model: mass * y'' = -onsite - damping * y' + drive + forces of bonds at every site.
 
-    Without damping and drive the model is of second order, and its reversal, its oddness and its conserved energy are
-    declared where `structure` shows that they hold. Positions are called y_1, y_2, ..., of several sites in a cell
-    y_a_1, y_b_1, ..., in two dimensions y_1_1, y_1_2, ...; velocities v_1, ...
+    Without damping and drive the model is of second order, and its reversal, its oddness, its conserved energy and its
+    momentum are declared where `structure` shows that they hold. Positions are called y_1, y_2, ..., of several sites
+    in a cell y_a_1, y_b_1, ..., in two dimensions y_1_1, y_1_2, ...; velocities v_1, ...
 
     Arguments:
         cells: cells along each direction, a whole number or one or two of them.
@@ -74,11 +74,13 @@ class Lattice(OdeModel):
             "name": name, "parameters": equations.parameters, "nominal": equations.nominal, "checked": False,
         }  # fmt: skip
         if equations.autonomous:
-            n = declaration.size
+            n, momentum = declaration.size, {}
+            if structure.momentum and structure.energy is not None:
+                momentum = {"momentum": ca.sum1(ca.gradient(structure.energy, equations.v))}
             super().__init__(
                 state=equations.y, rhs=equations.accelerations, order=2, velocity=equations.v,
                 reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n) if structure.odd else None,
-                hamiltonian=structure.energy, **common,
+                hamiltonian=structure.energy, conserved=momentum, **common,
             )  # fmt: skip
         else:
             state, rhs = ca.vertcat(equations.y, equations.v), ca.vertcat(equations.v, equations.accelerations)

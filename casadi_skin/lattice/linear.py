@@ -13,7 +13,7 @@ from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.declaration import INDICES, Array
 from casadi_skin.lattice.expressions import expression
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.orbits.model_coordinates import symmetrising_scale
+from casadi_skin.orbits.linear_modes import symmetrising_scale
 
 ComplexArray = NDArray[np.complex128]
 REAL = 1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root

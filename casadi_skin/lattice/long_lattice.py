@@ -18,7 +18,8 @@ from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import cells_differ_by
-from casadi_skin.orbits.model_coordinates import symmetrising_scale
+from casadi_skin.orbits.linear_modes import symmetrising_scale
+from casadi_skin.orbits.spectrum import LinearSpectrum
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.coordinates import Coordinates
@@ -44,7 +45,7 @@ class EdgeMode:
     pinned: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LongLattice:
     """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
 
@@ -85,6 +86,11 @@ class LongLattice:
             words = "damped or driven" if not lattice.structure.reversible else "not odd: there are even harmonics"
             raise ValueError(f"lattice: given forces that are {words}; accepted with a linear tail: odd forces alone")
         _ = self.joined
+
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        """Symbols in TeX and values that tell lattices apart, for titles."""
+        return (r"\mathrm{cells}", self.cells), *((rf"\mathrm{{{k}}}", v) for k, v in self.parameters.items())
 
     def of_cells(self, cells: int) -> Lattice:
         """The same lattice with so many cells, all of whose sites are positions."""
@@ -248,6 +254,13 @@ class LongLattice:
             place = tail.at_angle(gap, phi)
             found.append(EdgeMode(gap, place, tail.square(place), phi, True))
         return found
+
+    def linear_spectrum(self) -> LinearSpectrum:
+        """The ends of the bands; the lattice has too many modes for more."""
+        squares = [edge.square for edge in self.tail(1).edges]
+        ends = squares[0], squares[-1]
+        bands = tuple(zip(squares[::2], squares[1::2], strict=True))
+        return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends, bands)
 
     def mode_number(self, mode: int | str) -> int:
         """The number of a mode that may be named "first" or "last"; raises ValueError for one that is not there."""

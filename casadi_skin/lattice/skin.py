@@ -16,7 +16,7 @@ from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray, cell_matrices, cells_differ_by
 
-FEWEST, MOST = 512, 65536  # wave numbers
+FEWEST, MOST = 512, 32768  # wave numbers
 RESOLVED = 0.25 * np.pi  # change of a phase from one wave number to the next
 ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is told
 
@@ -37,18 +37,19 @@ def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[st
     """
     _check(lattice)
     values, points = np.atleast_1d(np.asarray(squares, dtype=complex)), FEWEST
-    while True:
+    found, undecided = np.full(values.size, np.nan), np.arange(values.size)
+    while undecided.size and points <= MOST:
         k = 2.0 * np.pi * np.arange(points + 1) / points
         ring = np.linalg.eigvals(cell_matrices(lattice, np.exp(1j * k)[:, None], parameters))
-        apart = ring[:, None, :] - values[:, None]
-        turns = np.angle(np.prod(apart[1:], axis=2) / np.prod(apart[:-1], axis=2))
-        undecided = np.max(np.abs(turns), axis=0) > RESOLVED
-        if not undecided.any() or points >= MOST:
-            break
-        points *= 2
-    nearest = np.min(np.abs(apart), axis=(0, 2)) / np.max(np.abs(ring))
-    found = -np.round(turns.sum(axis=0) / (2.0 * np.pi))
-    return np.asarray(np.where(undecided | (nearest < ON_CURVE), np.nan, found))
+        for n in undecided:
+            apart = ring - values[n]
+            if np.min(np.abs(apart)) <= ON_CURVE * np.max(np.abs(ring)):
+                continue
+            turns = np.angle(np.prod(apart[1:], axis=1) / np.prod(apart[:-1], axis=1))
+            if np.max(np.abs(turns)) < RESOLVED:
+                found[n] = -np.round(turns.sum() / (2.0 * np.pi))
+        undecided, points = np.flatnonzero(np.isnan(found)), 4 * points
+    return found + 0.0  # no -0
 
 
 def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str, float] | None = None) -> ComplexArray:

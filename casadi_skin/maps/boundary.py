@@ -2,7 +2,8 @@
 
 Where equilibria or orbits of neighbouring cells differ in stability, the branch from the one towards the other passes a
 special point, and its curve in both parameters is the boundary. In the plane of S and a parameter of a family the
-boundary is where each family first becomes unstable, as its stability diagram has located it.
+boundary is where each family first becomes unstable, as its stability diagram has located it; neighbours at which the
+same tongue opens are joined.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from casadi_skin.scene import Scene, SceneError
 
 Points = NDArray[np.float64]  # shape (points, 2)
 Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
+OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that tell where it is
 MOST_STARTS = 24  # of curves in a plane
 MARGIN = 0.05  # of the plane's extent, by which curves leave it before they end
 STEP = 0.05  # longest, of a curve
@@ -90,13 +92,13 @@ def check_boundary(scene: Scene, grid: Grid) -> None:
 def boundaries(scene: Scene, path: Path, tables: Tables, columns: Columns) -> Lines:
     """Lines of the boundary by the places of the axes that are no ranges; a line of one point is a point."""
     grid = columns.store.grid
-    if "stable" not in columns.numbers and "first_instability" not in columns.numbers:
-        return {}
-    found = {}
+    found = dict[tuple[int, ...], tuple[Points, ...]]()
     for plane in planes(grid):
         if grid.amplitude in plane.along:
+            if "first_tongue" not in columns.texts:
+                continue
             found[plane.chosen] = tuple(_first_instabilities(plane, columns))
-        else:
+        elif "stable" in columns.numbers:
             found[plane.chosen] = tuple(_curves(plane, columns, scene, path, tables))
     return found
 
@@ -119,18 +121,24 @@ def write_boundary(lines: Lines, grid: Grid, path: Path) -> None:
 
 
 def _first_instabilities(plane: Plane, columns: Columns) -> Iterator[Points]:
-    """Where each family first becomes unstable, a point each."""
-    if "first_instability" not in columns.numbers:
-        return
+    """Where families first become unstable: neighbours in the same tongue are joined, others are points."""
     amplitude_first = plane.along[0] == plane.grid.amplitude
     cells = plane.cells if not amplitude_first else plane.cells.T
     axis = plane.axes[1 if amplitude_first else 0]
+    line, before = list[tuple[float, float]](), ""
     for value, family in zip(axis.values, cells, strict=True):
-        places = columns.numbers["first_instability"][family]
-        known = places[np.isfinite(places)]
-        if known.size:
-            point = (known[0], value) if amplitude_first else (value, known[0])
-            yield np.array([point], dtype=float)
+        known = family[columns.store.states[family] != UNKNOWN]
+        if known.size == 0:  # of a refined map, between two families that are known
+            continue
+        S, tongue = float(columns.numbers["first_instability"][known[0]]), columns.text("first_tongue", int(known[0]))
+        if line and tongue != before:
+            yield np.array(line)
+            line = []
+        if tongue:
+            line.append((S, float(value)) if amplitude_first else (float(value), S))
+        before = tongue
+    if line:
+        yield np.array(line)
 
 
 # Equilibria and orbits -----------------------------------------------------------------------------------------------

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import tempfile
+import weakref
 from collections.abc import Sequence
-from contextlib import ExitStack
-from typing import IO, Any, Self
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from casadi_skin.maps.store import Store
 
-REASON = "reason"
+REASON, STARTED_FROM = "reason", "started_from"
 STATUS = ("not computed", "done", "ended early", "failed")  # by state
 Places = NDArray[np.int64]  # where the text of a cell starts, and its length; shape (cells, 2)
 
 
+def scratch(kind: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An array of zeros on the disk, in a file that has no name and goes with it."""
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, kind, "w+", shape=shape)
+
+
 class Columns:
-    """Columns of a map, one a quantity, in the order in which cells have them; use as a context manager.
+    """Columns of a map, one a quantity, in the order in which cells have them.
 
     Attributes:
         names: of quantities, in the order of the cells.
@@ -27,28 +33,26 @@ class Columns:
     """
 
     def __init__(self, store: Store, wanted: Sequence[str] | None = None) -> None:
-        self.store, self._stack, self._wanted = store, ExitStack(), wanted
+        self.store = store
         self.numbers, self.texts = dict[str, NDArray[np.float64]](), dict[str, Places]()
-        self._file = self.scratch()
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115  closed when this object goes
+        weakref.finalize(self, self._file.close)
         self._known = dict[str, tuple[int, int]]()
         first = dict[str, tuple[int, int]]()
         axes = {axis.name for axis in store.grid.axes}
-        self._reasons: Places = np.memmap(self.scratch(), np.int64, "w+", shape=(store.grid.size, 2))
+        self._reasons: Places = scratch(np.int64, (store.grid.size, 2))
         for cell, row, record in store.rows():
             reason = record.reason if row is None else row.fault
             if reason:
                 self._reasons[cell] = self._placed(reason)
+            if record.neighbour >= 0 and row is not None:
+                self._put(cell, STARTED_FROM, store.grid.name(record.neighbour))
+                first[STARTED_FROM] = (store.grid.size, 0)
             for place, (name, value) in enumerate(() if row is None else row.values.items()):
                 if name not in axes and (wanted is None or name in wanted):
                     first[name] = min(first.get(name, (cell, place)), (cell, place))
                     self._put(cell, name, value)
         self.names = sorted(first, key=first.__getitem__)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
     def _put(self, cell: int, name: str, value: float | int | str) -> None:
         if isinstance(value, str):
@@ -60,11 +64,10 @@ class Columns:
         held: dict[str, NDArray[Any]] = self.texts if kind is str else self.numbers
         if name not in held:
             size = self.store.grid.size
-            file = self.scratch()
             if kind is str:
-                held[name] = np.memmap(file, np.int64, "w+", shape=(size, 2))
+                held[name] = scratch(np.int64, (size, 2))
             else:
-                held[name] = np.memmap(file, np.float64, "w+", shape=(size,))
+                held[name] = scratch(np.float64, (size,))
                 held[name][:] = np.nan
         return held[name]
 
@@ -88,10 +91,6 @@ class Columns:
     def lengths(self, name: str) -> NDArray[np.int64]:
         """Lengths of the texts of a column in bytes, shape (cells,)."""
         return (self._reasons if name == REASON else self.texts[name])[:, 1]
-
-    def scratch(self) -> IO[bytes]:
-        """A file that goes with this object."""
-        return self._stack.enter_context(tempfile.TemporaryFile())
 
     def is_whole(self, name: str) -> bool:
         """Whether all numbers of a column are whole ones, as counts and flags are."""

@@ -176,7 +176,10 @@ def plain(scene: Scene) -> Tables:
 
 
 def _given(value: Any) -> Any:
-    return {key: _given(v) for key, v in value.items() if v is not None} if isinstance(value, Mapping) else value
+    """A value as TOML has it: without keys that are not given, with lists."""
+    if isinstance(value, Mapping):
+        return {key: _given(v) for key, v in value.items() if v is not None}
+    return [_given(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 def _fault(tables: Tables, settings: Sequence[tuple[Path, Any]]) -> str:

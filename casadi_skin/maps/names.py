@@ -17,7 +17,7 @@ from casadi_skin.scene.faults import check_known
 
 KINDS = (FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS, CUSP, TAKENS, ZERO_HOPF, "generalized hopf", "hopf-hopf")
 OF_ALL = ("points", "end", "end_reason")
-STABILITY = ("first_instability", "first_instability_error", "unresolved", "changes")
+STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
 LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
 SUFFIX = re.compile(r"_(j?\d+)$")  # of a family or a branch among several
 

@@ -44,6 +44,9 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     )
     more = ", more where cells are refined" if grid.refined else ""
     limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
+    unused = [f"[{name}]" for name in ("spectrum", "dynamics", "export") if getattr(scene, name) is not None]
+    if unused:
+        lines.append(("not in cells", f"{', '.join(unused)}, films and pictures of single cells"))
     return [*lines, ("cost of cells", f"{words} with one worker{more}{limit}")]
 
 

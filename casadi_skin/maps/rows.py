@@ -104,11 +104,13 @@ def _end(branch: Branch) -> str:
 
 def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
     if branch.stability_diagram is not None:
-        first = branch.first_instability(growth)
-        deep = f", of tongues of a growth of {growth:g} or more" if growth else ""
-        S, error = (math.nan, math.nan) if first is None else (first.S, first.S_error)
-        yield "first_instability", S, f"S at which the family first becomes unstable{deep}"
-        yield "first_instability_error", error, "its estimated absolute error"
+        first = branch.stability_diagram.first_instability(growth)
+        deep = f", by a growth of {growth:g} or more" if growth else ""
+        if first is not None:
+            yield "first_instability", first.start.S, f"S at which the family first becomes unstable{deep}"
+            yield "first_instability_error", first.start.S_error, "its estimated absolute error"
+            modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
+            yield "first_tongue", f"{first.kind}{modes}", "kind of the first instability, and the modes that meet there"
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
         yield "changes", len(branch.changes), "changes of stability along the branch"
     elif branch.with_events and not branch.space.knows_stability:

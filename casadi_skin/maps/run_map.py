@@ -13,7 +13,7 @@ import numpy as np
 from casadi_skin.arguments import file_path, short_repr, truth
 from casadi_skin.files import replacing
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.maps.boundary import boundaries, check_boundary, write_boundary
+from casadi_skin.maps.boundary import OF_BOUNDARY, boundaries, check_boundary, write_boundary
 from casadi_skin.maps.cell import Job
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.drive import Drive, Part
@@ -231,7 +231,7 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
     if mapped.table.boundary and complete:
         progress.say("following the boundary")
         with one_thread():
-            lines = boundaries(mapped.scene, mapped.path, plain(mapped.scene), columns)
+            lines = boundaries(mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY))
         write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
         found = replace(found, boundary=lines)
     progress.say("writing tables and pictures")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.files import replacing
-from casadi_skin.maps.columns import REASON, STATUS, Columns
+from casadi_skin.maps.columns import REASON, STATUS, Columns, scratch
 from casadi_skin.maps.grid import Axis
 from casadi_skin.maps.store import UNKNOWN
 from casadi_skin.results.dataset import EMPTY, Cell, write_csv
@@ -64,7 +64,7 @@ def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimen
         flags.flag_values = np.arange(len(STATUS), dtype="i4")  # type: ignore[attr-defined]
         flags.flag_meanings = " ".join(word.replace(" ", "_") for word in STATUS)  # type: ignore[attr-defined]
         for name in columns.names:
-            meaning = columns.store.meanings.get(name, name)
+            meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
             if name in columns.texts:
                 _put_text(file, columns, name, names, meaning)
             else:
@@ -99,9 +99,9 @@ def _put_numbers(
     """A column as it is on the disk; what is not known has netCDF's fill value."""
     stored = file.createVariable(_free(file, name), "f8", dimensions)
     values = columns.numbers[name]
-    scratch = np.memmap(columns.scratch(), ">f8", "w+", shape=values.shape)
-    scratch[:] = np.where(np.isfinite(values), values, EMPTY)
-    stored.__dict__["data"] = scratch.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
+    data = scratch(">f8", values.shape)
+    data[:] = np.where(np.isfinite(values), values, EMPTY)
+    stored.__dict__["data"] = data.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
     stored.long_name, stored.units, stored._FillValue = meaning, unit, EMPTY  # type: ignore[attr-defined]
 
 
@@ -111,12 +111,12 @@ def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[
     free = _free(file, name)
     file.createDimension(f"{free}_length", width)
     stored = file.createVariable(free, "c", (*dimensions, f"{free}_length"))
-    scratch = np.memmap(columns.scratch(), "S1", "w+", shape=(columns.store.grid.size, width))
-    scratch[:] = b" "
+    data = scratch("S1", (columns.store.grid.size, width))
+    data[:] = b" "
     for cell in np.flatnonzero(columns.lengths(name)).tolist():
-        data = columns.text(name, cell).encode()
-        scratch[cell, : len(data)] = np.frombuffer(data, "S1")
-    stored.__dict__["data"] = scratch.reshape(*columns.store.grid.shape, width)
+        text = columns.text(name, cell).encode()
+        data[cell, : len(text)] = np.frombuffer(text, "S1")
+    stored.__dict__["data"] = data.reshape(*columns.store.grid.shape, width)
     stored.long_name = meaning  # type: ignore[attr-defined]
 
 

@@ -69,12 +69,20 @@ def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str,
     if not isinstance(model.outputs, Mapping) or not all(map(is_name, model.outputs)):
         raise TypeError(f"outputs: given {short_repr(model.outputs)}; accepted: expressions by name, {NAMES}")
     made["outputs"] = {name: expression_of(f"output {name}", e, symbols) for name, e in model.outputs.items()}
+    made["conserved"] = _named("conserved", model.conserved, symbols)
+    made["symmetries"] = _named("symmetries", model.symmetries, symbols)
     period = model.forcing_period
     if isinstance(period, ca.SX | ca.MX | ca.DM):
         made["forcing_period"] = _scalar("forcing_period", expression_of("forcing_period", period, symbols))
     elif period is not None and number("forcing_period", period, "a number > 0, or an expression in parameters") <= 0:
         raise ValueError(f"forcing_period: given {period!r}; accepted: a number > 0, or an expression in parameters")
     return made
+
+
+def _named(label: str, given: Any, symbols: list[Expression]) -> dict[str, Expression]:
+    if not isinstance(given, Mapping) or not all(map(is_name, given)):
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {NAMES}")
+    return {name: expression_of(f"{label} {name}", e, symbols) for name, e in given.items()}
 
 
 def _scalar(label: str, expression: Expression) -> Expression:
@@ -143,11 +151,25 @@ def _faults(model: Equations) -> Iterator[str]:
         yield "a second-order right-hand side that depends on velocity; write first order"
     if model.hamiltonian is not None and model.forced:
         yield "a hamiltonian in a model that is forced; accepted: without time, where it is conserved"
+    if model.conserved and model.forced:
+        yield "conserved quantities in a model that is forced; accepted: without time"
+    yield from _conserved(model)
     if model.forced and model.forcing_period is None:
         yield "time without forcing_period; accepted: the forcing's period, a number or an expression in parameters"
     for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
         if signs is not None and len(signs) != model.full_size:
             yield f"{label} needs {model.full_size} signs, each +1 or -1; given {len(signs)}"
+
+
+def _conserved(model: Equations) -> Iterator[str]:
+    for name, quantity in model.conserved.items():
+        if quantity.numel() != 1:
+            yield f"conserved {name} of shape {quantity.shape}; accepted: a scalar expression"
+    for name, direction in model.symmetries.items():
+        if name not in model.conserved:
+            yield f"symmetries {name}: {name} is not among conserved; accepted: {', '.join(model.conserved) or 'none'}"
+        elif direction.numel() != model.full_size:
+            yield f"symmetries {name} of shape {direction.shape}; accepted: {model.full_size} components"
 
 
 def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
@@ -193,7 +215,8 @@ def _names(model: Equations) -> Iterator[str]:
 def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
     """Expressions that depend on what is not declared."""
     named: dict[str, object] = {label: getattr(model, label) for label in ("rhs", "normalisation", "hamiltonian")}
-    named |= {f"output {name}": output for name, output in model.outputs.items()}
+    for label, group in (("output", model.outputs), ("conserved", model.conserved), ("symmetries", model.symmetries)):
+        named |= {f"{label} {name}": expression for name, expression in group.items()}
     given = {label: expression for label, expression in named.items() if expression is not None}
     if not ca.Function("f", symbols, list(given.values()), {"allow_free": True}).get_free():
         given = {}

@@ -32,6 +32,8 @@ class Equations:
     half_period: Signs | None = None
     normalisation: Expression | None = None
     hamiltonian: Expression | None = None
+    conserved: Mapping[str, Expression] = field(default_factory=dict)
+    symmetries: Mapping[str, Expression] = field(default_factory=dict)
     output_scale: tuple[float, ...] | None = None
     time: Expression | None = None
     forcing_period: Expression | float | None = None

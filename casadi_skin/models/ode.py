@@ -26,6 +26,9 @@ class OdeModel(Equations):
     symbol t of a model that is forced, with `forcing_period`, a number or an expression in p. `outputs` are named
     expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
     state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
+    `conserved` are further conserved quantities by name, as a momentum; `symmetries` the directions in which continuous
+    symmetries move the full state, by the names of what they conserve: found from a canonical `hamiltonian` where left
+    out.
     `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
     amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
     component of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values
@@ -101,6 +104,8 @@ class OdeModel(Equations):
             half_period=self.half_period,
             normalisation=self.normalisation,
             hamiltonian=self.hamiltonian,
+            conserved=self.conserved,
+            symmetries=self.symmetries,
             time=self.time,
             forcing_period=self.forcing_period,
             outputs=self.outputs,

@@ -28,7 +28,7 @@ PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's class
 PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 OPTIONAL = ("normalisation", "hamiltonian")
 MOST_RESULTS = 10_000  # CasADi warns of more
-OUTPUT = "output "  # before the name of an output among the results
+GROUPS = {"outputs": "output ", "conserved": "conserved ", "symmetries": "symmetry "}  # before names among the results
 
 Sign = Literal[1, -1]
 
@@ -179,7 +179,8 @@ def _column(symbols: Sequence[ca.SX]) -> ca.SX:
 def _equations(model: OdeModel) -> tuple[list[str], ca.Function]:
     """A model's equations by name as one function (t, x, p); raises ValueError where they are those of a program."""
     expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
-    expressions |= {f"{OUTPUT}{name}": output for name, output in model.outputs.items()}
+    for group, before in GROUPS.items():
+        expressions |= {f"{before}{name}": expression for name, expression in getattr(model, group).items()}
     if model.forcing_period is not None:
         expressions["forcing_period"] = type(model.state)(model.forcing_period)
     function = model.function("model", *expressions.values())
@@ -197,8 +198,10 @@ def _made(
 ) -> OdeModel:
     """A model from its declarations, equations by name, and the symbols of time, full state and parameters."""
     time, full, parameters = symbols
-    outputs = {k.removeprefix(OUTPUT): v for k, v in results.items() if k.startswith(OUTPUT)}
-    rest: dict[str, Any] = {k: v for k, v in results.items() if not k.startswith(OUTPUT)}
+    rest: dict[str, Any] = dict(results)
+    groups: dict[str, Any] = {}
+    for group, before in GROUPS.items():
+        groups[group] = {k.removeprefix(before): rest.pop(k) for k in list(rest) if k.startswith(before)}
     unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL})
     if unknown or "rhs" not in rest:
         raise ValueError(f"results: given {short_repr(unknown)}" if unknown else "results: no right-hand side")
@@ -207,7 +210,7 @@ def _made(
         half = full.numel() // 2
         state, rest["velocity"] = full[:half], full[half:]
     rest |= {"state": state, "parameters": parameters, "time": time if forced else None}
-    return OdeModel(**declared, **rest, outputs=outputs)
+    return OdeModel(**declared, **rest, **groups)
 
 
 def _reduced(model: OdeModel) -> tuple[Any, ...]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,72 @@ from casadi_skin.stability.result import Floquet
 FINE = 1e-10  # of the way from one orbit to the next
 NEAR = 1e-2  # of it: where the extended equations of a special orbit are solved from
 CRITICAL = 1e-4  # distance from the unit circle of a multiplier that is on it at a special point
+BESIDE = 1e-3  # of it: a place next to a special orbit, whose own multiplier has no side
+HALVINGS = 8  # of a stretch on which several multipliers cross
+FAR = 6.0  # log |multiplier| at both ends of a stretch of one that does not come to the circle within it
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """Two neighbouring orbits, with their multipliers in pairs: those of the second in the order of the first."""
+
+    before: Orbit
+    after: Orbit
+
+    @cached_property
+    def first(self) -> ComplexArray:
+        return self.before.floquet().others
+
+    @cached_property
+    def last(self) -> ComplexArray:
+        return _matched(self.first, self.after.floquet().others)
+
+    @cached_property
+    def sides(self) -> tuple[Array, Array]:
+        """log |multiplier| at both ends; 0 where it is that by which an end is a special point."""
+        return _sides(self.before, self.first), _sides(self.after, self.last)
+
+    def crossings(self) -> Iterator[tuple[str, Callable[[Floquet], float], complex]]:
+        """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and where."""
+        for first, last, one, other in zip(self.first, self.last, *self.sides, strict=True):
+            pair = first.imag != 0.0 and last.imag != 0.0
+            if not one * other < 0.0 or (pair and first.imag < 0.0):
+                continue
+            real = last if last.imag == 0.0 else first
+            if pair:
+                yield TORUS, _modulus(0.5 * (first + last)), 0.5 * (first + last)
+            elif real.real < 0.0:
+                yield DOUBLING, _real(-1.0), -1.0
+            elif not turns_between(self.before.point, self.after.point):
+                yield BRANCH_POINT, _real(1.0), 1.0
+
+    def hidden(self, space: BoundarySpace) -> float | None:
+        """A place at which a multiplier is on the other side of the circle than at both ends; None where none is.
+
+        Seen on the cubic through both ends, in the middle and where the parabola through the three is stationary.
+        """
+        one, other = self.sides
+        if not np.any(np.minimum(np.abs(one), np.abs(other)) < FAR):
+            return None
+        curve, length = space.point_solver.curve(self.before.point, self.after.point)
+
+        def inside(fraction: float) -> tuple[Array, float]:
+            floquet = space.floquets([replace(self.after.point, z=curve.at(fraction * length), better=None)])[0]
+            values = _matched((1.0 - fraction) * self.first + fraction * self.last, floquet.others)
+            return np.log(np.abs(values)), floquet.error
+
+        same, (middle, allowed) = np.sign(one) == np.sign(other), inside(0.5)
+        if np.any(same & (middle * one < 0.0) & (np.abs(middle) > allowed)):
+            return 0.5
+        bend, slope = 2.0 * (one + other - 2.0 * middle), other - one
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = 0.5 - slope / (2.0 * bend)  # of the parabola
+            lowest = middle - slope**2 / (4.0 * bend)
+        for place in np.flatnonzero(same & (turn > 0.0) & (turn < 1.0) & (lowest * one < 0.0)):
+            there, allowed = inside(float(turn[place]))
+            if there[place] * one[place] < 0.0 and abs(there[place]) > allowed:
+                return float(turn[place])
+        return None
 
 
 def bifurcations_between(before: Orbit, after: Orbit) -> Iterator[Orbit]:
@@ -28,43 +95,53 @@ def bifurcations_between(before: Orbit, after: Orbit) -> Iterator[Orbit]:
     Only where multipliers are free to do so: in models that are not conservative, over the whole period.
     """
     space = before.space
-    if not isinstance(space, BoundarySpace) or before.floquet().trivial > 1 or space.symmetry.value != 1.0:
-        return
-    found = [_located(space, before, after, *crossing) for crossing in _crossings(before, after)]
+    if type(space) is BoundarySpace and before.floquet().trivial < 2 and space.symmetry.value == 1.0:
+        yield from _between(space, _Stretch(before, after), HALVINGS)
+
+
+def _between(space: BoundarySpace, stretch: _Stretch, halvings: int) -> Iterator[Orbit]:
+    """Special orbits of a stretch, which is divided until not more than one of them is on each part."""
+    crossings, fraction = list(stretch.crossings()), None
+    if halvings:
+        fraction = 0.5 if len(crossings) > 1 else stretch.hidden(space)
+    if fraction is not None:
+        point = space.point_solver.along(stretch.before.point, stretch.after.point, fraction)
+        if point is not None:
+            middle = Orbit(space, point, known_floquet=space.floquets([point])[0])
+            yield from _between(space, _Stretch(stretch.before, middle), halvings - 1)
+            yield from _between(space, _Stretch(middle, stretch.after), halvings - 1)
+            return
+    found = [_located(space, stretch.before, stretch.after, *crossing) for crossing in crossings]
     yield from (orbit for _, orbit in sorted((one for one in found if one is not None), key=lambda one: one[0]))
 
 
-def _crossings(before: Orbit, after: Orbit) -> Iterator[tuple[str, Callable[[Floquet], float], complex]]:
-    """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and about where."""
+def _matched(first: ComplexArray, last: ComplexArray) -> ComplexArray:
+    """The second multipliers in the order of the first: the assignment with the smallest changes."""
     from scipy.optimize import linear_sum_assignment
 
-    a, b = before.floquet().others, after.floquet().others
-    b = b[linear_sum_assignment(np.abs(a[:, None] - b))[1]]
-    for first, last in zip(a, b, strict=True):
-        sides = _side(before, first) * _side(after, last)
-        pair = first.imag != 0.0 and last.imag != 0.0
-        if not sides < 0.0 or (pair and first.imag < 0.0):
-            continue
-        real = last if last.imag == 0.0 else first
-        if pair:
-            yield TORUS, _modulus(0.5 * (first + last)), 0.5 * (first + last)
-        elif real.real < 0.0:
-            yield DOUBLING, _real(-1.0), -1.0
-        elif not turns_between(before.point, after.point):
-            yield BRANCH_POINT, _real(1.0), 1.0
+    return np.asarray(last[linear_sum_assignment(np.abs(first[:, None] - last))[1]])
 
 
-def _side(orbit: Orbit, multiplier: complex) -> float:
-    """On which side of the unit circle a multiplier is; 0 where it is that by which the orbit is a special point."""
-    outwards = abs(multiplier) - 1.0
-    return 0.0 if orbit.point.special and abs(outwards) < CRITICAL else outwards
+def _sides(orbit: Orbit, multipliers: ComplexArray) -> Array:
+    with np.errstate(divide="ignore"):
+        outwards = np.log(np.abs(multipliers))
+    if orbit.point.special and outwards.size:
+        nearest = multipliers[np.argmin(np.abs(outwards))]
+        critical = np.minimum(np.abs(multipliers - nearest), np.abs(multipliers - nearest.conjugate())) < CRITICAL
+        outwards[critical & (np.abs(outwards) < CRITICAL)] = 0.0
+    return np.asarray(outwards)
 
 
 def _real(value: float) -> Callable[[Floquet], float]:
-    """Distance of the multiplier nearest to +1 or -1 from it, with its sign."""
+    """Distance of the multiplier nearest to +1 or -1 from it, with the sign of the product of all these distances.
+
+    The product changes its sign where one crosses, whichever is the nearest to either side.
+    """
 
     def test(floquet: Floquet) -> float:
-        return float(_nearest(floquet.others, value).real - value)
+        away = floquet.others - value
+        sign = np.sign(np.prod(away / (1.0 + np.abs(floquet.others))).real)
+        return float(sign * np.min(np.abs(away)))
 
     return test
 
@@ -98,22 +175,27 @@ def _located(
             known[fraction] = Orbit(space, point, known_floquet=space.floquets([point])[0])
         return test(known[fraction].floquet())
 
-    if value(0.0) * value(1.0) >= 0.0:  # another multiplier was nearer
+    low = BESIDE if before.point.special else 0.0
+    high = 1.0 - BESIDE if after.point.special else 1.0
+    try:
+        if value(low) * value(high) >= 0.0:
+            return None
+    except ArithmeticError:
         return None
     with suppress(ArithmeticError):
-        near = float(brentq(value, 0.0, 1.0, xtol=NEAR))
+        near = float(brentq(value, low, high, xtol=NEAR))
         value(near)
         angle = abs(float(np.angle(_nearest(known[near].floquet().others, place))))
         point = methods.TASKS["special_orbit"].load()(space, kind, known[near].point, angle)
         if point is not None:
             return near, Orbit(space, point, known_floquet=space.floquets([point])[0])
     with suppress(ArithmeticError):  # at a branch point itself no orbit is alone: the nearest one stands for it
-        brentq(value, 0.0, 1.0, xtol=FINE)
+        brentq(value, low, high, xtol=FINE)
     root = min(known, key=lambda fraction: abs(value(fraction)))
-    if root in (0.0, 1.0):
+    if root in (low, high):
         return None
     orbit = known[root]
-    slope = (value(1.0) - value(0.0)) / (after.point.parameter - before.point.parameter)
+    slope = (value(high) - value(low)) / (after.point.parameter - before.point.parameter)
     beside = min((f for f in known if f != root), key=lambda f: abs(f - root))
     if abs(known[beside].point.parameter - orbit.point.parameter) > 0.0 and abs(beside - root) < 0.1:
         slope = (value(beside) - value(root)) / (known[beside].point.parameter - orbit.point.parameter)
@@ -136,7 +218,7 @@ def critical_vector(orbit: Orbit, multiplier: float) -> Array:
     if multiplier < 0.0 or orbit.floquet().trivial == 0:
         return np.asarray(vectors[0])
     h = 1e-5 * orbit.period
-    ahead, behind = orbit.evaluate([h, orbit.period - h])
+    ahead, behind = orbit.evaluate([h, -h])
     along = (ahead - behind) / np.linalg.norm(ahead - behind)
     free = [vector - along * (along @ vector) for vector in vectors[:2]]
     longest = max(free, key=lambda vector: float(np.linalg.norm(vector)))

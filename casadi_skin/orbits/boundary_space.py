@@ -23,10 +23,12 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch_points import branch_point_between
+from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
+from casadi_skin.orbits.period_limit import limit_between, resting_places
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import FOLD, HOPF, fold_between
+from casadi_skin.orbits.special_points import FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
@@ -35,12 +37,16 @@ from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.trivial import trivial_at
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
 DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
+PLACES = 2001  # along an orbit at which its speed is looked at
+SMALLEST = 1e-9  # of the largest component: smaller ones are told as 0
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
@@ -76,11 +82,21 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for."""
+    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for.
+
+    `turns` are the rotations of the states in a period, none where it is empty.
+    """
 
     given: OdeModel
     model: OdeModel
     symmetry: SymmetryClass
+    turns: tuple[int, ...] = ()
+
+    def rotated(self, theta: Array) -> Array:
+        """What rotations add at phases to states of the part solved for, mirrored or not, shape (phases, states)."""
+        turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
+        mirrored = np.mod(turn, 1.0) > self.symmetry.value
+        return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,13 +192,22 @@ class BoundarySpace:
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
-        Of a boundary-value problem that is no orbit the branch point too, which is a fold as well where both are one.
+        The later point itself where the period grows without bound there. Of a boundary-value problem that is no orbit
+        the branch point too, which is a fold as well where both are one.
         """
         crossed = None
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
             crossed = branch_point_between(self.point_solver, before, after)
         if crossed is not None:
+            left = self.point_solver.along(before, crossed, 1.0 - BESIDE)
+            right = self.point_solver.along(crossed, after, BESIDE)
+            yield from () if left is None else self.special_between(before, left)
             yield crossed
+            yield from () if right is None else self.special_between(right, after)
+            return
+        unbounded = self._unbounded(before, after)
+        if unbounded is not None:
+            yield unbounded
             return
         parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
@@ -198,6 +223,38 @@ class BoundarySpace:
         fold = fold_between(self.point_solver, before, after)
         located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
         return located or fold
+
+    def _unbounded(self, before: Point, after: Point) -> Point | None:
+        """The later of two orbits where the period grows without bound there."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return None
+        left = limit_between(self.start, before, after, self.tolerance)
+        places = 0 if left is None else len(self._resting_places(after))
+        if left is None or not places:
+            return None
+        error = replace(after.error, parameter=left / after.problem.parameter_size(after.z) + after.error.relative(1.0))
+        kind = HOMOCLINIC if places == 1 else HETEROCLINIC
+        return replace(after, error=error, special=kind, walked=False, requested=False)
+
+    def _resting_places(self, point: Point) -> list[Array]:
+        """Equilibria that an orbit passes slowly."""
+        periodic, problem = self._orbit_of(), point.problem
+        assert isinstance(problem, BoundaryProblem)
+        parts = np.concatenate([np.linspace(0.0, 1.0, PLACES), periodic.symmetry.value * problem._fractions()])
+        states = self.states_at(point, TWO_PI * np.unique(parts), None)
+        p = problem.parameters(point.z)[: periodic.model.parameters.numel()]
+        return resting_places(periodic.model, states, p, periodic.turns)
+
+    def _unbounded_words(self, point: Point) -> str:
+        """Which equilibria the orbit with a period without bound joins."""
+        found = []
+        for x in self._resting_places(point):
+            x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
+            state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.state_names, x, strict=True))
+            found.append(f"({state})")
+        value = self.parameters(point)[self.parameter]
+        where = f"{self.parameter} = {value:.10g} +- {self.parameter_error(point):.0e}"
+        return f"orbits come to one that is {point.special} to {' and '.join(found)}, at {where}"
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
@@ -244,6 +301,8 @@ class BoundarySpace:
     def stop(self, point: Point) -> tuple[End | None, str]:
         if point.special == HOPF:
             return End.HOPF, ""
+        if point.special in (HOMOCLINIC, HETEROCLINIC):
+            return End.UNBOUNDED, self._unbounded_words(point)
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)
@@ -307,6 +366,8 @@ class BoundarySpace:
         periodic = self._orbit_of()
         fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
         states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
+        if any(periodic.turns):
+            states = states + periodic.rotated(theta)
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
     def energy(self, point: Point) -> float:
@@ -326,7 +387,8 @@ class BoundarySpace:
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Multipliers of orbits over the full period.
 
-        Raises ValueError for solutions that are no orbits and for an unknown flow, FlowError where CVODES fails.
+        Of a solution that its conditions close too. Raises ValueError for others and for an unknown flow, FlowError
+        where CVODES fails.
         """
         name = str(self.method.flow) if by is None else by
         check_name("by", name, methods.FULL_PERIOD_FLOWS)
@@ -335,13 +397,22 @@ class BoundarySpace:
         except IntegrationError as error:
             raise FlowError(str(error)) from error
 
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close solutions that are not stated as orbits; None where they do not."""
+        return closure_of(self.statement) if self.periodic is None else None
+
     def _floquet(self, point: Point, by: str) -> Floquet:
+        if self.closure is not None:
+            assert isinstance(point.problem, BoundaryProblem)
+            return self.closure.multipliers(point.problem, point.z, self.tolerance)
         periodic, compute = self._orbit_of(), methods.FULL_PERIOD_FLOWS[by].load()
-        if by == "collocation":
-            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, self.tolerance)
-            return found
         start, values = self.states_at(point, np.zeros(1), None)[0], self.parameters(point)
         p = np.array([values[name] for name in periodic.model.parameter_names])
+        if by == "collocation":
+            trivial = trivial_at(periodic.model, periodic.symmetry, start, p)
+            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, trivial, self.tolerance)
+            return found
         by_sensitivities: Floquet = compute(
             periodic.model, start, p, self.interval(point)[1], periodic.symmetry, self.tolerance
         )
@@ -358,5 +429,6 @@ class BoundarySpace:
 
     def _orbit_of(self) -> Periodic:
         if self.periodic is None:
-            raise ValueError("a solution of a boundary-value problem that is no orbit has no stability")
+            accepted = "accepted: an orbit, or conditions x(end) = S x(start)"
+            raise ValueError(f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}")
         return self.periodic

@@ -23,10 +23,13 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import EDGE, FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, NotLocatedError, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
+
+NEAR_EDGE = 1e-6  # relative difference of Omega: the orbit of an edge
+REAL = "real"  # kind of an edge at which a multiplier is 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +208,11 @@ class Branch(Result):
 
     @cached_property
     def special_points(self) -> tuple[SpecialPoint, ...]:
-        """Points that stand out, in order along the branch; those of a family are located when first asked for."""
+        """Points that stand out, in order along the branch.
+
+        Those of a family are located when first asked for: folds, then, where its changes of stability are sought, the
+        points at which orbits of less symmetry leave it.
+        """
         if self.space.locates_folds:
             return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
         found = []
@@ -213,7 +220,29 @@ class Branch(Result):
             with suppress(NotLocatedError):  # what is seen at its ends alone has no place
                 for point in self.space.special_between(before.point, after.point):
                     found.append(self._special(solution_at(self.space, point)))
-        return tuple(found)
+        return (*found, *self._leaving())
+
+    def _leaving(self) -> Iterator[SpecialPoint]:
+        """Edges of real tongues of a family at which other orbits leave it."""
+        diagram = self.stability_diagram
+        if diagram is None:
+            return
+        for edge in sorted((*diagram.changes, *diagram.further), key=lambda edge: edge.place.coordinate):
+            orbit = self._at_edge(edge) if edge.kind == REAL and edge.mu in (-1.0, 0.0) else None
+            breaking = None if orbit is None else methods.TASKS["breaking"].load()(orbit, edge.mu)
+            if orbit is not None and breaking is not None:
+                kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}
+                yield SpecialPoint(kind, self.parameter, values, edge.error, orbit, edge.mu)
+
+    def _at_edge(self, edge: StabilityEdge) -> Orbit | None:
+        """The orbit at an edge; None where the continuation did not come by."""
+        with suppress(ArithmeticError, ValueError):
+            found: list[Orbit] = []
+            for which in itertools.count():
+                found.append(self.at(edge.S, which))
+                if abs(found[-1].Omega - edge.Omega) <= NEAR_EDGE * edge.Omega:
+                    return found[-1]
+        return None
 
     def _special(self, solution: Solution) -> SpecialPoint:
         values = {**solution.parameters, self.parameter: solution.value(self.parameter)}

@@ -114,8 +114,8 @@ class Following:
         if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
             return None
         before = self.solutions[-1]
-        assert isinstance(before, Orbit)
-        assert isinstance(solution, Orbit)
+        if not (isinstance(before, Orbit) and isinstance(solution, Orbit)):
+            return None
         if before.floquet().stable == solution.floquet().stable:
             return None
         return locate_change(self.space, before, solution)

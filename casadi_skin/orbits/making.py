@@ -33,5 +33,5 @@ def solution_at(
             value = space.value(space.parameter, point) if space.parameter else None
             exact = {} if value is None else {space.parameter: value}
         if space.periodic is None:
-            return Solution(space, point, exact)
+            return Solution(space, point, exact, known_floquet=floquet)
     return Orbit(space, point, exact or {}, known_floquet=floquet)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
@@ -15,32 +14,15 @@ from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.coordinates import Coordinates, quarter_phases, shift_by_projection
+from casadi_skin.orbits.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
 
-SYMMETRIC = 1e-12  # relative difference of entries that are the same but for rounding
 SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
-REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
 DEEPEST = -230.0  # of log D: its cube is still a double
 LARGEST = 1e3  # amplitude of a scaled mode
-SMALL = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
 TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
 FIRST, LAST = "first", "last"
-
-
-@dataclass(frozen=True)
-class LinearModes:
-    """Modes of q'' = -K q with y = D q: squares of frequencies ascending, and modes as columns in q.
-
-    `left` holds the left eigenvectors as rows, the modes themselves where K is symmetric. `log_scale` is log D, and
-    `stiffness` is K in q, exactly symmetric where it can be made so.
-    """
-
-    squares: Array
-    modes: Array
-    left: Array
-    log_scale: Array
-    stiffness: Array
-    symmetric: bool
 
 
 class ModelCoordinates(Coordinates):
@@ -225,52 +207,6 @@ class ModelCoordinates(Coordinates):
         return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
 
 
-@dataclass(frozen=True, eq=False)
-class AmplitudeSquare:
-    """A square of the amplitude: the quadratic form h(y) of positions at rest that S is the value of.
-
-    `parameter` is the name of the parameter of the model that stands for S in its normalisation, None without one.
-    """
-
-    state: ca.SX
-    form: ca.SX
-    parameter: str | None
-
-    def of(self, positions: ca.SX) -> ca.SX:
-        """h at expressions for the positions."""
-        return ca.substitute(self.form, self.state, positions)
-
-    def value(self, positions: Array) -> float:
-        """h at numbers."""
-        return float(ca.evalf(self.of(ca.SX(ca.DM(positions)))))
-
-
-def amplitude_square(model: OdeModel) -> AmplitudeSquare:
-    """What S is the value of: the sum of squares of the positions at rest, or what the model's normalisation says.
-
-    A normalisation is accepted for families as h(y) - p, with h a quadratic form of the positions and p a parameter
-    that occurs nowhere else. Raises ValueError for another.
-    """
-    if model.normalisation is None:
-        return AmplitudeSquare(model.state, ca.dot(model.state, model.state), None)
-    normalisation = ca.substitute(model.normalisation, model.velocity, ca.SX.zeros(model.size))
-    accepted = "a quadratic form of the positions minus a parameter that the forces do not depend on"
-    entries = ca.vertsplit(model.parameters)
-    used = [k for k, entry in enumerate(entries) if ca.depends_on(normalisation, entry)]
-    fault = ValueError(f"{model.name}: given a normalisation that fixes no amplitude of families; accepted: {accepted}")
-    if len(used) != 1 or ca.depends_on(model.rhs, entries[used[0]]):
-        raise fault
-    slope = ca.densify(ca.jacobian(normalisation, entries[used[0]]))
-    form = ca.substitute(normalisation, entries[used[0]], 0)
-    try:
-        degrees = set(homogeneous_parts(form, model.state))
-    except NotPolynomialError:
-        raise fault from None
-    if degrees != {2} or not (slope.is_constant() and float(slope) == -1.0):
-        raise fault
-    return AmplitudeSquare(model.state, form, model.parameter_names[used[0]])
-
-
 def modes_of(model: OdeModel, parameters: Mapping[str, float]) -> LinearModes:
     """Linear modes of a model of second order about rest; raises ValueError where there are none."""
     _check_kind(model)
@@ -278,90 +214,6 @@ def modes_of(model: OdeModel, parameters: Mapping[str, float]) -> LinearModes:
     values = _fixed_values(model, parameters, () if amplitude is None else (amplitude,))
     numbers = ca.SX([values.get(name, 0.0) for name in model.parameter_names])
     return linear_modes(ca.substitute(model.rhs, model.parameters, numbers), model.state, model.name)
-
-
-# Linear modes ---------------------------------------------------------------------------------------------------------
-
-
-def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
-    """Modes of the linearised equations about rest, in coordinates that make them symmetric where there are such.
-
-    Arguments:
-        force: accelerations, a column of expressions in `state` alone.
-        state: positions.
-        name: the model's, for messages.
-
-    Returns:
-        Modes in ascending order of their squared frequencies.
-
-    Raises:
-        ValueError: the model does not rest at 0, or a frequency is complex.
-    """
-    zero = ca.DM.zeros(state.numel())
-    K = -np.array(ca.evalf(ca.substitute(ca.densify(ca.jacobian(force, state)), state, zero)))
-    at_rest = np.array(ca.evalf(ca.substitute(ca.densify(force), state, zero)))
-    if not (np.all(np.isfinite(K)) and np.max(np.abs(at_rest)) <= REST * max(1.0, float(np.max(np.abs(K))))):
-        raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
-    log_scale = symmetrising_scale(K)
-    if log_scale is not None:
-        scale = np.exp(log_scale)
-        K = K / scale[:, None] * scale
-        K = 0.5 * (K + K.T)
-        squares, modes = np.linalg.eigh(K)
-        return LinearModes(squares, modes, modes.T, log_scale, K, True)
-    from scipy.linalg import eig
-
-    values, vectors = eig(K)
-    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRIC) * np.max(np.abs(values)):
-        worst = values[np.argmax(np.abs(values.imag))]
-        raise ValueError(f"{name}: omega^2 = {worst:.6g} of a linear mode is complex; accepted: real ones")
-    order = np.argsort(values.real)
-    modes = vectors.real[:, order]
-    return LinearModes(values.real[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
-
-
-def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array:
-    """A mode whose amplitudes below SMALL of the largest are right relative to themselves, from those above."""
-    small = np.abs(mode) < SMALL * np.max(np.abs(mode))
-    if not small.any():
-        return mode
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    inside = stiffness[np.ix_(small, small)] - square * np.eye(int(small.sum()))
-    found = mode.copy()
-    found[small] = splu(csc_array(inside)).solve(-stiffness[np.ix_(small, ~small)] @ mode[~small])
-    return found
-
-
-def symmetrising_scale(K: Array) -> Array | None:
-    """Logarithms of factors D with D^-1 K D symmetric and largest factor 1 in each connected part; None without any.
-
-    There are such factors where the products of opposite couplings are positive and agree around every loop
-    (Kolmogorov's criterion): a walk over the couplings finds them, and every coupling is checked.
-    """
-    log_scale, seen = np.zeros(len(K)), np.zeros(len(K), dtype=bool)
-    coupled = [np.flatnonzero((row != 0.0) | (column != 0.0)) for row, column in zip(K, K.T, strict=True)]
-    if np.any((K != 0.0) != (K.T != 0.0)) or np.any(K * K.T < 0.0):
-        return None
-    for first in range(len(K)):
-        if seen[first]:
-            continue
-        part, queue = [first], deque([first])
-        seen[first] = True
-        while queue:
-            i = queue.popleft()
-            for j in coupled[i]:
-                if not seen[j]:  # d_i^2 / d_j^2 = K_ij / K_ji
-                    log_scale[j] = log_scale[i] - 0.5 * np.log(K[i, j] / K[j, i])
-                    seen[j] = True
-                    part.append(int(j))
-                    queue.append(int(j))
-        log_scale[part] -= np.max(log_scale[part])
-    rows, columns = np.nonzero(K)
-    ratios = np.log(K[rows, columns] / K[columns, rows])
-    mismatch = 2.0 * (log_scale[rows] - log_scale[columns]) - ratios
-    return log_scale if np.max(np.abs(mismatch), initial=0.0) <= SYMMETRIC * len(K) else None
 
 
 # Checks ---------------------------------------------------------------------------------------------------------------

@@ -15,15 +15,14 @@ from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.certificate import Certificate, ProvedStability
 from casadi_skin.orbits.coordinates import LOG10, quarter_phases
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.solution import Solution, as_times
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
@@ -37,8 +36,6 @@ class Orbit(Solution):
     An orbit of a family has all velocities zero at t = 0, and its states are displacements; an orbit of `find_orbit`
     has the states of the first-order model.
     """
-
-    known_floquet: Floquet | None = None  # computed before: in a run that is resumed, or with its neighbours
 
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
@@ -95,8 +92,9 @@ class Orbit(Solution):
 
     @property
     def unfolding(self) -> float:
-        """Coefficient of the damping that a conservative model does not have: zero but for errors."""
-        return self.parameters.get("unfolding", 0.0)
+        """Coefficient of what a conservative model does not have, the largest of several: zero but for errors."""
+        known = [value for name, value in self.parameters.items() if name.startswith("unfolding")]
+        return max(known, key=abs, default=0.0)
 
     @property
     def model_parameters(self) -> Array:
@@ -240,40 +238,6 @@ class Orbit(Solution):
         return proof
 
     # Stability ------------------------------------------------------------------------------------------------------
-
-    def floquet(self, by: str | None = None) -> Floquet:
-        """Linear stability: multipliers, and of what kind an instability is.
-
-        Arguments:
-            by: name of the flow map; that of the branch by default. Of an orbit of a family one of
-                `methods.FLOWS`, of another "collocation" or "cvodes".
-
-        Returns:
-            Multipliers with their errors, from the N x N problem where the symmetries allow it, else over the full
-            period; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block.
-
-        Raises:
-            FlowError: the flow map cannot reach the tolerance.
-            ValueError: there is no such flow map.
-        """
-        if by is not None:
-            found = self.space.floquets([self.point], by)[0]
-            found.warn()
-            return found
-        return self._floquet
-
-    @cached_property
-    def _floquet(self) -> Floquet:
-        if self.known_floquet is not None:
-            return self.known_floquet
-        found = self.space.floquets([self.point])[0]
-        found.warn()
-        return found
-
-    @property
-    def stable(self) -> bool:
-        """Whether no multiplier lies outside the unit circle, within estimated errors."""
-        return self.floquet().stable
 
     @property
     def multiplier_error(self) -> float:

@@ -55,7 +55,7 @@ def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
     start = z[: problem.formulation.states]
     state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, start, strict=True))
     values = zip(model.parameter_names, problem.parameters(z), strict=True)
-    at = ", ".join(f"{name} = {value:.6g}" for name, value in values if name not in ADDED)
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in values if not name.startswith(ADDED))
     return f"this is an equilibrium: the orbit has shrunk to it ({state}{f', at {at}' if at else ''})"
 
 

@@ -7,9 +7,9 @@ from dataclasses import fields
 import casadi as ca
 
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.model_coordinates import amplitude_square
 from casadi_skin.orbits.orbit import Orbit
 
 AMPLITUDE = "S"
@@ -32,7 +32,7 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
     family = orbit.space
     assert isinstance(family, Family)
     family.coordinates.check_whole("an orbit followed in a parameter")
-    extended, amplitude, select = _with_amplitude(family.coordinates.model)
+    extended, amplitude, select = with_amplitude(family.coordinates.model)
 
     def guess(t: float) -> list[float]:
         h = 1e-6 * orbit.period
@@ -45,7 +45,7 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
     )
 
 
-def _with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
+def with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
     """The model with S among its parameters, the name that it has there, and what vanishes where S has its value."""
     form = amplitude_square(model)
     if form.parameter is not None:

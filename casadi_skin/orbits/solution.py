@@ -20,6 +20,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.result import Result
+from casadi_skin.stability.result import Floquet
 
 SHOWN = 6  # parameters in a line
 
@@ -33,12 +34,16 @@ class Solution(Result):
         point: its unknowns, in the discretisation that meets the tolerance.
         exact: values that the solution was asked for at, by name, which its unknowns need not give back exactly.
         optimum: what was minimised, and the optimality conditions; None where nothing was.
+        found_by: how it was found, where the first way failed: "Newton's method", or the continuation in a parameter.
+        known_floquet: its stability where that was computed before: in a run that is resumed, or with its neighbours.
     """
 
     space: SolutionSpace
     point: Point
     exact: Mapping[str, float] = field(default_factory=dict)
     optimum: Optimum | None = None
+    known_floquet: Floquet | None = None
+    found_by: str = ""
 
     def __repr__(self) -> str:
         values = "".join(f", {name} = {value:.6g}" for name, value in list(self.parameters.items())[:SHOWN])
@@ -153,10 +158,42 @@ class Solution(Result):
         """Largest residual of the equations relative to their largest term."""
         return self.point.problem.relative_residual(self.point.z)
 
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    def floquet(self, by: str | None = None) -> Floquet:
+        """Linear stability: multipliers, and of what kind an instability is.
+
+        Arguments:
+            by: name of the flow map; that of the branch by default. Of an orbit of a family one of
+                `methods.FLOWS`, of another "collocation" or "cvodes".
+
+        Returns:
+            Multipliers with their errors, from the N x N problem where the symmetries allow it, else over the full
+            period; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block. Of a boundary-value
+            problem with x(end) = S x(start) those of S^-1 times the flow.
+
+        Raises:
+            FlowError: the flow map cannot reach the tolerance.
+            ValueError: there is no such flow map, or the solution does not close.
+        """
+        if by is not None:
+            found = self.space.floquets([self.point], by)[0]
+            found.warn()
+            return found
+        return self._floquet
+
+    @cached_property
+    def _floquet(self) -> Floquet:
+        if self.known_floquet is not None:
+            return self.known_floquet
+        found = self.space.floquets([self.point])[0]
+        found.warn()
+        return found
+
     @property
     def stable(self) -> bool:
-        """Whether it is stable; raises ValueError for a solution that does not move in time."""
-        raise ValueError("stable: a solution of a boundary-value problem that is no orbit has no stability")
+        """Whether no multiplier lies outside the unit circle, within estimated errors; raises as `floquet`."""
+        return self.floquet().stable
 
     # Optima -----------------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
@@ -11,13 +12,14 @@ import numpy as np
 from casadi_skin import methods
 from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.problem import Array, Problem, SingularError
-from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, along_the_guess, sampled
 from casadi_skin.orbits.method import Method
+from casadi_skin.orbits.other_ways import other_ways
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
@@ -29,6 +31,7 @@ from casadi_skin.solvers.watch import TimeLimitError, watched
 OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker", "time_limit", "progress")
 NOT_METHODS = ("tolerance", "time_limit", "progress")
 TRIES = 6  # resolutions on which a first solution is sought
+QUICK_TRIES = 1  # the same by another way
 JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
 STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
 TOLERANCES = (1e-13, 1e-1)
@@ -66,7 +69,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
             in words how far the solution is.
 
     Returns:
-        The solution with its estimated errors.
+        The solution with its estimated errors; `found_by` tells where another way than the corrector's led to it.
 
     Raises:
         ValueError: an argument is out of range.
@@ -86,18 +89,39 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
     watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
     try:
         with watch:
-            return Solution(space, first_point(space, guess))
+            return solution_near(space, guess)
     except TimeLimitError as error:
         advice = "try a guess nearer by, or a larger tolerance"
         raise BoundaryError(f"{statement.model.name}: {error}; {advice}") from None
 
 
-def first_point(space: BoundarySpace, guess: Guess) -> Point:
-    """The solution near a guess with u = 0 held, refined to the tolerance; raises BoundaryError."""
+class NotReachedError(BoundaryError):
+    """The corrector does not come to a solution from the guess; another way may lead to one."""
+
+
+def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
+    """The solution near a guess, by `other_ways` where the corrector does not reach it; raises BoundaryError."""
+    try:
+        return Solution(space, first_point(space, guess))
+    except NotReachedError as error:
+        if PERIOD in space.statement.values:  # of an orbit, whose guess is a cycle
+            raise
+        found, words = other_ways(space, guess, lambda other, near: first_point(other, near, QUICK_TRIES))
+        if found is None:
+            raise BoundaryError(f"{error}; tried as well: {words}" if words else str(error)) from error
+        return found
+
+
+def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) -> Point:
+    """The solution near a guess with u = 0 held, refined to the tolerance; raises BoundaryError.
+
+    On so many resolutions at most as `tries` says.
+    """
     statement, point_solver = space.statement, space.point_solver
     resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
     failures = []
-    for problem in _first_problems(statement, point_solver.levels, resolutions, guess):
+    undetermined = ""
+    for problem in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
         z = packed(problem, guess)
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
         if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
@@ -116,12 +140,11 @@ def first_point(space: BoundarySpace, guess: Guess) -> Point:
                     raise
                 failures.append(str(error))
                 continue
-        words = (
-            f"{correction.status.value}; {problem.worst(correction.z)}",
-            rank_deficiency(problem, correction.z, everywhere=True),
-        )
+        undetermined = rank_deficiency(problem, correction.z, everywhere=True)
+        words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
         failures.append("; there ".join(filter(None, words)))
-    raise BoundaryError(f"{statement.model.name}: no solution near the guess: {failures[0]}")
+    kind = BoundaryError if undetermined else NotReachedError
+    raise kind(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 
 
 def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:

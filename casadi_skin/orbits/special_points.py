@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
 EDGE = "edge of a tongue"  # of instability of a family, through 1 or -1
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
@@ -30,11 +31,13 @@ class SpecialPoint:
 
     Attributes:
         kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
-            doubling", "torus" and "branch point", and "hopf" where they end.
+            doubling", "torus" and "branch point"; where they end "hopf", or "homoclinic" or "heteroclinic" where their
+            period grows without bound.
         parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
         error: estimated error of the value that is followed.
         solution: the solution there.
+        mu: of an orbit of a family, by which another branch leaves: 0 or -1.
     """
 
     kind: str
@@ -42,9 +45,11 @@ class SpecialPoint:
     parameters: Mapping[str, float]
     error: float
     solution: Solution
+    mu: float | None = None
 
     def __repr__(self) -> str:
-        words = f", {self.criticality}" if self.kind in (HOPF, DOUBLING, TORUS) else ""
+        words = f", {self.criticality}" if self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None else ""
+        words += "".join(f", loses its {what}" for what in self.lost)
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
 
@@ -59,6 +64,17 @@ class SpecialPoint:
         Raises ValueError where none is defined.
         """
         return self._critical.vector
+
+    @cached_property
+    def lost(self) -> tuple[str, ...]:
+        """Symmetries that orbits of the branch that leaves at a branch point have lost, in words."""
+        if self.mu is not None:
+            lost: tuple[str, ...] = methods.TASKS["breaking"].load()(self.solution, self.mu).lost
+            return lost
+        if self.kind != BRANCH_POINT or getattr(self.solution.space, "periodic", None) is None:
+            return ()
+        found: tuple[str, ...] = methods.TASKS["lost"].load()(self.solution)
+        return found
 
     @property
     def frequency(self) -> float:

@@ -23,12 +23,14 @@ class LinearSpectrum:
         mode: function of the number of a mode, from 1, to its displacements at all positions: of norm 1, the largest
             positive.
         cutoffs: squares of the limits of the frequencies of an infinitely long lattice; None where these are not known.
+        bands: squares of the ends of its bands, where there are several.
     """
 
     squares: Array
     ends: tuple[float, float]
     mode: Callable[[int], Array]
     cutoffs: tuple[float, float] | None = None
+    bands: tuple[tuple[float, float], ...] = ()
 
 
 def linear_spectrum(model: Any, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:

@@ -108,7 +108,7 @@ class Walk:
                 try:
                     for special in itertools.islice(self._special_between(last, point), reported, None):
                         yield special
-                        self._end, _ = self.space.stop(special)
+                        self._end, self._detail = self.space.stop(special)
                         if self._end is not None:
                             return
                 except NotLocatedError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_skin.arguments import cut
 from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.orbits.branch import Branch
@@ -81,6 +82,14 @@ def _(result: Branch) -> tuple[str, Rows]:
     if special:
         rows.append(("special points", _listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
     return f"{what.capitalize()} of {model_name(result.space.model)}", [*rows, ("end", result.reason)]
+
+
+@words.register
+def _(result: Diagram) -> tuple[str, Rows]:
+    special = [f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in result.special_points]
+    rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
+    rows += [("special points", _listed(special)), ("not started", _listed(result.failures))]
+    return f"Diagram of {model_name(result.branches[0].space.model)} in {result.branches[0].parameter}", rows
 
 
 @words.register

@@ -1,8 +1,9 @@
 """Results as data: numbers, names, arrays and the fields of known classes; nothing in them is run when they are read.
 
 A value is written as what MessagePack knows, or as a list that begins with a word: ["array", type, shape, bytes],
-["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields], ["point", resolution, constants,
-fields], and ["shared", number] for what stands in the list of models and spaces, each of which is written once.
+["complex", real, imaginary], ["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields],
+["point", resolution, constants, fields], and ["shared", number] for what stands in the list of models and spaces, each
+of which is written once.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib import import_module
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -22,20 +22,49 @@ from casadi_skin.solvers.levels import Refinement
 
 KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
 PLACES = {  # of every class that a file may name
-    "Bond": "lattice.declaration", "BoundarySpace": "orbits.boundary_space", "Branch": "orbits.branch",
-    "Certificate": "orbits.certificate", "Chain": "lattice.chain", "Constants": "orbits.certificate",
-    "ContinuationSettings": "continuation.points", "Course": "equilibria.problem", "Cycle": "dynamics.evolution",
-    "CurveSpace": "equilibria.curve", "Declaration": "lattice.declaration", "End": "continuation.points",
-    "Equilibrium": "equilibria.equilibrium", "EquilibriumSpace": "equilibria.space",
-    "ErrorEstimate": "solvers.levels", "Evolution": "dynamics.evolution", "FamilyRequest": "orbits.request",
-    "FullPeriodFloquet": "stability.result", "Method": "orbits.method", "Optimality": "orbits.optimum",
-    "Optimum": "orbits.optimum", "Orbit": "orbits.orbit", "Periodic": "orbits.boundary_space",
-    "ReversibleFloquet": "stability.result", "Scalar": "bvp.problem", "Site": "lattice.declaration",
-    "Sizes": "orbits.boundary_space", "Solution": "orbits.solution", "SpecialPoint": "orbits.special_points",
-    "Spectrum": "equilibria.statics", "StabilityChange": "orbits.stability_changes", "Statics": "equilibria.statics",
-    "SymmetryClass": "bvp.symmetry", "Target": "continuation.points", "Targets": "orbits.method",
+    "Bond": "lattice.declaration",
+    "BoundarySpace": "orbits.boundary_space",
+    "Branch": "orbits.branch",
+    "Certificate": "orbits.certificate",
+    "Chain": "lattice.chain",
+    "Constants": "orbits.certificate",
+    "ContinuationSettings": "continuation.points",
+    "Course": "equilibria.problem",
+    "Critical": "critical_orbits.systems",
+    "CurveSpace": "equilibria.curve",
+    "Cycle": "dynamics.evolution",
+    "Declaration": "lattice.declaration",
+    "Diagram": "equilibria.diagram",
+    "End": "continuation.points",
+    "Equilibrium": "equilibria.equilibrium",
+    "EquilibriumSpace": "equilibria.space",
+    "ErrorEstimate": "solvers.levels",
+    "Evolution": "dynamics.evolution",
+    "FamilyRequest": "orbits.request",
+    "FullPeriodFloquet": "stability.result",
+    "LongLattice": "lattice.long_lattice",
+    "Method": "orbits.method",
+    "Optimality": "orbits.optimum",
+    "Optimum": "orbits.optimum",
+    "Orbit": "orbits.orbit",
+    "OrbitCurveSpace": "critical_orbits.curve",
+    "Periodic": "orbits.boundary_space",
+    "ProvedStability": "orbits.certificate",
+    "ProvedStretch": "orbits.certificate",
+    "ReversibleFloquet": "stability.result",
+    "Scalar": "bvp.problem",
+    "Site": "lattice.declaration",
+    "Sizes": "orbits.boundary_space",
+    "Solution": "orbits.solution",
+    "SpecialPoint": "orbits.special_points",
+    "Spectrum": "equilibria.statics",
+    "StabilityChange": "orbits.stability_changes",
+    "Statics": "equilibria.statics",
+    "SymmetryClass": "bvp.symmetry",
+    "Target": "continuation.points",
+    "Targets": "orbits.method",
     "Uniform": "lattice.declaration",
-}  # fmt: skip
+}
 
 
 def class_named(name: object) -> Any:
@@ -71,8 +100,8 @@ class Writer:
             return self.value(value.item())
         if isinstance(value, int | float):
             return value
-        if isinstance(value, PurePath):
-            return str(value)
+        if isinstance(value, complex):
+            return ["complex", value.real, value.imag]
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value)
             if array.dtype.str not in KINDS:
@@ -137,6 +166,8 @@ class Reader:
         if word in ("tuple", "list"):
             items = [self.value(item, space) for item in rest]
             return tuple(items) if word == "tuple" else items
+        if word == "complex":
+            return complex(*rest)
         if word == "map":
             return {name: self.value(item, space) for name, item in rest[0].items()}
         if word == "array":

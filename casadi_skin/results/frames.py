@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.orbits.branch import Branch
@@ -30,6 +31,10 @@ def result_to_xarray(result: Any) -> xarray.Dataset:
     """A result as an xarray Dataset: branches along `point`, states along `t`, multipliers along their number."""
     if isinstance(result, Branch):
         return branch_to_xarray(result)
+    if isinstance(result, Diagram):
+        raise ValueError(
+            "to_xarray: given a diagram, whose branches have dimensions of their own; accepted: one branch"
+        )
     index, meaning, columns = table(result)
     along = [Variable(name, (index,), np.asarray(values), name) for name, values in columns.items()]
     return to_xarray(Dataset(along, {"title": meaning}), (index,))
@@ -46,6 +51,9 @@ def result_to_dataframe(result: Any) -> pandas.DataFrame:
         quantities = quantities_of(result) if result.solutions else []
         columns = [q for q in quantities if not (q.dimensions or q.where == NETCDF)]
         return pandas.DataFrame([{q.name: q.of(place) for q in columns} for place in places_of(result)])
+    if isinstance(result, Diagram):
+        frames = [result_to_dataframe(branch).assign(branch=n) for n, branch in enumerate(result.branches, start=1)]
+        return pandas.concat(frames, ignore_index=True)
     return pandas.DataFrame(table(result)[2])
 
 

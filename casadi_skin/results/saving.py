@@ -18,6 +18,7 @@ from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.files import replacing
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.operations import from_operations, to_operations
 from casadi_skin.models.saved import dumps, loads, programs_in
@@ -111,14 +112,14 @@ def _write_shared(writer: Writer, value: Any) -> Any | None:
         return ["lattice", value.name, writer.value(value.declaration)]
     if isinstance(value, OdeModel):
         return ["model", dumps(value)]
-    if isinstance(value, Chain):
-        return ["plain", "Chain", writer.named_fields(value, ())]
+    if isinstance(value, Chain | LongLattice):
+        return ["plain", type(value).__name__, writer.named_fields(value, ())]
     if isinstance(value, Family):
         return ["family", writer.value(value.request)]
     if isinstance(value, Statement):
         return _statement(writer, value)
     if isinstance(value, EquationsOfMotion):
-        values = None if isinstance(value.model, Chain) else dict(value.parameters)
+        values = None if isinstance(value.model, Chain | LongLattice) else dict(value.parameters)
         return ["motion", writer.value(value.model), values]
     if isinstance(value, BoundarySpace | EquilibriumSpace):
         return ["space", type(value).__name__, writer.named_fields(value, ("first",)), writer.value(value.first)]
@@ -134,6 +135,8 @@ def _read_shared(reader: Reader, data: Sequence[Any]) -> Any:
         return loads(rest[0])
     if word == "plain" and rest[0] == "Chain":
         return Chain(**reader.named(rest[1]))
+    if word == "plain" and rest[0] == "LongLattice":
+        return LongLattice(**reader.named(rest[1]))
     if word == "family":
         return Family(reader.value(rest[0]))
     if word == "statement":

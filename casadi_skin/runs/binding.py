@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import rotations_of
 from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.scene import OrbitTable, Scene, SceneError
 from casadi_skin.scene.faults import check_known, refusal, toml_repr
@@ -46,6 +48,7 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     if scene.orbit is not None:
         _check_state("[orbit] start", scene.orbit.start, request.ode.state_names)
         (_check_forced if request.ode.forced else _check_autonomous)(request, scene.orbit)
+        _check_rotations(request, scene.orbit)
     if scene.equilibrium is not None:
         _check_equilibrium(request, scene.equilibrium)
     _check_continuation(request)
@@ -66,6 +69,8 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
         lattice = lattice_of(table)
     except (TypeError, ValueError) as error:
         raise SceneError(f"[lattice] {error}") from None
+    if isinstance(lattice, LongLattice):
+        return Request(scene, lattice, dict(lattice.parameters))
     return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
 
 
@@ -229,7 +234,7 @@ def _check_forced(request: Request, orbit: OrbitTable) -> None:
 
 def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
     from casadi_skin.bvp.stated_problem import PERIOD
-    from casadi_skin.orbits.find_orbit import UNFOLDING
+    from casadi_skin.orbits.orbit_statement import UNFOLDING
 
     model = request.ode
     for name in (PERIOD, UNFOLDING):
@@ -241,10 +246,10 @@ def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
     if orbit.period is None and orbit.transient is None:
         which = "" if orbit.symmetric else " or transient"
         raise SceneError(f"[orbit] period{which}: missing; accepted: with a model that is not forced a number > 0")
-    family = orbit.symmetric or model.hamiltonian is not None
+    family = orbit.symmetric or model.hamiltonian is not None or bool(model.conserved)
     names = (*model.state_names, *model.outputs)
     if orbit.select is not None:
-        conserved = () if model.hamiltonian is None else (CONSERVED,)
+        conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
         check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
         if not family:
             raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
@@ -255,6 +260,13 @@ def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
         check_known("[orbit] section", next(iter(orbit.section)), names)
     if orbit.symmetric:
         _check_symmetric(model, orbit)
+
+
+def _check_rotations(request: Request, orbit: OrbitTable) -> None:
+    try:
+        rotations_of(request.ode, orbit.rotations, orbit.symmetric)
+    except ValueError as error:
+        raise SceneError(f"[orbit] {error}") from None
 
 
 def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:

@@ -11,8 +11,11 @@ import numpy as np
 import casadi_skin.figures as figures
 from casadi_skin.continuation.points import End
 from casadi_skin.critical_orbits.curve import curve_space
+from casadi_skin.equilibria.curve import UnfoldingError
 from casadi_skin.equilibria.diagram import LEAVING, Further
-from casadi_skin.equilibria.location import FOLD, HOPF
+from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
+from casadi_skin.figures.portrait import chosen_solutions
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
@@ -25,6 +28,7 @@ from casadi_skin.scene.model_tables import ContinuationTable
 
 NATURAL = (
     End.HOPF,
+    End.UNBOUNDED,
     End.TAKENS,
     End.CLOSED,
     End.RETURNED,
@@ -65,10 +69,13 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        if table.curve is not None and point.kind in FOLLOWED and not passed:
+        crossing = point.kind == BRANCH_POINT and isinstance(point.solution, Equilibrium)
+        if table.curve is not None and (point.kind in FOLLOWED or crossing) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
+            except UnfoldingError:  # it is one at these values alone
+                continue
             except (ValueError, ArithmeticError) as error:
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
             else:
@@ -118,6 +125,9 @@ def write_diagram(
     write_csv(directory / "special_points.csv", columns, rows)
     in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
     picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
+    chosen = chosen_solutions(in_one)
+    if chosen:
+        picture(request.scene, directory / "portrait", figures.portrait_figure, chosen, title)
     curves = [branch for branch in branches if branch not in in_one]
     if curves:
         picture(request.scene, directory / "curves", figures.curves_figure, curves, title)

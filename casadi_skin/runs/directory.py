@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from enum import Enum
+from glob import escape
 from pathlib import Path
 
 from casadi_skin.files import leftovers, replacing
@@ -19,13 +20,14 @@ WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spe
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
            "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
-           "journal_*_of_*.msgpack", SCENE, JOURNAL)  # fmt: skip
+           "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
-EXPORTED = ("chain.h", "chain.c", "chain_*.c", "main.c", "README.md", "CMakeLists.txt")
+EXPORTED = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model's name
+AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch",
-            "orbit", "curves", "map_*", "skin", "spreading")  # fmt: skip
+            "orbit", "curves", "portrait", "map_*", "skin", "spreading")  # fmt: skip
 
 
 class DirectoryError(ValueError):
@@ -133,7 +135,8 @@ def _remove_export(folder: Path) -> None:
         raise DirectoryError(f"{folder}: is no folder that a run made; {ACCEPTED_EXPORT}")
     if not folder.exists():
         return
-    own = {path for name in EXPORTED for path in folder.glob(name)}
+    stems = [path.stem for path in folder.glob("*.h") if path.is_file() and AUTHOR in path.read_bytes()[:400]]
+    own = {path for name in EXPORTED for stem in stems[:1] for path in folder.glob(name.format(escape(stem)))}
     others = sorted(path.name for path in folder.iterdir() if path not in own)
     if others:
         raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {ACCEPTED_EXPORT}")

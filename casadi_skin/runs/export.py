@@ -1,4 +1,4 @@
-"""What a scene wants out of Python, in a run: C code in DIR/export and an FMU of the chain, or of one of its orbits."""
+"""What a scene wants out of Python, in a run: C code in DIR/export and an FMU of its model, or of one of its orbits."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from casadi_skin.export.c_code import export_c
 from casadi_skin.export.fmu import export_fmu
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
@@ -31,7 +32,8 @@ def export_scene(request: Request, branches: Sequence[Branch], directory: Path) 
             export_c(of, target, None if export.c == "all" else export.c)
         written.append(target)
     if export.fmu is not None:
-        written.append(export_fmu(of, directory / export.fmu, export.fmi, tolerance=request.tolerance))
+        target = directory / export.fmu
+        written.append(export_fmu(of, target, export.fmi, tolerance=request.tolerance, inputs=export.inputs))
     return tuple(written)
 
 
@@ -46,6 +48,7 @@ def exported(request: Request, branches: Sequence[Branch]) -> Chain | OdeModel |
         return orbit
     if request.scene.orbit is not None and branches:
         return branches[0].orbits[-1]
+    assert not isinstance(request.model, LongLattice)
     return request.model
 
 

@@ -13,6 +13,7 @@ from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.simulation import simulate
 from casadi_skin.equilibria.find import find_equilibrium
+from casadi_skin.models.conserved import HAMILTONIAN
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.find_orbit import find_orbit
@@ -52,6 +53,9 @@ def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
 
 def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
     orbit, model, values = request.orbit, request.equations, dict(request.parameters)
+    if orbit.rotations:
+        guess = replace(guess, turns=turns_of(orbit.rotations, model))
+        options = options | {"rotations": orbit.rotations}
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
     select, section = _vanishing(request.condition(orbit.select)), _vanishing(request.condition(orbit.section))
@@ -88,6 +92,8 @@ def cycle(request: Request) -> Cycle:
         return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
     simulated = simulate(model, start_state, t, parameters=values)
+    if orbit.rotations and any(orbit.rotations.values()):
+        return _last_turn(simulated, turns_of(orbit.rotations, model))
     try:
         found = simulated.last_cycle()
     except ValueError as error:
@@ -95,6 +101,31 @@ def cycle(request: Request) -> Cycle:
         raise ValueError(f"[orbit] start: {error} ({reason})") from error
     section = request.condition(orbit.section)
     return found if section is None else _from_section(found, section[0] - section[1])
+
+
+def turns_of(rotations: Mapping[str, int], model: OdeModel) -> tuple[int, ...]:
+    """Turns of each state in a period."""
+    return tuple(rotations.get(name, 0) for name in model.state_names)
+
+
+def _last_turn(simulated: Evolution, turns: tuple[int, ...]) -> Cycle:
+    """The last stretch of a simulation in which the first angle that rotates makes its turns."""
+    component = int(np.flatnonzero(turns)[0])
+    angle = simulated.states[:, component]
+    left = (angle[-1] - 2.0 * np.pi * turns[component] - angle) * np.sign(turns[component])
+    before = np.flatnonzero(left >= 0.0)
+    if before.size == 0:
+        name = simulated.equations.physical.state_names[component]
+        raise ValueError(
+            f"[orbit] rotations: {name} makes no {turns[component]} turns in the simulation; accepted: a longer "
+            "transient, a start that rotates, or a period"
+        )
+    i = int(before[-1])
+    part = left[i] / (left[i] - left[i + 1])
+    start = float(simulated.t[i] + part * (simulated.t[i + 1] - simulated.t[i]))
+    before_these = np.floor(angle[i] / (2.0 * np.pi * turns[component]))
+    last = replace(simulated, states=simulated.states - 2.0 * np.pi * before_these * np.array(turns))
+    return Cycle(last, start, float(simulated.t[-1]) - start, turns)
 
 
 def cycle_record(cycle: Cycle) -> CycleRecord:
@@ -147,16 +178,23 @@ def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Ex
     """The model with the value that picks an orbit as one more parameter, and the expression in its symbols."""
     kind, count = type(model.state), int(model.parameters.numel())
     p = kind.sym("p", count + 1)
-    outputs = list(model.outputs)
-    conserved = [] if model.hamiltonian is None else [model.hamiltonian]
-    results = [model.rhs, expression, *model.outputs.values(), *conserved]
-    rhs, selected, *rest = model.function("selected", *results).call([0.0, model.full_state, p[:count]], True, False)
+    energy = {} if model.hamiltonian is None else {HAMILTONIAN: model.hamiltonian}
+    results = [model.rhs, expression]
+    for group in (model.outputs, model.conserved, model.symmetries, energy):
+        results += group.values()
+    moved = iter(model.function("selected", *results).call([0.0, model.full_state, p[:count]], True, False))
+    rhs, selected = next(moved), next(moved)
+    outputs, conserved, symmetries, energy = (
+        {name: next(moved) for name in group} for group in (model.outputs, model.conserved, model.symmetries, energy)
+    )
     extended = replace(
         model,
         rhs=rhs,
         parameters=p,
-        outputs=dict(zip(outputs, rest, strict=False)),
-        hamiltonian=rest[-1] if conserved else None,
+        outputs=outputs,
+        conserved=conserved,
+        symmetries=symmetries,
+        hamiltonian=energy.get(HAMILTONIAN),
         normalisation=None,
         nominal=None,
         parameter_labels=(*model.parameter_names, SELECTED),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,14 +12,15 @@ from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
+from casadi_skin.runs.lattice_lines import lattice_lines, listed, long_lattice_lines, named
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import LEAVING, EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
-MOST_WORDS = 16  # that a line of the plan lists
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
@@ -63,43 +63,22 @@ def _model_lines(request: Request) -> Lines:
     if isinstance(model, Chain):
         return [("chain", f"N = {model.sites}, alpha = {model.alpha:g}, gamma = {model.gamma:g}, g = {model.g:g}")]
     if isinstance(model, Lattice):
-        return _lattice_lines(model, request.parameters)
+        return lattice_lines(model, request.parameters)
+    if isinstance(model, LongLattice):
+        return long_lattice_lines(model)
     words = {
         "time reversal": model.reversal is not None,
         "half-period symmetry": model.half_period is not None,
-        "conserved quantity": model.hamiltonian is not None,
+        "conserved quantity": model.hamiltonian is not None or bool(model.conserved),
         "forced": model.forced,
     }
     declared = ", ".join(word for word, holds in words.items() if holds)
     return [
         ("model", f"{model.name}, from {request.path}"),
-        ("states", _listed(model.state_names)),
-        ("parameters", _named(request.parameters) or "none"),
+        ("states", listed(model.state_names)),
+        ("parameters", named(request.parameters) or "none"),
         ("declared", declared or "no symmetry, no conserved quantity"),
     ]
-
-
-def _lattice_lines(lattice: Lattice, parameters: Mapping[str, float]) -> Lines:
-    """What a lattice was declared as, and what it shows of itself."""
-    declared = lattice.declaration
-    size = f"{' x '.join(map(str, declared.cells))} cells of {len(declared.sites)}, {declared.size} sites"
-    by_cell = f"; by cell {', '.join(declared.by_cell)}" if declared.by_cell else ""
-    return [
-        ("lattice", f"{size}, {len(declared.bonds)} bonds a cell; ends {', '.join(declared.boundary)}"),
-        ("parameters", (_named(parameters) or "none") + by_cell),
-        *lattice.structure.lines(),
-    ]
-
-
-def _named(values: Mapping[str, float]) -> str:
-    return _listed([f"{name} = {value:g}" for name, value in values.items()])
-
-
-def _listed(words: Sequence[str]) -> str:
-    """Words one after the other; of many the first and the last."""
-    if len(words) <= MOST_WORDS:
-        return ", ".join(words)
-    return f"{', '.join(words[:2])}, ..., {words[-1]} ({len(words)} in all)"
 
 
 def _dynamics(request: Request) -> str:
@@ -217,9 +196,9 @@ def _with_events(request: Request) -> bool:
 def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines:
     model, table = request.equations, request.scene.continuation
     names = model.state_names[: model.size]
-    state = _named(dict(zip(names, state_of(equilibrium.start, model.state_names), strict=False)))
+    state = named(dict(zip(names, state_of(equilibrium.start, model.state_names), strict=False)))
     where = "near" if equilibrium.transient is None else f"where a simulation for {equilibrium.transient:g} rests, from"
-    lines = [("equilibrium", f"{where} {state}"), ("unknowns", f"{model.size}: {_listed(names)}")]
+    lines = [("equilibrium", f"{where} {state}"), ("unknowns", f"{model.size}: {listed(names)}")]
     if table is not None:
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
@@ -265,19 +244,21 @@ def _symmetry(request: Request) -> SymmetryClass:
 
 def _orbit_lines(request: Request) -> Lines:
     orbit, model = request.orbit, request.ode
-    start = _named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
+    start = named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
+    turning = f", but for {named(orbit.rotations)} turns" if orbit.rotations else ""
     if model.forced:
         times = "a period" if orbit.cycles == 1 else f"{orbit.cycles} periods"
-        what = f"closes after {times} of the forcing"
+        what = f"closes after {times} of the forcing{turning}"
         after = f", after a transient of {orbit.transient:g} or little more" if orbit.transient else ""
         return [("orbit", what), ("guess", f"{times} simulated from {start}{after}")]
-    symmetry, selected = _symmetry(request), "" if orbit.select is None else f", selected by {_named(orbit.select)}"
+    symmetry, selected = _symmetry(request), "" if orbit.select is None else f", selected by {named(orbit.select)}"
     if symmetry is SymmetryClass.FULL:
-        phase = "an integral phase condition" if orbit.section is None else f"phase zero at {_named(orbit.section)}"
+        phase = "an integral phase condition" if orbit.section is None else f"phase zero at {named(orbit.section)}"
         what = f"the full period, {phase}{selected}"
         what += ", unfolded by a damping that comes back as zero" if model.hamiltonian is not None else ""
     else:
         what = f"{symmetry.reason}{selected}"
+    what += turning
     if orbit.period is not None:
         return [("orbit", what), ("guess", f"one period of {orbit.period:g} from {start}")]
     return [("orbit", what), ("guess", f"the last cycle of a simulation for {orbit.transient:g} from {start}")]
@@ -299,7 +280,7 @@ def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
     from casadi_skin.bvp.stated_problem import PERIOD
     from casadi_skin.orbits.boundary_space import DEGREE, FIRST
-    from casadi_skin.orbits.find_orbit import UNFOLDING
+    from casadi_skin.orbits.orbit_statement import UNFOLDING
 
     method, model, problem = request.scene.methods, request.ode, request.problem
     intervals, degree = method.intervals or FIRST, method.degree or DEGREE

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.method import Method, Targets
@@ -38,7 +39,7 @@ class Request:
     """
 
     scene: Scene
-    model: Chain | OdeModel
+    model: Chain | LongLattice | OdeModel
     parameters: Mapping[str, float]
     path: Path | None = None
     source: str = ""
@@ -53,6 +54,8 @@ class Request:
     @cached_property
     def equations(self) -> OdeModel:
         """The equations of motion in the coordinates of the model; always the same symbols."""
+        if isinstance(self.model, LongLattice):
+            raise ValueError("[lattice]: given one with a linear tail, whose equations are not written down")
         return self.model.tunable_model() if isinstance(self.model, Chain) else self.model
 
     @cached_property
@@ -74,7 +77,7 @@ class Request:
         if family is None:
             return ()
         targets = Targets(family.at, family.at_Omega, family.at_period, family.period_max, family.max_points)
-        parameters = None if isinstance(self.model, Chain) else self.parameters
+        parameters = self.parameters if isinstance(self.model, OdeModel) else None
         export = self.scene.export
         whole = self.scene.stability is not None or (export is not None and export.S is not None)
         found = []
@@ -102,7 +105,8 @@ class Request:
         model, names = self.ode, self.ode.state_names
         if name in names:
             return model.state[names.index(name)], value
-        return (model.hamiltonian if name == CONSERVED else model.outputs[name]), value
+        named = {**model.outputs, **model.conserved, CONSERVED: model.hamiltonian}
+        return named[name], value
 
 
 def method_of(scene: Scene) -> Method:
@@ -120,10 +124,14 @@ def chain_of(scene: Scene) -> Chain:
     return Chain(sites, scene.chain.alpha, scene.chain.gamma, scene.chain.g)
 
 
-def lattice_of(table: LatticeTable) -> Lattice:
-    """The lattice of a scene; raises ValueError and TypeError, with the place in the table."""
+def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
+    """The lattice of a scene, with a linear tail where one is asked for.
+
+    Raises ValueError and TypeError, with the place in the table.
+    """
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 
+    cells: Any = table.cells
     sites = [Site(s.name, str(s.onsite), str(s.mass), str(s.damping), str(s.drive)) for s in table.site]
     bonds = []
     for bond in table.bond:
@@ -133,4 +141,8 @@ def lattice_of(table: LatticeTable) -> Lattice:
     for name, value in values.items():
         if isinstance(value, UniformTable):
             values[name] = Uniform(value.low, value.high, value.seed)
-    return Lattice(table.cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
+    if table.long:
+        cells = cells[0] if isinstance(cells, tuple) and len(cells) == 1 else cells
+        boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
+        return LongLattice(cells, sites, bonds, boundary, values, table.edge)
+    return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)

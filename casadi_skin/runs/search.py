@@ -9,6 +9,7 @@ import msgspec
 
 from casadi_skin.figures.search import search_figure
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_search import FamilySearch
@@ -43,6 +44,7 @@ def family_search(request: Request) -> FamilySearch:
     if isinstance(model, Chain):
         family: ChainFamily | ModelFamily = ChainFamily.of(model, table.mode)
     else:
+        assert isinstance(model, OdeModel)
         family = ModelFamily.of(model, table.mode, request.parameters)
     return FamilySearch.of(
         family, S=table.S, objective=table.objective, free=table.free,

@@ -31,6 +31,14 @@ def check_infinite(scene: Scene) -> None:
             raise refusal(f"[{name}]", "with sites = inf", "with a whole number of sites: all of them take part in it")
 
 
+def check_long_lattice(scene: Scene) -> None:
+    """Refuse what needs every site of a lattice with a linear tail."""
+    names = ("spectrum", "stability", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")
+    for name in names:
+        if getattr(scene, name) is not None:
+            raise refusal(f"[{name}]", "with a linear tail (edge, or more than 100000 cells)", "with all sites unknown")
+
+
 def _check_gauge(chain: ChainTable, mode: int) -> None:
     """Refuse the modes that have no family at |gamma| = 1, where every coupling acts one way only."""
     only = chain.sites if chain.g > 0 else 1

@@ -3,7 +3,7 @@
 import math
 
 from casadi_skin.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
-from casadi_skin.scene.chain_checks import check_chain_family, check_infinite
+from casadi_skin.scene.chain_checks import check_chain_family, check_infinite, check_long_lattice
 from casadi_skin.scene.faults import SceneError, refusal, toml_repr
 from casadi_skin.scene.model_tables import SELECTED, ModelTable
 from casadi_skin.scene.scene import Scene
@@ -32,6 +32,8 @@ def check_scene(scene: Scene) -> None:
         _check_at_periods(scene.family)
     if scene.sites == math.inf:
         check_infinite(scene)
+    if scene.lattice is not None and scene.lattice.long:
+        check_long_lattice(scene)
     check_dynamics(scene)
     check_search(scene)
     check_export(scene)

@@ -3,6 +3,7 @@
 As in the other tables, titles say what a key is and descriptions what it accepts. The model is dimensionless.
 """
 
+import sys
 from typing import Annotated, Literal
 
 import msgspec
@@ -13,6 +14,8 @@ from casadi_skin.scene.tables import Finite, Table
 _Text = Annotated[str, Meta(min_length=1)]
 _Formula = _Text | Finite
 _Count = Annotated[int, Meta(ge=1, le=100_000)]
+_Along = Annotated[int, Meta(ge=1, le=1_000_000_000_000)] | Annotated[float, Meta(gt=sys.float_info.max)]  # or inf
+MOST_CELLS = 100_000  # whose sites may all be unknown; the same as in lattice.declaration, which loads numerics
 _Step = Annotated[int, Meta(ge=-100_000, le=100_000)]
 _Boundary = Literal["fixed", "free", "periodic"]
 _FORMULA = "a number, or a formula in quotes: numbers, parameters, n and m, + - * / ^ and elementary functions"
@@ -65,8 +68,8 @@ class LatticeTable(Table, frozen=True):
     """A lattice: cells along one or two directions, their sites and bonds; formulas are data and are never run."""
 
     cells: Annotated[
-        _Count | Annotated[tuple[_Count, ...], Meta(min_length=1, max_length=2)],
-        Meta(title="Cells along each direction", description="a whole number >= 1, or a list of one or two of them"),
+        _Along | Annotated[tuple[_Count, ...], Meta(min_length=1, max_length=2)],
+        Meta(title="Cells along each direction", description="a whole number >= 1, inf, or a list of one or two"),
     ]
     site: Annotated[
         Annotated[tuple[SiteTable, ...], Meta(min_length=1)],
@@ -90,6 +93,13 @@ class LatticeTable(Table, frozen=True):
             description="a table of finite numbers; by cell lists, formulas in n and m, or { low, high, seed }",
         ),
     ] = msgspec.field(default_factory=dict)
+    edge: Annotated[
+        Literal["first", "last"] | None,
+        Meta(
+            title="Edge whose breathers are followed, the tail behind it linear",
+            description='"first" or "last" (left out: all sites; of more than 100000 cells the end that they lean to)',
+        ),
+    ] = None
     forcing_period: Annotated[
         _Text | None,
         Meta(
@@ -97,3 +107,8 @@ class LatticeTable(Table, frozen=True):
             description="a formula in parameters (left out: that of the sines and cosines of t)",
         ),
     ] = None
+
+    @property
+    def long(self) -> bool:
+        """Whether all but the cells at one edge are a linear tail."""
+        return self.edge is not None or (not isinstance(self.cells, tuple) and self.cells > MOST_CELLS)

@@ -15,6 +15,7 @@ from casadi_skin.scene.tables import ChainTable
 
 ACCEPTED = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
+MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # what cells may ask for
 TOGETHER = ","  # between the names of parameters that one axis moves
 Path = tuple[str, ...]
 
@@ -74,6 +75,9 @@ def check_map(scene: Scene) -> None:
     table = scene.map
     if table is None:
         return
+    if all(getattr(scene, name) is None for name in MAPPED):
+        accepted = "beside [family], [equilibrium], [orbit], [solution] or [search]"
+        raise refusal("[map]", "with a scene that asks for no solution", accepted)
     if not table.axes:
         raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED}")
     if sum(isinstance(axis, RangeTable) for axis in table.axes.values()) > 2:

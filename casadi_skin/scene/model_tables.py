@@ -75,8 +75,8 @@ class OrbitTable(Table, frozen=True):
         _One | None,
         Meta(
             title="Value at phase zero that picks an orbit of a family",
-            description=f'a table with one number by the name of a state, an output or "{CONSERVED}"; for '
-            "conservative models and symmetric orbits",
+            description="a table with one number by the name of a state, an output, what is conserved or "
+            f'"{CONSERVED}"; for conservative models and symmetric orbits',
         ),
     ] = None
     section: Annotated[
@@ -89,6 +89,13 @@ class OrbitTable(Table, frozen=True):
     symmetric: Annotated[
         bool, Meta(title="Reversible orbit: half of it, or a quarter, is unknown", description="true or false")
     ] = False
+    rotations: Annotated[
+        dict[str, int] | None,
+        Meta(
+            title="Turns of angles in a period, after which the orbit closes but for 2 pi times as much",
+            description="a table of whole numbers by the names of states in which the model has the period 2 pi",
+        ),
+    ] = None
     cycles: Annotated[
         Annotated[int, Meta(ge=1, le=_MAX_CYCLES)],
         Meta(

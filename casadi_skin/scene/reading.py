@@ -86,6 +86,8 @@ def scene_schema() -> dict[str, Any]:
     schema: dict[str, Any] = _without_null(msgspec.json.schema(Scene))
     definition = schema["$defs"]["Scene"]
     definition["anyOf"] = [{"required": [name]} for name in MODELS]
+    of_map = schema["$defs"]["MapTable"]  # whose axes may stand in it by their own names
+    of_map["additionalProperties"] = of_map["properties"]["axes"]["additionalProperties"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "casadi-skin scene", **schema}
 
 

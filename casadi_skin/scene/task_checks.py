@@ -106,6 +106,8 @@ def check_export(scene: Scene) -> None:
         raise refusal("[export]", "with sites = inf", "with a whole number of sites")
     if export.c is None and export.fmu is None:
         raise refusal("[export]", "neither c nor fmu", "one of them, or both")
+    if export.inputs and export.fmu is None:
+        raise refusal("[export] inputs", toml_repr(list(export.inputs)), "beside fmu")
     if scene.chain is not None and export.c not in (None, "all") and abs(scene.chain.gamma) == 1:
         for part in export.c:
             if part in ("flow", "residual", "newton", "ipopt"):

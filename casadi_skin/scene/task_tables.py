@@ -103,6 +103,10 @@ class ExportTable(Table, frozen=True):
         Meta(title="Functional Mock-up Unit, in DIR", description="a file name without folders that ends in .fmu"),
     ] = None
     fmi: Annotated[Fmi, Meta(title="Version of its interface", description=one_of(FMI_VERSIONS))] = "3.0"
+    inputs: Annotated[
+        tuple[str, ...],
+        Meta(title="Inputs of the FMU", description="names of forces on sites, such as f_1, and of parameters"),
+    ] = ()
     S: Annotated[
         Positive | None,
         Meta(

@@ -23,6 +23,7 @@ from casadi_skin.integrators.trajectory import IntegrationError, Trajectory, siz
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FullPeriodFloquet
+from casadi_skin.stability.trivial import Trivial, trivial_at
 
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
 LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
@@ -34,7 +35,7 @@ SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is
 
 
 def by_collocation(
-    problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, tolerance: float
+    problem: BoundaryProblem, z: Array, model: OdeModel, symmetry: SymmetryClass, trivial: Trivial, tolerance: float
 ) -> FullPeriodFloquet:
     """Multipliers from the interval maps of the linearised equations.
 
@@ -47,9 +48,8 @@ def by_collocation(
         maps = _whole(maps, model, symmetry)
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)) / symmetry.value
-    trivial = trivial_multipliers(model, symmetry)
-    along = velocities(problem, z, n) if trivial == 1 else None
-    return _multipliers(maps, trivial, tolerance, contraction, along)
+    along = velocities(problem, z, n) if trivial.count == 1 else None
+    return multipliers_of(maps, trivial, tolerance, contraction, along)
 
 
 def velocities(problem: BoundaryProblem, z: Array, n: int) -> Array | None:
@@ -66,13 +66,6 @@ def _moving(along: Array, x: Array) -> Array | None:
     speeds = np.linalg.norm(along, axis=1)
     moves = np.min(speeds) > SLOWEST * np.max(speeds) and np.max(speeds) > SLOWEST * np.max(np.abs(x))
     return along if moves else None
-
-
-def trivial_multipliers(model: OdeModel, symmetry: SymmetryClass) -> int:
-    """How many multipliers of an orbit are 1: one of an autonomous model, two of orbits that come in families."""
-    if model.forced:
-        return 0
-    return 1 if model.hamiltonian is None and symmetry is SymmetryClass.FULL else 2
 
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
@@ -130,33 +123,40 @@ def by_cvodes(
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([period])) from error
-    trivial, rate = (
-        trivial_multipliers(model, symmetry),
-        np.array(model.vector_field(0.0, start, parameters)).T * period,
-    )
-    along = _moving(np.tile(rate, (2, 1)), start[None]) if trivial == 1 else None
-    return _multipliers(matrix[None], trivial, tolerance, along=along)
+    trivial = trivial_at(model, symmetry, start, parameters)
+    rate = np.array(model.vector_field(0.0, start, parameters)).T * period
+    along = _moving(np.tile(rate, (2, 1)), start[None]) if trivial.count == 1 else None
+    return multipliers_of(matrix[None], trivial, tolerance, along=along)
 
 
-def _multipliers(
-    maps: Array, trivial: int, tolerance: float, contraction: float | None = None, along: Array | None = None
+def multipliers_of(
+    maps: Array, trivial: Trivial, tolerance: float, contraction: float | None = None, along: Array | None = None
 ) -> FullPeriodFloquet:
+    """Multipliers of the product of maps, later ones times earlier ones; the logarithm of its determinant may be known.
+
+    The trivial ones with the vectors that belong to them are taken out before the others are computed; with velocities
+    `along` the orbit that of time is, map by map.
+    """
     from scipy.linalg import matrix_balance
 
     matrix = _product(maps)
     _, (units, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
     balanced = maps * units / units[:, None]
     allowed = DRIFT * tolerance * max(1.0, float(np.linalg.norm(_product(balanced), 2)))
+    count = trivial.count
     if along is None:
         values = _eigenvalues(balanced, contraction)
-        is_other = _others(values, trivial)
+        is_other = _others(values, count)
         near, others = values[~is_other], values[is_other]
+        basis = trivial.across(np.asarray(units, dtype=float))
+        if basis is not None and others.size:
+            others = _eigenvalues(balanced, contraction, basis)
     else:
-        near, across = _across(balanced, along / units)
-        others = _eigenvalues(across, contraction)
-    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(trivial, 1))) if trivial else 0.0
+        near, turned = _across(balanced, along / units)
+        others = _eigenvalues(turned, contraction)
+    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(count, 1))) if count else 0.0
     values = np.concatenate([near, others])
-    return FullPeriodFloquet(values, matrix, trivial, deviation, allowed if trivial < 2 else float(np.sqrt(allowed)))
+    return FullPeriodFloquet(values, matrix, count, deviation, allowed if count < 2 else float(np.sqrt(allowed)))
 
 
 def _across(maps: Array, along: Array) -> tuple[ComplexArray, Array]:
@@ -175,15 +175,19 @@ def _product(maps: Sequence[Array] | Array) -> Array:
     return total
 
 
-def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
+def _eigenvalues(maps: Array, contraction: float | None, across: Array | None = None) -> ComplexArray:
     """Eigenvalues of the product in descending modulus; those far below 1 from the inverse product.
+
+    With a basis `across`, of the product between its columns.
 
     Rounding is relative to the norm of either product, so that each serves the eigenvalues on its own side of the
     modulus at which both are equally good. A single one that is tiny follows from Liouville's formula, their product
     being exp(contraction): maps of intervals that are long for the fastest contraction have lost its digits.
     """
-    matrix = _product(maps)
-    forward = np.linalg.eigvals(matrix).astype(complex)
+    if maps.shape[1] == 0:
+        return np.empty(0, dtype=complex)
+    matrix, basis = _product(maps), np.eye(maps.shape[1]) if across is None else across
+    forward = np.linalg.eigvals(basis.T @ matrix @ basis).astype(complex)
     forward = forward[np.argsort(-np.abs(forward))]
     if len(maps) == 1:
         return forward
@@ -192,7 +196,7 @@ def _eigenvalues(maps: Array, contraction: float | None) -> ComplexArray:
         backward, modulus = forward, np.abs(forward)
         even = ROUNDED * float(np.finfo(float).eps * np.linalg.norm(matrix, 2))
     else:
-        reciprocal = np.linalg.eigvals(inverse).astype(complex)
+        reciprocal = np.linalg.eigvals(basis.T @ inverse @ basis).astype(complex)
         backward = np.full(reciprocal.size, np.inf, dtype=complex)  # of what rounding made zero
         np.divide(1.0, reciprocal, out=backward, where=reciprocal != 0)
         backward = backward[np.argsort(-np.abs(backward))]

@@ -22,6 +22,21 @@ def test_bratu_fold(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_turning_orbits(tmp_path: Path) -> None:
+    """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi for small c."""
+    swings, turns, carries = load("turning_orbits").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert [branch.special_points[0].kind for branch in (swings, turns, carries)] == [
+        "heteroclinic",
+        *["homoclinic"] * 2,
+    ]
+    for branch, side in ((swings, -1), (turns, 1)):
+        point = branch.special_points[0]
+        assert 0.0 < side * (point.parameters["E"] - 1.0) <= point.error
+    assert abs(carries.special_points[0].parameters["I"] - 4.0 * 0.5 / np.pi) < 0.05
+
+
+@pytest.mark.slow
 def test_van_der_pol(tmp_path: Path) -> None:
     branch = load("van_der_pol").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")

@@ -6,9 +6,11 @@ import csv
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from casadi_skin import OdeModel, find_orbit, simulate
 from casadi_skin.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -71,6 +73,7 @@ def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
     assert abs(float(lost["K"]) - 3.0) < 1e-12
     assert abs(float(lost["frequency"]) - 3.0**-0.5) < 1e-12
     assert lost["criticality"] == "supercritical"
+    assert (out / "portrait.svg").exists()
     cycles = rows(out / "cycles_1_1.csv")
     assert float(cycles[0]["period"]) == pytest.approx(2.0 * np.pi * 3.0**0.5, rel=1e-10)
     assert float(cycles[-1]["K"]) == 5.0
@@ -200,3 +203,22 @@ def test_the_lines_of_the_page_give_the_numbers_that_it_tells() -> None:
     assert curve.special_points[-1].kind == "cusp"
     x = 0.5 * (1.0 - np.sqrt(1.0 - 12.0 / 14.0))
     assert abs(fold.parameters["p"] - x * np.exp(-14.0 * x / 3.0) / (1.0 - x)) < 1e-16
+
+
+@pytest.mark.slow
+def test_the_example_of_roessler_follows_its_period_doublings(tmp_path: Path) -> None:
+    """On the curve the multiplier is -1, by CVODES and not by collocation."""
+    out = tmp_path / "out"
+    assert main(["run", str(EXAMPLES / "roessler.toml"), "--out", str(out)]) == 0
+    (doubling,) = rows(out / "special_points.csv")
+    assert (doubling["kind"], doubling["criticality"]) == ("period doubling", "supercritical")
+    assert float(doubling["c"]) == pytest.approx(2.832445, abs=1e-6)
+    curve = rows(out / "curve_1.csv")
+    assert (float(curve[0]["a"]), float(curve[-1]["a"])) == (0.2, 0.22)
+    assert (out / "curves.svg").exists()
+    x, y, z, c = (ca.SX.sym(name) for name in "xyzc")
+    a, at = float(curve[-1]["a"]), float(curve[-1]["c"])
+    model = OdeModel("Roessler", ca.vertcat(x, y, z), ca.vertcat(-y - z, x + a * y, 0.2 + z * (x - c)), c)
+    cycle = simulate(model, [3.0, 0.0, 0.0], np.linspace(0.0, 200.0, 4001), parameters={"c": at - 0.2}).last_cycle()
+    orbit = find_orbit(model, cycle, parameters={"c": at - 0.2}).follow("c", at).orbits[-1]
+    assert np.min(np.abs(orbit.floquet(by="cvodes").multipliers + 1.0)) < 1e-5

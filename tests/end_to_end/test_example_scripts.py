@@ -195,3 +195,27 @@ def test_foreign_fmu(tmp_path: Path) -> None:
 def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
     assert (PICTURES / f"{path.stem}.png").stat().st_size < 150_000
     assert "from casadi_skin import" in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_isola(tmp_path: Path) -> None:
+    crossings, sweep, isola = load("isola").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    # By hand: on an orbit in which both oscillators move alike, x'' + 1.3 x + 0.05 x^3 = 0, what the drive gives at its
+    # best phase, F integral of x' cos(omega t + phase), equals 2 c times the integral of (1 - 2 x^2 + 0.6 x^4) x'^2.
+    for crossing in crossings:
+        a, period = np.sqrt(crossing.S / 2), 2 * np.pi / crossing.Omega
+        times = np.linspace(0.0, period, 2001)
+        x, v = solve_ivp(
+            lambda t, z: [z[1], -1.3 * z[0] - 0.05 * z[0] ** 3], (0.0, period), [a, 0.0], "DOP853", times,
+            rtol=1e-11, atol=1e-12,
+        ).y  # fmt: skip
+        assert x[-1] == pytest.approx(a, rel=1e-7)
+        given = 0.0182 * abs(np.trapezoid(v * np.exp(1j * crossing.Omega * times), times))
+        taken = 2 * 0.02 * np.trapezoid((1 - 2 * x**2 + 0.6 * x**4) * v**2, times)
+        assert given == pytest.approx(taken, rel=1e-5)
+    assert len(crossings) == 3
+    assert [point.kind for point in sweep.special_points] == []
+    frequencies = [orbit.parameters["omega"] for orbit in isola.orbits]
+    assert len(isola.special_points) >= 1
+    assert min(frequencies) < crossings[1].Omega < crossings[2].Omega < max(frequencies) < 1.21

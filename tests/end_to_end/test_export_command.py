@@ -53,7 +53,7 @@ def test_a_chain_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main(["check", str(scene)]) == 0
     assert "export        C code of the chain in export/: rhs" in capsys.readouterr().out
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
-    wanted = ["CMakeLists.txt", "README.md", "chain.c", "chain.h", "chain_generated.c", "main.c"]
+    wanted = ["CMakeLists.txt", "README.md", "chain.c", "chain.h", "license.txt", "main.c"]
     assert sorted(path.name for path in (tmp_path / "out" / "export").iterdir()) == wanted
 
 

@@ -64,11 +64,28 @@ def corner(y: np.ndarray) -> np.ndarray:
     return np.asarray((neighbours - 5 * grid + grid**3).ravel())
 
 
+def insensitive(y: np.ndarray) -> np.ndarray:
+    """Forces of insensitive_breather.toml, written by hand."""
+    inside, between = 0.8 * (y[1::2] - y[0::2]), np.diff(np.concatenate([[0.0], y, [0.0]]))[0::2]
+    force = -y - y**3
+    force[0::2] += 0.5 * inside - between[:-1]
+    force[1::2] += -1.5 * inside + between[1:]
+    return force
+
+
+def sine_gordon(y: np.ndarray) -> np.ndarray:
+    """Forces of sine_gordon_breather.toml, written by hand."""
+    bonds = 0.5 * np.diff(np.concatenate([[0.0], y, [0.0]]))
+    return np.asarray(-np.sin(y) + 0.7 * bonds[1:] - 1.3 * bonds[:-1])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "force", "mode", "S"),
     [
         ("nonreciprocal_dimer", dimer, 13, 0.2),
+        ("insensitive_breather", insensitive, 20, 0.5),
+        ("sine_gordon_breather", sine_gordon, 1, 4.0),
         ("nonreciprocal_dimer", dimer, 12, 1.0),
         ("corner_breather", corner, 1, 1.0),
     ],
@@ -80,6 +97,21 @@ def test_examples_agree_with_harmonic_balance(name: str, force: Forces, mode: in
     omega = modes.frequencies.real[mode - 1]
     start = modes.right[:, mode - 1].real if S < 0.5 else orbit.profile / np.linalg.norm(orbit.profile)
     assert harmonic_balance(force, start, omega, S) == pytest.approx(orbit.Omega, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_frequency_of_the_insensitive_breather_moves_less_the_longer_the_lattice_is() -> None:
+    """By (u (1 + gamma) / w)^2 = 1.44 a cell in first order, (3 g / 8 omega) sum of L R^3 / sum of L R."""
+    shifts = {}
+    declared = example("insensitive_breather").declaration
+    for cells in (12, 20):
+        lattice = Lattice(cells, declared.sites, declared.bonds, "fixed", declared.parameters)
+        shifts[cells] = follow_family(lattice, cells, 1e-3, at=(1e-3,), tolerance=1e-9).at(S=1e-3).Omega_shift
+        modes = lattice_modes(lattice)
+        R, L = modes.right[:, cells - 1].real, modes.left[:, cells - 1].real
+        first = 3 / 8 * 1e-3 * np.sum(L * R**3) / (modes.frequencies.real[cells - 1] * (L @ R))
+        assert shifts[cells] == pytest.approx(first, rel=0.01)
+    assert shifts[12] / shifts[20] == pytest.approx(1.44**8, rel=0.05)
 
 
 def test_the_edge_modes_of_the_dimer_lie_in_its_gap_one_at_each_end() -> None:

@@ -74,7 +74,7 @@ def test_check_prints_what_the_lattice_shows_of_itself(tmp_path: Path, capsys: p
         ("offset = [1]", "offset = [1.5]", "[[lattice.bond]] 1 offset: given [1.5] (an array); accepted: a list of"),
         ('to = "a"', 'to = "b"', "[lattice] bond 1 to: given 'b'; accepted: a"),
         ('name = "a"', "", "[[lattice.site]] 1 name: missing; accepted: a name"),
-        ("cells = 12", "cells = 0", "[lattice] cells: given 0; accepted: a whole number >= 1, or a list"),
+        ("cells = 12", "cells = 0", "[lattice] cells: given 0; accepted: a whole number >= 1, inf, or a list"),
         ('"1 - gamma"', '"1 - 4*gamma"', '[lattice] bond 1 gain 1: given "1 - 4*gamma", which is 0 in cell 1'),
         ("g = -1.0", "g = [1.0]", "[lattice] parameters g: given numbers of shape [1]; accepted: 12 finite numbers"),
         ("alpha = 1.0", "alpha = -3", "does not oscillate: omega^2 = -"),
@@ -92,3 +92,26 @@ def test_faults_are_told_in_one_line_with_the_place(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert message in error
+
+
+@pytest.mark.slow
+def test_an_endless_lattice_runs_and_what_needs_all_its_sites_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the chain of the same scene, whose tail has a closed form."""
+    family = '[family]\nmode = "last"\namplitude_max = 1.0\n[accuracy]\ntolerance = 1e-9\n'
+    endless = CHAIN.replace("cells = 12", "cells = inf").replace("g = -1.0", "g = 1.0").partition("[spectrum]")[0]
+    short = "[chain]\nsites = inf\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
+    for name, text in (("long", endless), ("short", short)):
+        (tmp_path / f"{name}.toml").write_text(text + family)
+        assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
+    for quantity, allowed in (("Omega", 1e-13), ("Omega_shift", 1e-9), ("energy", 1e-11)):
+        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("long", "short"))
+        assert mine == pytest.approx(theirs, rel=allowed)
+    assert main(["check", str(tmp_path / "long.toml")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "inf cells of 1, 1 bonds a cell; ends fixed; a linear tail behind the last cells" in printed
+    assert "edge modes 1.03127 (pinned to a band), 2.22182 (pinned to a band)" in printed
+    (tmp_path / "stable.toml").write_text(endless + family + "[stability]\n")
+    assert main(["check", str(tmp_path / "stable.toml")]) == 2
+    assert "[stability]: given with a linear tail (edge, or more than 100000 cells)" in capsys.readouterr().err

@@ -32,7 +32,7 @@ def polynomial_of(values: list[float]) -> np.polynomial.Polynomial:
     return polynomial
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, tolerances, steps)
 @example(PAIR_IN_A_STEP, 1e-10, 0.2)
 @example(PAIR_BESIDE_AN_END, 1e-6, 0.2)
@@ -55,7 +55,7 @@ def test_every_fold_of_a_random_curve_is_found(values: list[float], tolerance: f
         assert abs(point.parameters["p"] - f(root)) <= 10.0 * point.error + 1e-13 * (1.0 + abs(f(root)))
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, st.floats(0.3, 30.0), tolerances, steps)
 @example(PAIR_IN_A_STEP, 1.0, 1e-10, 0.2)
 def test_every_crossing_of_a_pair_is_found(
@@ -79,7 +79,7 @@ def test_every_crossing_of_a_pair_is_found(
     assert {point.criticality for point in points} == {"supercritical"}
 
 
-@examples(30, deadline=None)
+@examples(20, deadline=None)
 @given(roots, tolerances, steps)
 @example(PAIR_IN_A_STEP, 1e-10, 0.2)
 def test_every_branch_point_of_a_random_curve_is_found(values: list[float], tolerance: float, max_step: float) -> None:
@@ -125,3 +125,29 @@ def test_an_isola_of_cycles_is_walked_once_and_reported_as_closed() -> None:
     assert branch.complete
     assert "closed" in branch.reason
     np.testing.assert_allclose([point.parameters["p"] for point in branch.special_points], [0.5, -0.5], atol=1e-8)
+
+
+@pytest.mark.slow
+@examples(3, deadline=None)
+@given(roots, steps)
+@example(PAIR_IN_A_STEP, 0.2)
+@example(THREE_PAIRS, 1.0)
+def test_every_point_on_a_curve_of_hopf_points_is_found(values: list[float], max_step: float) -> None:
+    """Two pairs: growth p + g(q) r^2 - r^4 and g(q + 1/8), g = prod (q - r_k): degenerate, and both, on p = 0."""
+    values = sorted(values)
+    polynomial_of(values)
+    x = ca.SX.sym("x", 4)
+    p, q = ca.SX.sym("p"), ca.SX.sym("q")
+    g, h = 1.0, 1.0
+    for root in values:
+        g, h = g * (q - root), h * (q + 0.125 - root)
+    r2, s2 = x[0] ** 2 + x[1] ** 2, x[2] ** 2 + x[3] ** 2
+    a, b = p + g * r2 - r2**2, h - s2
+    rhs = ca.vertcat(a * x[0] - x[1], x[0] + a * x[1], b * x[2] - 2 * x[3], 2 * x[2] + b * x[3])
+    model = OdeModel("two pairs", x, rhs, ca.vertcat(p, q))
+    (hopf,) = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0, "q": -2.2}).follow("p", 1.0).special_points
+    points = hopf.curve("q", 2.2, max_step=max_step).special_points
+    for kind, places in (("generalized hopf", values), ("hopf-hopf", [root - 0.125 for root in values])):
+        found = [point.parameters["q"] for point in points if point.kind == kind]
+        np.testing.assert_allclose(found, places, atol=1e-8, err_msg=kind)
+    assert len(points) == 2 * len(values)

@@ -14,10 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wstrict-prototypes"]
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wstrict-prototypes", "-Wconversion", "-Wshadow",
+          "-Wdouble-promotion"]  # fmt: skip
 SANITIZED = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+COMPILERS = [name for name in ("gcc", "clang", "clang-14") if shutil.which(name)]
 POINTER = ctypes.POINTER(ctypes.c_double)
+
+
+def sanitizers(compiler: str) -> list[str]:
+    """Flags of the sanitizers, none where the compiler has come without them."""
+    command = [compiler, *SANITIZED, "-x", "c", "-", "-o", os.devnull]
+    done = subprocess.run(command, input="int main(void) { return 0; }", text=True, capture_output=True, check=False)
+    return SANITIZED if done.returncode == 0 else []
 
 
 def compiled(directory: Path, compiler: str = "gcc", *flags: str) -> Path:

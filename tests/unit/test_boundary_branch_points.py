@@ -57,3 +57,16 @@ def test_no_branch_point_is_seen_where_there_is_a_fold_alone() -> None:
     branch = problem.solve([0.0, 0.0]).follow("lam", 4.0)
     assert [point.kind for point in branch.special_points] == ["fold"]
     assert branch.special_points[0].parameters["lam"] == pytest.approx(3.513830719125, abs=1e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("max_step", [0.2, 1.0])
+def test_a_fold_and_a_branch_point_within_one_step_are_both_found(max_step: float) -> None:
+    """s^2 = p and t (t - s + 0.02) = 0 for constants s and t: a fold at s = 0, and t = s - 0.02 crosses at s = 0.02."""
+    s, t, p = (ca.SX.sym(name) for name in "stp")
+    model = OdeModel("constants", ca.vertcat(s, t), ca.vertcat(0, 0), p)
+    x, y = model.start(s), model.start(t)
+    problem = BoundaryValueProblem(model, [x**2 - p, y * (y - x + 0.02)], parameters={"p": 0.25})
+    points = problem.solve([-0.5, 0.0]).follow("p", -1.0, max_step=max_step).special_points
+    assert [point.kind for point in points] == ["fold", "branch point"]
+    np.testing.assert_allclose([point.parameters["p"] for point in points], [0.0, 4e-4], atol=1e-9)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from equilibrium_models import rosenzweig_macarthur, symbols
 
-from casadi_skin import OdeModel, find_equilibrium
+from casadi_skin import OdeModel, find_equilibrium, find_orbit, simulate
 
 
 def _from_zero(rhs: ca.SX, x: ca.SX, p: ca.SX) -> object:
@@ -31,6 +31,7 @@ def test_both_halves_leave_a_branch_point_and_what_meets_the_branch_again_is_not
     assert [point.parameters["p"] for point in circle.special_points] == pytest.approx([-1.0, 1.0])
 
 
+@pytest.mark.slow
 def test_depth_and_limit_bound_a_diagram() -> None:
     """Prey alone; with predators from K = 1 on; cycles from K = 3 on."""
     branch = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5}).follow("K", 3.2)
@@ -52,3 +53,25 @@ def test_cycles_belong_to_a_diagram() -> None:
     diagram = start.follow_all("K", 3.2)
     assert diagram.names == ("", "_1", "_1b", "_1_1")
     assert all(orbit.floquet().stable for orbit in diagram.branches[3].solutions[1:])
+
+
+@pytest.mark.slow
+def test_orbits_of_twice_the_period_belong_to_a_diagram_of_orbits() -> None:
+    """Roessler's model with a = b = 0.2: the first period doubling at c = 2.8324."""
+    x, y, z, c = symbols("x y z c")
+    rhs = ca.vertcat(-y - z, x + 0.2 * y, 0.2 + z * (x - c))
+    model = OdeModel("Roessler", ca.vertcat(x, y, z), rhs, c, nominal=(2.0,))
+    settled = simulate(model, [1.0, 1.0, 0.0], np.linspace(0.0, 400.0, 4001))
+
+    def guess(t: float) -> np.ndarray:
+        return np.array([np.interp(t, settled.t - settled.t[-80], column) for column in settled.states.T])
+
+    branch = find_orbit(model, guess, 5.8).follow("c", 3.4, stability=True)
+    diagram = branch.follow_all(depth=1)
+    assert diagram.names == ("", "_1")
+    (doubling,) = diagram.special_points
+    assert doubling.kind == "period doubling"
+    once, twice = (found.at(c=3.2) for found in diagram)
+    assert twice.period == pytest.approx(2.0 * once.period, rel=0.02)
+    assert twice.floquet().stable
+    assert not once.floquet().stable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lorenz, symbols
+from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, symbols
 from scipy.optimize import fsolve
 
 from casadi_skin import OdeModel, find_equilibrium
@@ -31,6 +31,7 @@ def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
     np.testing.assert_array_equal(curve.parameters["p"], [solution["p"] for solution in curve.solutions])
 
 
+@pytest.mark.slow
 def test_the_bogdanov_takens_point_of_ab_has_trace_and_determinant_zero() -> None:
     fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
     found = fold.curve("p3", 3.0).special_points[0]
@@ -120,6 +121,7 @@ def test_the_cusp_normal_form_in_closed_form() -> None:
     assert abs(cusp.parameters["b2"]) < 1e-12
 
 
+@pytest.mark.slow
 def test_the_bautin_normal_form_in_closed_form() -> None:
     """r' = r (b1 + b2 r^2 - r^4): Hopf points at b1 = 0, degenerate at b2 = 0."""
     u, v, b1, b2 = symbols("u v b1 b2")
@@ -153,6 +155,7 @@ def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
         assert abs(found.parameters["p"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_the_hopf_curve_of_lorenz_in_closed_form() -> None:
     """r = s (s + b + 3)/(s - b - 1), with b = 8/3, in s from 10 to 20."""
     x, y, z, r, s = symbols("x y z r s")
@@ -182,6 +185,27 @@ def test_curves_are_refused_in_one_line() -> None:
         fold.curve("p", 1.0)
     with pytest.raises(ValueError, match="parameter: given 'q'"):
         fold.curve("q", 1.0)
-    (point,) = find_equilibrium(lorenz(), [0, 0, 0], parameters={"r": 0.5}).follow("r", 2.0).special_points
-    with pytest.raises(ValueError, match="curve: given a branch point; accepted: a fold or a Hopf point"):
-        point.curve("r", 1.0)
+    x, p, q = symbols("x p q")
+    chance = _model("chance", [x], [p * x - x**2 + q], [p, q], (-1.0, 0.0))
+    (point,) = find_equilibrium(chance, [0.0]).follow("p", 1.0).special_points
+    with pytest.raises(ArithmeticError, match="the branch point is none at other values of q"):
+        point.curve("q", 1.0)
+
+
+@pytest.mark.slow
+def test_branch_points_that_a_symmetry_keeps_are_followed_in_closed_form() -> None:
+    """Lorenz's pitchfork at r = 1 for any sigma; x'' = p x + q x' - x^3 - x^2 x'."""
+    x, y, z, r, s = symbols("x y z r s")
+    model = _model("Lorenz", [x, y, z], [s * (y - x), r * x - y - x * z, x * y - 8 * z / 3], [r, s], (0.5, 10.0))
+    (pitchfork,) = find_equilibrium(model, [0.0, 0.0, 0.0]).follow("r", 2.0).special_points
+    curve = pitchfork.curve("s", 20.0)
+    assert curve.complete
+    np.testing.assert_allclose(curve["r"], 1.0, rtol=1e-12)
+    p, q = symbols("p q")
+    model = _model("van der Pol and Duffing", [x, y], [y, p * x + q * y - x**3 - x**2 * y], [p, q], (-1.0, -1.0))
+    (pitchfork,) = find_equilibrium(model, [0.0, 0.0]).follow("p", 1.0).special_points
+    curve = pitchfork.curve("q", 1.0)
+    np.testing.assert_allclose(curve["p"], 0.0, atol=1e-12)
+    (takens,) = curve.special_points
+    assert takens.kind == "bogdanov-takens"
+    assert abs(takens.parameters["q"]) < 1e-9

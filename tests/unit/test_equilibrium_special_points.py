@@ -148,6 +148,17 @@ def test_two_folds_of_a_narrow_hysteresis_are_found() -> None:
     np.testing.assert_allclose([point.parameters["p"] for point in points], [exact, -exact], rtol=1e-7)
 
 
+def test_folds_are_found_where_an_energy_is_conserved_that_is_not_declared() -> None:
+    """x'' = p + x - x^3 as a model of first order: folds at x = +-1/sqrt(3), and no Hopf points on the axis."""
+    x, y, p = symbols("x y p")
+    points = _from_below(
+        OdeModel("energy", ca.vertcat(x, y), ca.vertcat(y, p + x - x**3), p), [-1.3, 0.0], "p", -1.0, 1.0
+    )
+    assert [point.kind for point in points] == ["fold", "fold"]
+    exact = 2.0 / 27.0**0.5
+    np.testing.assert_allclose([point.parameters["p"] for point in points], [exact, -exact], rtol=1e-12)
+
+
 def test_a_pitchfork_met_on_the_branch_that_leaves_it_is_a_branch_point() -> None:
     x, p = symbols("x p")
     points = _from_below(OdeModel("pitchfork", x, p * x - x**3, p), [2.0], "p", 4.0, -1.0)

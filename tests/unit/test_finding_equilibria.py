@@ -240,6 +240,7 @@ def test_an_isola_is_walked_once_and_reported_as_closed() -> None:
         start.follow("p", 2.0, back_to=0.5)
 
 
+@pytest.mark.slow
 def test_a_branch_that_comes_back_and_does_not_close_ends_there_unless_it_is_to_go_on() -> None:
     x, p = symbols("x p")
     start = find_equilibrium(OdeModel("parabola", x, p - x**2, p), [0.9], parameters={"p": 1.0})

@@ -83,6 +83,7 @@ def test_an_instance_for_each_shifted_value(arrays: Path, monkeypatch: pytest.Mo
     assert started[0] == 7
 
 
+@pytest.mark.slow
 def test_files_named_twice_that_are_not_unpacked_are_accepted_with_a_word(arrays: Path, tmp_path: Path) -> None:
     path = shutil.copy(arrays, tmp_path / "twice.fmu")
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import fmpy
@@ -50,7 +51,8 @@ def test_forces_and_parameters_are_inputs_with_derivatives(driven: Path) -> None
     np.testing.assert_allclose(jacobian, np.array([-np.append(np.zeros(4), x[:4]), *np.eye(8)[[4, 7]], by_gamma]).T)
 
 
-@pytest.mark.parametrize("kind", ["ModelExchange", pytest.param("CoSimulation", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ModelExchange", "CoSimulation"])
 def test_inputs_change_while_it_runs(driven: Path, kind: str) -> None:
     """A force on the last site: a ramp in Co-Simulation, held in each step, so that it comes half a step late."""
     t = np.linspace(0.0, 3.0, 301)
@@ -118,3 +120,26 @@ def test_two_chains_joined_in_cosimulation(tmp_path: Path) -> None:
     errors = load("coupled_fmus").main(tmp_path / "picture.png", (300, 600))
     assert errors[300] / errors[600] == pytest.approx(4.0, rel=0.05)  # of the coupling's order
     assert errors[600] < 5e-5
+
+
+@pytest.mark.parametrize(
+    ("jump", "words"),
+    [
+        (lambda x: ca.sign(x), r"der\(x_1\) has sign"),
+        (lambda x: ca.if_else(x > 0, -x, -2 * x), r"der\(x_1\) has if_else"),
+        (lambda x: ca.fmod(x, 1), r"der\(x_1\) has fmod"),
+        (lambda x: -ca.floor(x), r"der\(x_1\) has floor"),
+    ],
+)
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_what_jumps_is_refused_by_name(kind: Any, jump: Any, words: str, tmp_path: Path) -> None:
+    x, p = kind.sym("x", 2), kind.sym("p")
+    model = OdeModel("jumps", x, ca.vertcat(x[1], jump(x[0])), p, nominal=(1.0,))
+    with pytest.raises(
+        ValueError, match=f"^jumps: {words} in it, where it jumps, and FMUs are exported without events"
+    ):
+        export_fmu(model, tmp_path / "jumps.fmu", binary=False)
+    held = OdeModel("held", x, ca.vertcat(x[1], -jump(p) * x[0]), p, nominal=(1.0,))
+    export_fmu(held, tmp_path / "held.fmu", binary=False)  # a parameter is the same between events
+    with pytest.raises(ValueError, match="where it jumps"):
+        export_fmu(held, tmp_path / "input.fmu", binary=False, inputs=["p"])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from lattices import GAINS
 
-from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family
+from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family, read_result, save_result
 from casadi_skin.lattice.cell_tail import CellTail
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.tail import Tail
@@ -103,7 +104,7 @@ def test_an_eliminated_tail_changes_nothing(
 
 
 @pytest.mark.slow
-def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_chain() -> None:
+def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_chain(tmp_path: Path) -> None:
     at = (0.2, 1.0, 3.0)
     cell = [Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]
     branch = follow_family(long(cell, math.inf, gamma=0.25, g=1.0), "last", 3.0, at=at, tolerance=1e-11)
@@ -114,6 +115,8 @@ def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_ch
         assert one.energy == pytest.approx(other.energy, rel=1e-12)
         pinned = branch.space.coordinates.regime(one.point) is Regime.PINNED
         assert pinned == (S < 0.367762)
+    save_result(branch, tmp_path / "branch")
+    assert np.array_equal(read_result(tmp_path / "branch").Omega, branch.Omega)
 
 
 @pytest.mark.slow

@@ -6,16 +6,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
-from drawing import blank_pictures
 from maps import TINY, tasks, write
-from outputs import read_rows
+from outputs import drawn, read_rows
+from scipy.io import netcdf_file
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Chain, follow_family, run_map
 from casadi_skin.cli import main
+from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
 from casadi_skin.maps.cell import Computer, Job
-from casadi_skin.maps.grid import Axis, Grid, plain
+from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.refine import UNKNOWN, needed
 from casadi_skin.runs.binding import bind
@@ -102,32 +104,41 @@ def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
         assert np.all((known[1:] if axis == 0 else known[:, 1:])[differ])
 
 
-def test_a_map_is_that_of_its_families(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write(tmp_path, TINY.replace("points = 3", "points = 2").replace("[1, 2]", "[2]")), tmp_path / "out"
+    assert main(["map", str(scene), "--out", str(out), "--no-pictures"]) == 0
+    rows = read_rows(out / "map.csv")
+    assert len(rows) == 4
+    branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
+    truth = [branch.at(S=S).Omega for S in (0.05, 0.1)]
+    assert [float(row["Omega"]) for row in rows if float(row["gamma"]) == 0.3] == truth
+    with netcdf_file(out / "map.nc", mmap=False) as found:
+        variable = found.variables["Omega"]
+        assert variable.dimensions == ("gamma", "S", "mode")
+        assert (variable.long_name, variable.units) == (b"frequency", b"1")
+        assert variable[1, :, 0].tolist() == truth
+    assert main(["map", str(scene), "--out", str(out)]) == 2
+    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet", "--no-pictures"]) == 0
+    assert len(tasks(out / "journal.msgpack")) == 2
+
+
+@pytest.mark.slow
+def test_a_plan_tells_cells_and_cost_and_xarray_opens_the_map(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    blank_pictures(monkeypatch)
-    scene, out = write(tmp_path, TINY), tmp_path / "out"
+    scene = write(tmp_path, TINY)
     assert main(["check", str(scene)]) == 0
     plan = capsys.readouterr().out
     assert "3 gamma x 2 S x 2 mode = 12, orbits of 6 families" in plan
     assert "for one (measured on gamma = 0.2, S = 0.05, mode = 2); " in plan
-    assert main(["map", str(scene), "--out", str(out)]) == 0
-    rows = read_rows(out / "map.csv")
-    assert len(rows) == 12
-    branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
-    for row in (row for row in rows if (row["gamma"], row["mode"]) == ("0.29999999999999999", "2")):
-        assert float(row["Omega"]) == branch.at(S=float(row["S"])).Omega
+    found = run_map(scene, tmp_path / "out", quiet=True)
     xarray = pytest.importorskip("xarray")
-    with xarray.open_dataset(out / "map.nc") as found:
-        assert dict(found.sizes)["gamma"] == 3
-        assert found["Omega"].dims == ("gamma", "S", "mode")
-        assert found["Omega"].attrs["long_name"] == "frequency"
-        assert found["Omega"].attrs["units"] == "1"
-        assert float(found["Omega"].sel(S=0.1, mode=2)[-1]) == branch.orbits[-1].Omega
-        assert bytes(found["end"].values[0, 0, 0]).strip() == b"reached"
-    assert main(["map", str(scene), "--out", str(out)]) == 2
-    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
-    assert len(tasks(out / "journal.msgpack")) == 6
+    with xarray.open_dataset(tmp_path / "out" / "map.nc") as opened:
+        assert dict(opened.sizes)["gamma"] == 3
+        assert opened["Omega"].sel(S=0.1, mode=2).values.tolist() == found["Omega"][:, 1, 1].tolist()
+        assert bytes(opened["end"].values[0, 0, 0]).strip() == b"reached"
+    assert found.to_xarray()["Omega"].equals(xarray.DataArray(found["Omega"], found.axes, found.axes))
+    assert drawn(tmp_path / "out" / "map_Omega.png")
 
 
 FAMILY = BASE + "[stability]\n[map]\nmode = [1]\n"
@@ -228,3 +239,112 @@ def test_many_cells_need_no_memory_for_their_results(tmp_path: Path) -> None:
     grown, journal = map(int, ended.stdout.split())
     assert journal > 14_000
     assert grown < 0.4 * journal
+
+
+LOGARITHM = """[model]
+file = "logarithm.py"
+name = "model"
+[equilibrium]
+start = [1.2]
+[map]
+p = { from = 0.0, to = 2.0, points = 5 }
+"""
+
+
+@pytest.mark.slow
+def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> None:
+    """x' = -log(x - p) rests at 1 + p; 1.2 is outside of its domain from p = 1.2 on, and 2 from p = 2 on."""
+    scene = write(tmp_path, LOGARITHM)
+    (tmp_path / "logarithm.py").write_text(
+        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, p = ca.SX.sym('x'), ca.SX.sym('p')\n"
+        "model = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))\n",
+        encoding="utf-8",
+    )
+    found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
+    assert found.status.tolist() == [1, 1, 1, 1, 3]
+    assert found["x"][:4] == pytest.approx([1.0, 1.5, 2.0, 2.5], abs=1e-12)
+    assert found["started_from"].tolist() == ["", "", "", "p = 1.0", ""]
+    assert found.failures()[0][0] == "p = 2.0"
+
+
+@pytest.mark.slow
+def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
+    """x' = -y + r x and so on lose stability at r = p^2 + q^2 - 1/2 = 0: a circle of Hopf points."""
+    text = LOGARITHM.replace("start = [1.2]", "start = [0.01, 0.0]").partition("[map]")[0] + (
+        "[map]\np = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\n"
+        "q = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\nboundary = true\n"
+    )
+    scene = write(tmp_path, text)
+    (tmp_path / "logarithm.py").write_text(
+        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, y, p, q = (ca.SX.sym(n) for n in 'xypq')\n"
+        "r, s = p * p + q * q - 0.5, x * x + y * y\n"
+        "model = OdeModel('circle', ca.vertcat(x, y), ca.vertcat(r * x - y - x * s, x + r * y - y * s),\n"
+        "                 ca.vertcat(p, q), nominal=(0.3, 0.2))\n",
+        encoding="utf-8",
+    )
+    found = run_map(scene, tmp_path / "out", quiet=True)
+    (line,) = found.boundary[()]
+    assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-9
+    angles = np.sort(np.arctan2(line[:, 1], line[:, 0]))
+    assert np.diff(angles, append=angles[0] + 2 * np.pi).max() < 0.3  # all of it
+    assert len(read_rows(tmp_path / "out" / "boundary.csv")) == len(line)
+    p, q = np.meshgrid(*found.axes.values(), indexing="ij")
+    rate = p**2 + q**2 - 0.5
+    known = (found.status == 1) & (np.abs(rate) > 1e-9)
+    assert np.all(found["stable"][known] == (rate < 0)[known])
+    assert drawn(tmp_path / "out" / "map_stable.png")
+
+
+def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
+    from matplotlib import colormaps
+    from matplotlib.collections import QuadMesh
+
+    shades = colormaps[COLOURS](np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(shades) > 0)
+    values, failed = np.arange(12.0).reshape(4, 3), np.zeros((4, 3), dtype=bool)
+    values[1, 2], failed[1, 2] = np.nan, True
+    axes = [MapAxis("a", np.arange(4.0)), MapAxis("b", np.array([1.0, 10.0, 100.0]), True)]
+    figure = map_figure("name", "title", axes, [Panel("", values, failed, np.ones((4, 3), dtype=bool))])
+    panel = figure.axes[0]
+    assert isinstance(panel.collections[0], QuadMesh)
+    (cross,) = [line for line in panel.lines if line.get_marker() == "x"]
+    assert (cross.get_xdata(), cross.get_ydata()) == ([1.0], [100.0])
+    assert len(panel.collections) > 1  # contour lines
+    assert panel.get_yscale() == "log"
+
+
+LATTICE = """[lattice]
+cells = [4]
+parameters = { alpha = { low = 0.9, high = 1.1, seed = 1 }, g = 1.0 }
+[[lattice.site]]
+name = "a"
+onsite = "alpha*y + g*y^3"
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [1]
+[family]
+mode = 1
+amplitude_max = 0.05
+[map]
+seed = { from = 1, to = 3, points = 3 }
+"g, mode" = [[1.0, 1], [-1.0, 4]]
+S = [0.01, 0.05]
+"""
+
+
+def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
+    """Seeds of a lattice, parameters that move together, and S of a family, whose cells are one task."""
+    scene = parse_scene(LATTICE)
+    grid = Grid.of(scene)
+    tasks_of_grid = list(grid.tasks(grid.coarsest))
+    assert [task.cells for task in tasks_of_grid] == [(0, 1), (2, 3), (4, 5), (6, 7), (8, 9), (10, 11)]
+    last = tasks_of_grid[-1]
+    cell = scene_at(plain(scene), last.settings, last.amplitudes)
+    assert cell.lattice is not None
+    assert cell.family is not None
+    assert msgspec.to_builtins(cell.lattice.parameters["alpha"])["seed"] == 3
+    assert (cell.lattice.parameters["g"], cell.family.mode) == (-1.0, 4)
+    assert (cell.family.at, cell.family.amplitude_max) == ((0.01, 0.05), 0.05)
+    assert cell.lattice.site == scene.lattice.site if scene.lattice is not None else False
+    assert grid.name(11) == "seed = 3, g, mode = (-1.0, 4), S = 0.05"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import lorenz, symbols
+from equilibrium_models import symbols
 
 from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit, simulate
+from casadi_skin.stability.result import TrivialMultiplierWarning
 
 
 def circuit(epsilon: float) -> OdeModel:
@@ -33,56 +36,25 @@ def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont()
 
     MatCont stops at a torus whose multipliers have the modulus 1.0000054; here it is 1 within the errors.
     """
-    points = cycles(0.001, -0.63).special_points
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", TrivialMultiplierWarning)  # the multiplier that passes 1 does so by itself
+        points = cycles(0.001, -0.63).special_points
     assert [point.kind for point in points] == ["fold", "torus", "period doubling"]
     published = [(-0.5844928424, 8.411866), (-0.5957504, 8.861099), (-0.6146817, 9.256846)]
     for point, (nu, period), within in zip(points, published, (1e-10, 3e-7, 1e-7), strict=True):
         assert abs(point.parameters["nu"] - nu) < within
         assert point.solution.period == pytest.approx(period, abs=2e-5)
-        assert 0.0 < point.error < 1e-6
+        assert 0.0 < point.error < 1e-12
     fold, torus, doubling = (point.solution for point in points)
     assert abs(np.abs(torus.floquet(by="cvodes").multipliers[1]) - 1.0) < 1e-5
     assert np.min(np.abs(doubling.floquet(by="cvodes").multipliers + 1.0)) < 1e-5
-    assert np.min(np.abs(fold.floquet().others - 1.0)) < 1e-4
-
-
-@pytest.mark.slow
-def test_errors_of_a_period_doubling_are_small_and_cover_the_difference() -> None:
-    model = lorenz()
-    start = _cycle(model, 240.0)
-    found = []
-    for tolerance in (1e-6, 1e-9):
-        orbit = find_orbit(model, start, parameters={"r": 240.0}, tolerance=tolerance)
-        found.append(orbit.follow("r", 225.0, stability=True).special_points[0])
-    coarse, fine = found
-    assert abs(coarse.parameters["r"] - fine.parameters["r"]) <= coarse.error + fine.error
-    assert max(fine.error, coarse.error) < 1e-10
+    assert np.min(np.abs(fold.floquet().others - 1.0)) < 1e-9
+    assert [point.criticality for point in points] == ["quadratic", "subcritical", "supercritical"]
 
 
 def _cycle(model: OdeModel, r: float) -> object:
     times = np.linspace(0.0, 40.0, 40001)
     return simulate(model, [10.0, 10.0, r], times, parameters={"r": r}).last_cycle()
-
-
-@pytest.mark.slow
-def test_lorenz_doubles_its_period_twice_where_auto_does() -> None:
-    """AUTO-07p's demo `lor`: 229.407 with T = 0.480867, and on the branch that leaves 218.210 with T = 0.987949."""
-    model = lorenz()
-    orbit = find_orbit(model, _cycle(model, 235.0), parameters={"r": 235.0})
-    (first,) = orbit.follow("r", 226.0, stability=True).special_points
-    assert first.kind == "period doubling"
-    assert first.parameters["r"] == pytest.approx(229.407, abs=5e-4)
-    assert first.solution.period == pytest.approx(0.480867, abs=5e-7)
-    doubled = first.follow("r", 217.0, stability=True)
-    assert doubled.complete
-    assert doubled.orbits[0].period == pytest.approx(2.0 * first.solution.period, rel=1e-12)
-    (second,) = doubled.special_points
-    assert second.kind == "period doubling"
-    assert second.parameters["r"] == pytest.approx(218.210, abs=5e-4)
-    assert second.solution.period == pytest.approx(0.987949, abs=5e-7)
-    t = np.linspace(0.0, 0.4, 7)
-    last = doubled.orbits[-1]
-    assert np.max(np.abs(last.evaluate(t) - last.evaluate(t + 0.5 * last.period))) > 1.0
 
 
 @pytest.mark.slow
@@ -93,6 +65,7 @@ def test_a_symmetric_cycle_loses_its_symmetry_at_a_branch_point() -> None:
     assert (fold.kind, point.kind) == ("fold", "branch point")
     other = point.follow("nu", -0.6, stability=True)
     assert other.complete
+    assert point.lost == ("half-period symmetry in x, y, z",)
     for orbit, symmetric in ((branch.orbits[-1], True), (other.orbits[-1], False)):
         t = np.linspace(0.0, orbit.period, 50)
         odd = np.max(np.abs(orbit.evaluate(t) + orbit.evaluate(t + 0.5 * orbit.period)))

@@ -30,6 +30,7 @@ from casadi_skin import (
     simulate,
 )
 from casadi_skin.models.ode import OdeModel as Model
+from casadi_skin.orbits.certificate import ProvedStability
 from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
 
@@ -125,6 +126,8 @@ def test_numbers_beside_branches_come_back(tmp_path: Path) -> None:
     read = again(evolution, tmp_path)
     assert read.states.tobytes() == evolution.states.tobytes()
     assert dict(read.parameters) == {"mu": 1.0}
+    proved = ProvedStability("unstable", np.zeros((0, 2)), np.zeros(0, dtype=np.int64), 0.5 + 0.1j, 1e-9, 1.0)
+    assert again(proved, tmp_path).exponent == proved.exponent
     floquet = cycle().floquet()
     assert again(floquet, tmp_path).multipliers.tobytes() == floquet.multipliers.tobytes()
 
@@ -196,3 +199,23 @@ def test_whatever_a_file_with_the_right_checksum_says_it_is_data_or_refused(
     path.write_bytes(framed(msgspec.msgpack.encode(saved)))
     with suppress(ValueError):
         read_result(path)
+
+
+@pytest.mark.slow
+def test_diagrams_and_curves_of_orbits_lead_on_from_a_file(tmp_path: Path) -> None:
+    x, y, z, alpha, beta = (ca.SX.sym(name) for name in ("x", "y", "z", "alpha", "beta"))
+    model = OdeModel(
+        "adaptx", ca.vertcat(x, y, z), ca.vertcat(y, z, -alpha * z - beta * y - x + x**2), ca.vertcat(alpha, beta),
+        nominal=(2.0, 1.0),
+    )  # fmt: skip
+    diagram = find_equilibrium(model, [0.0, 0.0, 0.0]).follow("alpha", 0.6).follow_all(depth=1)
+    read = again(diagram, tmp_path)
+    for one, two in zip(diagram, read, strict=True):
+        same(one, two)
+    (doubling,) = (p for p in diagram.special_points if p.kind == "period doubling")
+    (found,) = (p for p in read.special_points if p.kind == "period doubling")
+    curve = doubling.curve("beta", 1.1, max_points=3)
+    same(curve, found.curve("beta", 1.1, max_points=3))
+    same(curve, again(curve, tmp_path))
+    assert len(diagram.to_dataframe()) == sum(map(len, diagram))
+    assert "period doubling" in str(diagram)

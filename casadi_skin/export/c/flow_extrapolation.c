@@ -39,16 +39,16 @@ static int midpoint(double t, double step, int n, const double *X, int columns, 
 int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)
 {
     int columns = Phi ? N : 0, step, j, k, failed = steps < 1;
-    size_t m = (size_t)N * (1 + columns), i;
+    size_t m = (size_t)N * (size_t)(1 + columns), i;
     double *X = work, *table = work + m, *scratch = table + ROWS * m, *rest = scratch + 3 * m, h = duration / steps;
 
     for (i = 0; i < N; i++) X[i] = x[i];
     for (i = N; i < m; i++) X[i] = (i - N) % (N + 1) == 0 ? 1.0 : 0.0;
     for (step = 0; step < steps && !failed; step++) {
         for (j = 0; j < ROWS && !failed; j++) {
-            failed = midpoint(t + step * h, h, 2 * (j + 1), X, columns, p, table + j * m, scratch, rest, m);
+            failed = midpoint(t + step * h, h, 2 * (j + 1), X, columns, p, table + (size_t)j * m, scratch, rest, m);
             for (k = j; k > 0 && !failed; k--) { /* Aitken and Neville, in squares of the substep */
-                double ratio = (double)(j + 1) / k, *coarse = table + (k - 1) * m, *fine = table + k * m;
+                double ratio = (double)(j + 1) / k, *coarse = table + (size_t)(k - 1) * m, *fine = table + (size_t)k * m;
                 for (i = 0; i < m; i++) coarse[i] = fine[i] + (fine[i] - coarse[i]) / (ratio * ratio - 1.0);
             }
         }

@@ -13,7 +13,7 @@ int @p_linear_mode(int mode, double *z)
 
     if (mode < 1 || mode > @P_SITES || !(square > 0.0)) return 1;
     for (n = 0; n < @P_SITES; n++) {
-        long turn = (long)(n + 1) * mode % (2 * (@P_SITES + 1)); /* the sine of a reduced angle */
+        double turn = fmod((n + 1.0) * mode, 2.0 * (@P_SITES + 1)); /* the sine of a reduced angle */
         double q = sin(turn * pi / (@P_SITES + 1));
         norm += @p_rho[n] * @p_rho[n] * q * q;
         for (i = 0; i < @P_NODES; i++) z[n * @P_NODES + i] = q * cos((i + 0.5) * pi / (2 * @P_NODES));

@@ -39,7 +39,7 @@ static double defect_of(const double *dRdz, const double *R, const double *step,
         }
     for (j = 0; j < SIZE - 1; j++) {
         largest = fmax(largest, fabs(R[j]));
-        defect = product[j] == product[j] ? fmax(defect, fabs(product[j])) : INFINITY;
+        defect = product[j] == product[j] ? fmax(defect, fabs(product[j])) : HUGE_VAL;
     }
     return largest > 0.0 ? defect / largest : 0.0;
 }
@@ -47,12 +47,12 @@ static double defect_of(const double *dRdz, const double *R, const double *step,
 int @p_newton(double *z, int held, double value, double tolerance, int most, @p_newton_report *report, double *work)
 {
     double *R = work, *dRdz = R + SIZE, *step = dRdz + @P_RESIDUAL_NONZEROS, *product = step + SIZE;
-    double *start = product + SIZE, *rest = start + SIZE, last = INFINITY, scale = fmax(1.0, fabs(z[@P_PARAMETER]));
+    double *start = product + SIZE, *rest = start + SIZE, last = HUGE_VAL, scale = fmax(1.0, fabs(z[@P_PARAMETER]));
     int i;
 
     memcpy(start, z, SIZE * sizeof *z);
     report->iterations = 0;
-    report->step = report->residual = INFINITY;
+    report->step = report->residual = HUGE_VAL;
     report->status = @P_TOO_MANY_ITERATIONS;
     if (!(z[@P_OMEGA] > 0.0) || (held != @P_OMEGA && held != @P_PARAMETER)) report->status = @P_BAD_INPUT;
     while (report->status == @P_TOO_MANY_ITERATIONS && report->iterations < most) {

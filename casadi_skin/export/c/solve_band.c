@@ -9,7 +9,7 @@
 #include <math.h>
 
 enum { SIZE = @P_UNKNOWNS, N = @P_STATE_UNKNOWNS, W = @P_HALF_BANDWIDTH, LD = 3 * W + 1, EDGE = SIZE - N + 1 };
-#define BAND(i, j) band[(size_t)(j) * LD + 2 * W + (i) - (j)]
+#define BAND(i, j) band[(size_t)(j) * LD + (size_t)(2 * W + (i) - (j))]
 
 /* LU of the band in place, right-hand sides (N rows, columns one after the other) solved along. */
 static int band_solve(double *band, double *right, int columns)
@@ -100,11 +100,11 @@ int @p_solve(const double *dRdz, int held, const double *z, double *b, double *w
         for (k = @p_residual_colptr[j]; k < @p_residual_colptr[j + 1]; k++) {
             i = @p_residual_row[k];
             if (i < N && j < N) BAND(i, j) = dRdz[k];
-            else if (i < N) right[(size_t)(j - N + 1) * N + i] = dRdz[k];
-            else if (j < N) below[(size_t)(i - N + 1) * N + j] = dRdz[k];
+            else if (i < N) right[(size_t)(j - N + 1) * N + (size_t)i] = dRdz[k];
+            else if (j < N) below[(size_t)(i - N + 1) * N + (size_t)j] = dRdz[k];
             else border[i - N + 1][j - N + 1] = dRdz[k];
         }
-    if (held < N) below[(size_t)(EDGE - 1) * N + held] = 1.0;
+    if (held < N) below[(size_t)(EDGE - 1) * N + (size_t)held] = 1.0;
     else border[EDGE - 1][held - N + 1] = 1.0;
 
     for (i = 1; i < N; i++)
@@ -115,20 +115,20 @@ int @p_solve(const double *dRdz, int held, const double *z, double *b, double *w
     below[pin] = -1.0;
     border[0][0] = 1.0;
 
-    for (i = 0; i < N; i++) right[(size_t)EDGE * N + i] = b[i];
+    for (i = 0; i < N; i++) right[(size_t)EDGE * N + (size_t)i] = b[i];
     if (band_solve(band, right, EDGE + 1)) return 1;
     for (i = 0; i < EDGE; i++) outer[i] = i == 0 ? 0.0 : b[N + i - 1];
     for (r = 0; r < EDGE; r++)
         for (i = 0; i < N; i++) {
-            double factor = below[(size_t)r * N + i];
+            double factor = below[(size_t)r * N + (size_t)i];
             if (factor == 0.0) continue;
-            for (j = 0; j < EDGE; j++) border[r][j] -= factor * right[(size_t)j * N + i];
-            outer[r] -= factor * right[(size_t)EDGE * N + i];
+            for (j = 0; j < EDGE; j++) border[r][j] -= factor * right[(size_t)j * N + (size_t)i];
+            outer[r] -= factor * right[(size_t)EDGE * N + (size_t)i];
         }
     if (border_solve(border, outer)) return 1;
     for (i = 0; i < N; i++) {
-        b[i] = right[(size_t)EDGE * N + i];
-        for (j = 0; j < EDGE; j++) b[i] -= right[(size_t)j * N + i] * outer[j];
+        b[i] = right[(size_t)EDGE * N + (size_t)i];
+        for (j = 0; j < EDGE; j++) b[i] -= right[(size_t)j * N + (size_t)i] * outer[j];
     }
     for (j = 1; j < EDGE; j++) b[N + j - 1] = outer[j];
     return 0;

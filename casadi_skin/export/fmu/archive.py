@@ -17,7 +17,7 @@ from casadi_skin.export.compiler import build_library
 from casadi_skin.export.exported_model import Source
 from casadi_skin.export.fmu.description import SOURCES, Description, build_description, terminals_and_icons
 from casadi_skin.export.fmu.documentation import icon, page
-from casadi_skin.export.fmu.equations import Equations, config_header
+from casadi_skin.export.fmu.equations import Equations, check_smooth, config_header
 from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem, initial_value_problem
 from casadi_skin.export.fmu.inputs import with_inputs
 from casadi_skin.files import replacing
@@ -66,8 +66,8 @@ def export_fmu(
 
     Raises:
         TypeError: An argument is of a wrong type.
-        ValueError: An argument is out of range; no C can be generated of the model; fmpy, which has the headers of the
-            standard, or a C compiler is missing.
+        ValueError: An argument is out of range; no C can be generated of the model, or its equations jump; fmpy, which
+            has the headers of the standard, or a C compiler is missing.
     """
     target = file_path("path", path)
     check_name("fmi", fmi, SOURCES)
@@ -77,6 +77,7 @@ def export_fmu(
     if not target.parent.is_dir():
         raise ValueError(f"path: no folder {str(target.parent)!r}; accepted: a file in a folder that is there")
     problem = with_inputs(initial_value_problem(what, start, mode, S, stop_time, tolerance), inputs)
+    check_smooth(problem)
     files = contents(problem, fmi)
     if binary:
         files |= _compiled(problem, fmi, files)

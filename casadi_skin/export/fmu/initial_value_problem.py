@@ -48,8 +48,9 @@ class InitialValueProblem:
 
     @property
     def identifier(self) -> str:
-        """The model's name as an identifier of C: letters, digits and single underscores."""
-        name = re.sub(r"[\W_]+", "_", self.model.name, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        """The model's name as an identifier of C: letters, digits and single underscores, others by their numbers."""
+        told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in self.model.name)
+        name = re.sub(r"[\W_]+", "_", told, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
         return name if name[0].isalpha() else f"model_{name}"
 
 
@@ -157,19 +158,18 @@ def chain_with_outputs(chain: Chain) -> OdeModel:
 def _energy(y: ca.MX, v: ca.MX, alpha: ca.MX, gamma: ca.MX, g: ca.MX) -> ca.MX:
     """Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to, in y and v, for any |gamma| < 1.
 
-    With q = (1 + |gamma|)/(1 - |gamma|) and d_n sites between n and that edge, 1/rho_n^2 = q^d_n, and the coupling
-    s/(rho_n rho_{n+1}) is (1 + |gamma|) q^min(d_n, d_{n+1}): no root is left to be differentiated.
+    With s = (1 + gamma)/(1 - gamma), 1/rho_n^2 is s^(N-n) for gamma >= 0 and s^(1-n) below, always the larger one, and
+    so is the coupling: no root is left to be differentiated, and nothing jumps where gamma changes its sign.
     """
     sites = y.numel()
-    to_left = np.arange(sites, dtype=float)
-    right, size = gamma >= 0, ca.fabs(gamma)
-    ratio = (1 + size) / (1 - size)
-    distance = ca.DM(to_left) + right * ca.DM(to_left[::-1] - to_left)
-    energy = ca.dot(ratio**distance, v**2 + (2 + alpha) * y**2 + g * y**4 / 2) / 2
+    number, ratio = ca.DM(np.arange(1.0, sites + 1.0)), (1 + gamma) / (1 - gamma)
+    weight = ca.fmax(ratio ** (sites - number), ratio ** (1 - number))
+    energy = ca.dot(weight, v**2 + (2 + alpha) * y**2 + g * y**4 / 2) / 2
     if sites == 1:
         return energy
-    nearer = ca.fmin(distance[:-1], distance[1:])
-    return energy - (1 + size) * ca.dot(ratio**nearer, y[:-1] * y[1:])
+    first = number[:-1]
+    coupling = ca.fmax((1 + gamma) * ratio ** (sites - 1 - first), (1 - gamma) * ratio ** (1 - first))
+    return energy - ca.dot(coupling, y[:-1] * y[1:])
 
 
 def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:

@@ -37,6 +37,7 @@ enum { LOG_DISCARD = 1, LOG_ERROR = 2, LOG_ALL = 3 };
 
 /* The FMU state: what getting, setting and serialising it takes. Arrays have one element more, as C knows no empty ones. */
 typedef struct {
+    void *none; /* null: fmusim 0.0.39 gives the state to be freed where its address is to be given */
     int mode;
     double time, step, tolerance; /* step: what the solver of Co-Simulation proposes next, 0 before the first */
     double x[NX + 1], p[NP + 1];

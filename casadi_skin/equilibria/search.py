@@ -1,0 +1,55 @@
+"""The search for special points on a stretch of a branch, which is divided until its inside is known."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+
+from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.equations import EquilibriumEquations
+from casadi_skin.equilibria.samples import Sample
+from casadi_skin.equilibria.stretch import WITHIN, Signs, Stretch
+
+DEEPEST = 20  # divisions of a stretch between two points of the continuation
+MOST = 400  # parts that it is divided into
+PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
+
+
+class Search(ABC):
+    """The search on one stretch of the continuation; `parts` counts what it has been divided into."""
+
+    def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:
+        self.equations, self.signs, self.parts = equations, signs, 0
+
+    @abstractmethod
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+        """Special points on a part that is known, in order; None where it has to be divided, unless it is the last."""
+
+    @abstractmethod
+    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
+        """What is told of a part that can be divided no further."""
+
+    def sample(self, point: Point) -> Sample:
+        """What is known at a point."""
+        return self.equations.sample(point)
+
+    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point]:
+        """Special points between two points, in order."""
+        self.parts += 1
+        solver = self.equations.point_solver
+        tried = (solver.along(before, after, place) for place in PLACES)
+        middle = next((point for point in tried if point is not None), None)
+        points = (before, after) if middle is None else (before, middle, after)
+        stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
+        last = depth >= DEEPEST or self.parts > MOST
+        found = self.found(stretch, depth, last or middle is None)
+        if found is not None:
+            yield from found
+            return
+        if last or middle is None:
+            yield from self.unresolved(stretch)
+            return
+        dip = stretch.dip()
+        divided = (None if dip is None else solver.along(before, after, dip)) or middle
+        yield from self.between(before, divided, depth + 1)
+        yield from self.between(divided, after, depth + 1)

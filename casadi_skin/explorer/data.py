@@ -1,0 +1,169 @@
+"""What a page shows of a run: curves, and wave forms and multipliers of a few hundred points of each."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
+POINTS = 3000  # of a curve
+NUMBERS = 400_000  # of wave forms, in all
+PHASES, STATES = 49, 24  # of a wave form
+FILL = 9e36  # values from here on are empty
+ACCEPTED = f"accepted: the directory of a run, with one of {', '.join(FILES)}"
+
+Variables = Mapping[str, NDArray[Any]]
+
+
+def page_data(directory: Path) -> dict[str, Any]:
+    """All that the page shows, as JSON takes it; raises ValueError where the directory has no branches."""
+    files = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in FILES))
+    title, parts = "", list[tuple[str, Variables]]()
+    for path in files:
+        attributes, variables = _read(path)
+        title = title or attributes.get("title", "")
+        parts += _split(path.stem, variables)
+    if not parts:
+        raise ValueError(f"{directory}: holds no branches; {ACCEPTED}")
+    share = max(NUMBERS // (len(parts) * PHASES * STATES), 20)
+    branches = [_branch(name, variables, share) for name, variables in parts]
+    thinned = [b for b in branches if b["count"] > len(b["columns"]["point"])]
+    note = f"curves show {POINTS} of the points of {len(thinned)} branches" if thinned else ""
+    return {"title": title or directory.name, "note": note, "branches": branches}
+
+
+def _read(path: Path) -> tuple[dict[str, str], Variables]:
+    """Attributes that are text, and variables; characters become names."""
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, "r", mmap=False) as file:
+        known: dict[str, Any] = vars(file)["_attributes"]
+        attributes = {k: v.decode() for k, v in known.items() if isinstance(v, bytes)}
+        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in file.variables.items()}
+    for name, values in variables.items():
+        if values.dtype.kind == "S":
+            variables[name] = np.array([b"".join(row).decode().rstrip() for row in values])
+        elif values.dtype.kind == "f":
+            variables[name] = np.where(np.abs(values) > FILL, np.nan, values).astype(float)
+    return attributes, variables | _kinds(path.with_suffix(".csv"))
+
+
+def _kinds(path: Path) -> dict[str, NDArray[Any]]:
+    """Kinds of special points, from the table beside a netCDF file."""
+    if not path.exists():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {"special": np.array([row["special"] for row in rows])} if rows and "special" in rows[0] else {}
+
+
+def _split(stem: str, variables: Variables) -> Iterator[tuple[str, Variables]]:
+    """The families of a file one by one; another branch as it is."""
+    if "mode" not in variables:
+        yield stem.replace("_", " "), variables
+        return
+    count = variables["mode"].size
+    for mode in dict.fromkeys(variables["mode"].tolist()):
+        chosen = variables["mode"] == mode
+        yield (
+            f"mode {mode}",
+            {n: v[chosen] if v.ndim and len(v) == count and n != "site" else v for n, v in variables.items()},
+        )
+
+
+def _branch(name: str, variables: Variables, share: int) -> dict[str, Any]:
+    columns = _columns(variables)
+    count = len(next(iter(columns.values())))
+    special = _special(variables, count)
+    kept = _chosen(count, POINTS, special, variables)
+    detailed = _chosen(count, share, special, variables)
+    x = "S" if "S" in columns else next(iter(columns))
+    y = "Omega" if "S" in columns else list(columns)[1]
+    return {
+        "name": name,
+        "count": count,
+        "x": x,
+        "y": y,
+        "columns": {"point": kept.tolist(), **{n: _short(v[kept]) for n, v in columns.items()}},
+        "stable": variables["stable"][kept].astype(int).tolist() if "stable" in variables else None,
+        "requested": [int(i) for i in np.flatnonzero(variables.get("requested", np.zeros(count))[kept])],
+        "special": [{"point": int(np.searchsorted(kept, i)), "kind": kind} for i, kind in special.items()],
+        "detail": _detail(variables, detailed, kept),
+    }
+
+
+def _columns(variables: Variables) -> dict[str, NDArray[Any]]:
+    """Quantities that are one number a point, what is followed first; of a state that moves its largest value."""
+    found: dict[str, NDArray[Any]] = {}
+    names = [str(n) for n in variables.get("parameter_name", ())]
+    for i, name in enumerate(names):
+        found[name] = variables["parameters"][:, i]
+    moving = sorted(found, key=lambda name: -float(np.ptp(found[name])) / (abs(float(found[name][0])) or 1.0))
+    found = {name: found[name] for name in moving}
+    for i, name in enumerate(str(n) for n in variables.get("state_name", ())):
+        found.setdefault(name, variables["largest" if "largest" in variables else "states"][:, i])
+    if "end" in variables and "phase" in variables:
+        found["period"] = variables["end"] - variables["start"]
+    size = next(v for n, v in variables.items() if n in ("requested", "mode")).size
+    skipped = {"mode", "index", "requested", "stable", "fold", "start", "end"}
+    plain = {n: v for n, v in variables.items() if v.ndim == 1 and v.size == size and v.dtype.kind in "fi"}
+    return found | {n: v.astype(float) for n, v in plain.items() if n not in skipped and not n.endswith("_name")}
+
+
+def _special(variables: Variables, count: int) -> dict[int, str]:
+    """Kinds of special points by their place; changes of stability where nothing else is known."""
+    found = {int(i): "fold" for i in np.flatnonzero(variables.get("fold", np.zeros(count)))}
+    found |= {i: str(kind) for i, kind in enumerate(variables.get("special", ())) if kind}
+    if "stable" in variables:
+        changes = np.flatnonzero(np.diff(variables["stable"].astype(int)))
+        near = {j for i in found for j in (i - 1, i, i + 1)}
+        found |= {int(i) + 1: "change of stability" for i in changes if not near & {int(i), int(i) + 1}}
+    return dict(sorted(found.items()))
+
+
+def _chosen(count: int, most: int, special: Mapping[int, str], variables: Variables) -> NDArray[np.int64]:
+    """Places of at most so many points, evenly, with special and requested ones and both ends."""
+    even = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    asked = np.flatnonzero(variables.get("requested", np.zeros(count)))[:most]
+    return np.unique(np.concatenate([even, asked, np.array(list(special)[:most], dtype=int)])).astype(np.int64)
+
+
+def _detail(variables: Variables, chosen: NDArray[np.int64], kept: NDArray[np.int64]) -> dict[str, Any]:
+    """Wave forms over the period and multipliers of chosen points, by their place among those kept."""
+    chosen = chosen[np.isin(chosen, kept)]
+    detail: dict[str, Any] = {"point": np.searchsorted(kept, chosen).tolist(), "names": [], "waves": None}
+    if "multipliers" in variables:
+        detail["multipliers"] = [_short(pairs) for pairs in variables["multipliers"][chosen].reshape(chosen.size, -1)]
+    if "eigenvalues" in variables:
+        detail["eigenvalues"] = [_short(pairs) for pairs in variables["eigenvalues"][chosen].reshape(chosen.size, -1)]
+    waves, names = _waves(variables, chosen)
+    if waves is not None:
+        moving = np.sort(np.argsort(-np.max(np.ptp(waves, axis=1), axis=0), kind="stable")[:STATES])
+        detail["waves"] = [[_short(state) for state in wave[:, moving].T] for wave in waves]
+        detail["names"] = [names[i] for i in moving]
+    return detail
+
+
+def _waves(variables: Variables, chosen: NDArray[np.int64]) -> tuple[NDArray[np.float64] | None, list[str]]:
+    """States at even phases, shape (points, phases, states), and their names."""
+    phases = np.linspace(0.0, 1.0, PHASES)
+    if "coefficients" in variables:
+        names = [f"y_{n}" for n in variables["site"].tolist()]
+        c = variables["coefficients"][chosen]
+        odd = 2 * np.arange(c.shape[1]) + 1
+        return np.einsum("tk,pks->pts", np.cos(2 * np.pi * np.outer(phases, odd)), c), names
+    if "profile" in variables and variables["profile"].ndim == 3:
+        places = np.linspace(0, variables["profile"].shape[1] - 1, PHASES).astype(int)
+        return variables["profile"][chosen][:, places], [str(n) for n in variables["state_name"]]
+    return None, []
+
+
+def _short(values: NDArray[Any]) -> list[float | None]:
+    """Numbers with as many digits as a screen shows; None where there is none."""
+    return [float(f"{v:.7g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float).ravel()]

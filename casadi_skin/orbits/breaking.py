@@ -1,0 +1,178 @@
+"""Orbits that leave a family of reversible orbits where a real tongue of instability opens or closes.
+
+The variational flow over the part of the period that is solved for, a half or a quarter, is Phi = [[A, B], [C, D]] in
+positions and velocities; a perturbation (x, 0) or (0, v) that comes back to one of these is its own mirror image in
+time (Lamb and Roberts 1998). Which block is singular tells what is kept:
+
+    mu   block      of an odd family (a quarter)             of one that is reversible alone (a half)
+    0    C x = 0    the reversal; no half-period symmetry     all: another branch of the same class
+    0    B v = 0    neither, but both together                the period; no reversal
+    -1   A x = 0    all: another branch of the same class     the reversal, with twice the period
+    -1   D v = 0    the half-period symmetry; no reversal     the same, about the other phase at rest
+
+At mu = -1 of an odd family, 0 of another, where no block is singular beside the trivial vector, the energy has an
+extremum, and nothing leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp import mesh
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.continuation.points import ContinuationSettings, Point
+from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic, Sizes
+from casadi_skin.orbits.branch_points import other_tangent
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.orbit_statement import Asked, statement_of
+from casadi_skin.orbits.restating import restated, with_amplitude
+from casadi_skin.solvers.levels import ErrorEstimate
+
+SINGULAR = 1e-6  # smallest singular value of a block that is singular, relative to its largest
+SHIFT, ROUNDS = 1e-11, 4  # of inverse iteration, relative
+HALF_PERIOD, REVERSAL = "half-period symmetry", "reversal"
+
+
+@dataclass(frozen=True, eq=False)
+class Breaking:
+    """What leaves an orbit of a family.
+
+    Attributes:
+        block: "A", "B", "C" or "D", as above.
+        vector: the perturbation at phase zero in the coordinates of the model, positions then velocities.
+        symmetry: which part of the period of the orbits that leave is unknown.
+        turns: how often they run through the period.
+        lost: what they have lost, in words.
+    """
+
+    block: str
+    vector: Array
+    symmetry: SymmetryClass
+    turns: int
+    lost: tuple[str, ...]
+
+
+KINDS = {
+    (SymmetryClass.QUARTER, "C"): (SymmetryClass.HALF, 1, (HALF_PERIOD,)),
+    (SymmetryClass.QUARTER, "B"): (SymmetryClass.FULL, 1, (HALF_PERIOD, REVERSAL)),
+    (SymmetryClass.QUARTER, "A"): (SymmetryClass.QUARTER, 1, ()),
+    (SymmetryClass.QUARTER, "D"): (SymmetryClass.FULL, 1, (REVERSAL,)),
+    (SymmetryClass.HALF, "C"): (SymmetryClass.HALF, 1, ()),
+    (SymmetryClass.HALF, "B"): (SymmetryClass.FULL, 1, (REVERSAL,)),
+    (SymmetryClass.HALF, "A"): (SymmetryClass.HALF, 2, ()),
+    (SymmetryClass.HALF, "D"): (SymmetryClass.FULL, 2, (REVERSAL,)),
+}
+
+
+def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
+    """What leaves an orbit of a family at the edge of a real tongue with mu 0 or -1; None where nothing does."""
+    family = orbit.space
+    assert isinstance(family, Family)
+    transition, acceleration = family.transition(orbit.point)
+    blocks = dict(zip("ABCD", transition.blocks(), strict=True))
+    scale = np.exp(family.whole.coordinates.log_scale)
+    trivial = "D" if family.symmetry is SymmetryClass.QUARTER else "B"
+    best: tuple[float, str, Array] = (SINGULAR, "", np.empty(0))
+    for name in "CB" if mu > -0.5 else "AD":
+        _, values, rows = np.linalg.svd(blocks[name])
+        place = -2 if name == trivial else -1
+        if values.size >= -place and values[place] / values[0] < best[0]:
+            vector = rows[place]
+            if name == trivial:
+                along = acceleration / np.linalg.norm(acceleration)
+                vector = np.linalg.svd(rows[-2:] - np.outer(rows[-2:] @ along, along))[2][0]
+            best = (float(values[place] / values[0]), name, np.asarray(vector * scale))
+    _, name, vector = best
+    if not name:
+        return None
+    symmetry, turns, lost = KINDS[family.symmetry, name]
+    zero = np.zeros(vector.size)
+    full = np.concatenate([vector, zero] if name in "AC" else [zero, vector])
+    return Breaking(name, full / np.linalg.norm(full), symmetry, turns, lost)
+
+
+def breaking_space(
+    orbit: Orbit, mu: float, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings,
+    side: int, start: Orbit,
+) -> BoundarySpace:  # fmt: skip
+    """The space of the orbits that leave an orbit of a family, left along its null vector.
+
+    `start` is the same orbit as `restated` gives it: its parameters, S among them, are those that may be followed.
+    """
+    breaking = breaking_of(orbit, mu)
+    if breaking is None:
+        raise ValueError("follow: given an extremum of the energy; accepted: a point at which another branch leaves")
+    family = orbit.space
+    assert isinstance(family, Family)
+    extended, _, select = with_amplitude(family.coordinates.model)
+    first, symmetry = extended.first_order(), breaking.symmetry
+    length = breaking.turns * start.period
+    values = {key: start.parameters[key] for key in first.parameter_names}
+    section = None
+    if symmetry is SymmetryClass.FULL:  # where S is stationary: no phase is at rest
+        section = ca.jtimes(select, extended.state, extended.velocity)
+    asked = Asked(first, length, 1, values, np.zeros(first.full_size), start, symmetry, select, section)
+    statement = statement_of(asked)
+    old = start.space
+    assert isinstance(old, BoundarySpace)
+    sizes, method = Sizes.of(statement, start.states), replace(old.method, corrector="newton")
+    space = BoundarySpace(
+        statement, old.tolerance, method, sizes, Periodic(extended, first, symmetry), parameter, to, at, None,
+        settings, leaves=True,
+    )  # fmt: skip
+    problem = _problem(space, start, symmetry.value * breaking.turns)
+    t = length * symmetry.value * problem._fractions()
+    free = [length if key == PERIOD else statement.values[key] for key in statement.free]
+    z = np.concatenate([start.evaluate(t).ravel(), free, [0.0]])
+    error = ErrorEstimate(start.point.error.Omega, start.point.error.profile)
+    own = Point(problem, z, _family_tangent(space, problem, z), error, settings.first_step, 0)
+    tangent = other_tangent(space.point_solver, own)
+    tangent = side * np.sign(tangent[: first.full_size] @ breaking.vector) * tangent
+    return replace(space, first=replace(own, tangent=tangent))
+
+
+def _problem(space: BoundarySpace, start: Orbit, part: float) -> BoundaryProblem:
+    """The discretisation of a part of the period with the mesh of the orbit, mirrored and repeated."""
+    own = start.problem.constants / np.sum(start.problem.constants)
+    there = [own, own[::-1]]
+    lengths = np.concatenate([there[k % 2] for k in range(round(part / start.symmetry.value))])
+    fitting = [r for r in space.levels.resolutions if r >= lengths.size]
+    resolution = fitting[0] if fitting else space.levels.resolutions[-1]
+    found = space.levels.problem(resolution).with_constants(mesh.resampled(lengths / np.sum(lengths), resolution))
+    assert isinstance(found, BoundaryProblem)
+    return found
+
+
+def _family_tangent(space: BoundarySpace, problem: BoundaryProblem, z: Array) -> Array:
+    """The tangent of the family among the two directions that the equations leave open; of norm 1 in the metric.
+
+    By inverse iteration, once with the parameter held, once across what was found so.
+    """
+    from scipy.sparse import csc_matrix, diags, vstack
+    from scipy.sparse.linalg import splu
+
+    rows, columns = problem.pattern
+    sizes = 1.0 / np.sqrt(space.point_solver.metric(problem, z))
+    values = problem.evaluate(z)[1] * sizes[columns]
+    generator, size = np.random.default_rng(0), problem.size
+    J = csc_matrix((values, (rows, columns)), shape=(size - 1, size))
+    shift = diags(SHIFT * float(np.max(np.abs(values))) * generator.random(size))
+    row: Array = np.eye(1, size, size - 1)[0]
+    for _ in range(2):
+        factors = splu((vstack([J, csc_matrix(row[None, :])]) + shift).tocsc())
+        row = generator.normal(size=size)
+        for _ in range(ROUNDS):
+            row = np.asarray(factors.solve(row))
+            row /= np.linalg.norm(row)
+    return np.asarray(sizes * row)
+
+
+def start_of(orbit: Orbit) -> Orbit:
+    """An orbit of a family as the one that a branch leaves, in the coordinates of the model, with S a parameter."""
+    return restated(orbit, "S")

@@ -1,0 +1,93 @@
+"""Symmetries that an orbit has and the branch that leaves at its branch point has not.
+
+A symmetry S of the equations that changes signs of states may hold of an orbit at each instant, S x(t) = x(t), or
+after half of the period, S x(t) = x(t + T/2). It is lost on a branch that leaves along a Floquet vector which S, or S
+and half a period, turn to its opposite (Golubitsky, Stewart and Schaeffer 1988).
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.bifurcations import critical_vector
+from casadi_skin.orbits.orbit import Orbit
+
+MOST = 10  # states of a model all of whose changes of sign are tried
+TRIALS, SAME = 3, 1e-9  # random points at which fields are compared, and their relative difference
+HELD = 1e-5  # of what an orbit varies by: how far off a symmetry may be that it has
+PLACES = 64  # along the orbit
+
+
+def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:
+    """What is lost at a branch point, in words, as "half-period symmetry in x, y"; empty where nothing known is.
+
+    Arguments:
+        orbit: at the branch point, over its whole period.
+    """
+    model, names, found = orbit.model, orbit.model.state_names, []
+    times = orbit.period * np.arange(PLACES) / PLACES
+    states, later = orbit.evaluate(times), orbit.evaluate(times + 0.5 * orbit.period)
+    within = HELD * np.ptp(states)
+    vector = critical_vector(orbit, 1.0)
+    after: Array | None = None
+    for signs in sign_symmetries(model, orbit.model_parameters):
+        changed = ", ".join(name for name, sign in zip(names, signs, strict=True) if sign < 0)
+        at_once = not model.forced and bool(np.max(np.abs(signs * states - states)) < within)
+        if at_once and np.linalg.norm(signs * vector + vector) < np.linalg.norm(signs * vector - vector):
+            found.append(f"mirror symmetry in {changed}")
+        if np.max(np.abs(signs * states - later)) < within:
+            after = _half_a_period_on(orbit, vector) if after is None else after
+            image = _across(orbit, signs * vector)
+            if np.linalg.norm(after + image) < np.linalg.norm(after - image):
+                found.append(f"half-period symmetry in {changed}")
+    return tuple(found)
+
+
+def sign_symmetries(model: OdeModel, parameters: Array) -> list[Array]:
+    """Changes of signs of states under which the equations stay the same; of a forced model half a period later."""
+    n = model.full_size
+    if n <= MOST:
+        choices = [np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=n)][1:]
+    else:
+        declared = [] if model.half_period is None else [np.array(model.half_period, dtype=float)]
+        choices = [-np.ones(n), *declared]
+    generator, shift = np.random.default_rng(3), 0.5 * model.forcing_period_at(parameters)
+    points = np.abs(generator.normal(size=(TRIALS, n)))
+    here = [np.array(model.vector_field(0.3, x, parameters)).ravel() for x in points]
+
+    def holds(signs: Array) -> bool:
+        there = [np.array(model.vector_field(0.3 + shift, signs * x, parameters)).ravel() for x in points]
+        return all(
+            bool(np.max(np.abs(b - signs * a)) <= SAME * (1.0 + np.max(np.abs(a))))
+            for a, b in zip(here, there, strict=True)
+        )
+
+    return [signs for signs in choices if holds(signs)]
+
+
+def _half_a_period_on(orbit: Orbit, vector: Array) -> Array:
+    """A perturbation at phase zero half a period later, across the orbit."""
+    from scipy.integrate import solve_ivp
+
+    model, p = orbit.model, orbit.model_parameters
+    jacobian = model.function("J", ca.densify(ca.jacobian(model.full_rhs, model.full_state)))
+
+    def rate(t: float, w: Array) -> Array:
+        return np.asarray(np.array(jacobian(t, orbit.evaluate(t)[0], p)) @ w)
+
+    found = solve_ivp(rate, (0.0, 0.5 * orbit.period), vector, "LSODA", rtol=1e-6, atol=1e-9)
+    return _across(orbit, found.y[:, -1])
+
+
+def _across(orbit: Orbit, vector: Array) -> Array:
+    """A vector at half of the period without its part along the orbit."""
+    model, t = orbit.model, 0.5 * orbit.period
+    if model.forced:
+        return vector
+    along = np.array(model.vector_field(0.0, orbit.evaluate(t)[0], orbit.model_parameters)).ravel()
+    return np.asarray(vector - along * (along @ vector) / (along @ along))

@@ -1,0 +1,73 @@
+"""Branches of orbits whose period grows without bound: where they end, by closed forms."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import symbols
+from test_rotating_orbits import ENERGY, E, current, pendulum, q, turn_time
+
+from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit
+from casadi_skin.continuation.points import End
+
+
+def ends_at(branch: Branch, kind: str, value: float) -> None:
+    """The branch ends at its only special point, which covers a value with its error."""
+    (point,) = branch.special_points
+    assert point.kind == kind
+    assert branch.end is End.UNBOUNDED
+    assert point.solution.period == pytest.approx(np.max(branch.period))
+    assert abs(point.parameters[point.parameter] - value) <= point.error < 1e-7
+    assert not branch.complete
+
+
+def test_a_pendulum_that_goes_round_ends_on_its_separatrix() -> None:
+    """At E = 1; the period grows as log(32/(E - 1))."""
+    period = turn_time(1.2)
+    orbit = find_orbit(
+        pendulum(), lambda t: [2.0 * np.pi * t / period, 1.6], period, parameters={"E": 1.2}, select=ENERGY - E,
+        rotations={"q": 1}, symmetric=True,
+    )  # fmt: skip
+    branch = orbit.follow("E", 0.5)
+    ends_at(branch, "homoclinic", 1.0)
+    assert "the period grows without bound: orbits come to one that is homoclinic to (q = 3.14159" in branch.reason
+    last = branch.special_points[0].solution
+    assert last.period == pytest.approx(np.log(32.0 / (last["E"] - 1.0)), abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_pendulum_that_swings_ends_on_its_separatrix_between_two_equilibria() -> None:
+    orbit = find_orbit(
+        pendulum(), lambda t: [np.sin(t), np.cos(t)], 6.7, parameters={"E": -0.5}, select=ENERGY - E,
+        symmetric=True,
+    )  # fmt: skip
+    branch = orbit.follow("E", 1.5)
+    ends_at(branch, "heteroclinic", 1.0)
+    assert branch.reason.count("q = 3.14159") == branch.reason.count("q = -3.14159") == 1
+
+
+@pytest.mark.slow
+def test_a_junction_stops_where_two_equilibria_are_born() -> None:
+    """q' = I - sin q: at I = 1, a saddle-node on the orbit; the period grows as (I - 1)^-1/2."""
+    junction = OdeModel("junction", q, current - ca.sin(q), current)
+    orbit = find_orbit(junction, lambda t: [0.2 * t], 31.3, parameters={"I": 1.02}, rotations={"q": 1})
+    ends_at(orbit.follow("I", 0.99), "homoclinic", 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a", [0.3, -0.3])
+def test_cycles_end_at_an_exact_homoclinic_orbit(a: float) -> None:
+    """Sandstede's planar system (J. Dynam. Diff. Eq. 9, 1997; AUTO-07p's demo `san`): x^2 (1 - x) = y^2 at mu = 0."""
+    x, y, mu, shape = symbols("x y mu a")
+    rhs = ca.vertcat(
+        shape * x + y - shape * x**2 + mu * x * (2 - 3 * x),
+        x + shape * y - 1.5 * x**2 - 1.5 * shape * x * y - 2 * mu * y,
+    )
+    model = OdeModel("leaf", ca.vertcat(x, y), rhs, ca.vertcat(mu, shape))
+    start = find_equilibrium(model, [0.67, 0.0], parameters={"mu": -np.sign(a) * 0.5, "a": a})
+    (hopf,) = start.follow("mu", np.sign(a) * 0.5).special_points
+    branch = hopf.follow("mu", np.sign(a) * 0.5)
+    ends_at(branch, "homoclinic", 0.0)
+    at = branch.special_points[0].solution.evaluate(np.linspace(0.0, branch.period[-1], 500))
+    assert np.max(np.abs(at[:, 0] ** 2 * (1.0 - at[:, 0]) - at[:, 1] ** 2)) < 1e-5
