@@ -7,17 +7,16 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.commands import explore_command, map_command, scene_commands, start_commands, study_commands
+from casadi_skin.commands import explore_command, map_command, start_commands, study_commands
 from casadi_skin.commands.json_output import add_output
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
-from casadi_skin.runs.directory import DirectoryError
-from casadi_skin.scene import SceneError
 
 
 class _Parser(argparse.ArgumentParser):
@@ -51,7 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     add_output(run)
-    run.set_defaults(act=scene_commands.run)
+    run.set_defaults(act="scene_commands:run")
 
     check = commands.add_parser(
         "check",
@@ -61,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     check.add_argument("scene", type=Path, metavar="SCENE.toml")
     add_output(check)
-    check.set_defaults(act=scene_commands.check)
+    check.set_defaults(act="scene_commands:check")
 
     spectrum = commands.add_parser(
         "spectrum",
@@ -73,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
     spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     add_output(spectrum)
-    spectrum.set_defaults(act=scene_commands.spectrum)
+    spectrum.set_defaults(act="scene_commands:spectrum")
 
     map_command.add_map(commands)
     study_commands.add_studies(commands)
@@ -100,9 +99,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _status(arguments: Sequence[str] | None) -> int:
     """Exit status of a command that has said why it is what it is."""
     parsed = _parser().parse_args(arguments)
+    from casadi_skin.runs.directory import DirectoryError  # here: --help needs nothing of it
+    from casadi_skin.scene import SceneError
+
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        return int(parsed.act(parsed))
+        act = parsed.act
+        if isinstance(act, str):
+            module, name = act.split(":")
+            act = getattr(import_module(f"casadi_skin.commands.{module}"), name)
+        return int(act(parsed))
     except (SceneError, DirectoryError, InputError) as error:
         print(f"casadi-skin: {error}", file=sys.stderr)
         return WRONG_INPUT

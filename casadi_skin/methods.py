@@ -97,3 +97,4 @@ TASKS = _registry(  # what an object's method does where the object stands below
     threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")
+FORMATS = ("png", "svg", "pdf")  # of pictures

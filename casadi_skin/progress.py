@@ -17,12 +17,12 @@ class Progress:
     """One line on standard error with the place on a branch, points and step; only on a terminal and unless `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
-        from rich.console import Console
+        self._quiet, self.on_terminal = quiet, not quiet and sys.stderr.isatty()
+        self._status: Status | None = None
+        if self.on_terminal:  # rich takes time to load
+            from rich.console import Console
 
-        console = Console(stderr=True)
-        shown = console.is_terminal and not quiet
-        self._quiet, self.on_terminal = quiet, bool(shown)
-        self._status: Status | None = console.status("building", spinner="line") if shown else None
+            self._status = Console(stderr=True).status("building", spinner="line")
 
     def __enter__(self) -> Progress:
         if self._status is not None:

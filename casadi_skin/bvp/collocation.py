@@ -8,11 +8,16 @@ compiled equations, so that the mesh may follow the solution.
 
 from __future__ import annotations
 
+import copy
+from functools import cached_property
+from typing import Any, Self
+
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import CollocationTable
+from casadi_skin.bvp.discretisation import Discretisation
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import Array, Indices, Problem, sparse_matrix
 
@@ -28,6 +33,7 @@ class CollocationEquations(Problem):
 
     formulation: Formulation
     table: CollocationTable
+    in_order = True
 
     def _discretise(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
         """Set what the equations are made of."""
@@ -48,6 +54,37 @@ class CollocationEquations(Problem):
         return collocation + int(self.formulation.conditions.numel()) + self.formulation.integrals
 
     # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def discretisation(self) -> Discretisation:
+        """The equations on this number of intervals, shared by all problems of the formulation that have it."""
+        key, known = (self.resolution, self.degree, self.table.ends.size), self.formulation.discretisations
+        if key not in known:
+            known[key] = Discretisation(self.formulation, self.resolution, self.table)
+        found: Discretisation = known[key]
+        return found
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        return self.discretisation.shared
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return self.discretisation.rows, self.discretisation.columns
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        return self.discretisation(z, self.constants)
+
+    def with_constants(self, constants: Array) -> Self:
+        """The same equations on intervals of other lengths; nothing is built again.
+
+        Raises ValueError where their number differs.
+        """
+        self.check_constants(constants)
+        _ = self.discretisation
+        other = copy.copy(self)
+        other.constants = constants
+        return other
 
     @property
     def stages(self) -> Indices:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
@@ -26,6 +27,11 @@ class Formulation:
     field: Expression
     conditions: Expression
     integrands: Expression
+
+    @cached_property
+    def discretisations(self) -> dict[tuple[int, int, int], Any]:
+        """What has been made of this formulation for numbers of intervals, stages and increments."""
+        return {}
 
     @property
     def states(self) -> int:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -67,6 +67,7 @@ class Problem(ABC):
     resolution: int
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
+    in_order: bool = False  # whether unknowns and equations come in an order in which factors of dR/dz are sparse
     constants: Array = np.zeros(0)
 
     @abstractmethod
@@ -169,12 +170,25 @@ class Problem(ABC):
 
         Raises ValueError where their number differs.
         """
-        if constants.shape != self.constants.shape:
-            raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
-        _ = self.symbols, self.pattern, self._buffers  # kept by the copy as well
+        self.check_constants(constants)
+        _ = self.symbols, self.pattern, self._buffers, self.shared  # kept by the copy as well
         other = copy.copy(self)
         other.constants = constants
         return other
+
+    def check_constants(self, constants: Array) -> None:
+        """Raises ValueError for another number of constants than there are."""
+        if constants.shape != self.constants.shape:
+            raise ValueError(f"constants: given {constants.size}; accepted: {self.constants.size} of them")
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        """What is made once for all problems that differ from this one in their constants only, by name."""
+        return self._shared
+
+    @cached_property
+    def _shared(self) -> dict[Any, Any]:
+        return {}
 
     # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
 

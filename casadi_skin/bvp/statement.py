@@ -166,8 +166,20 @@ class Statement:
         start, end = self.ends_at(parameters)
         return float(start), float(end)
 
+    @cached_property
+    def _formulations(self) -> dict[tuple[str | None, float], Formulation]:
+        return {}
+
     def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
-        """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`."""
+        """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`.
+
+        It is made once, and keeps what is made of it: solving again builds nothing.
+        """
+        if (walking, end) not in self._formulations:
+            self._formulations[walking, end] = self._formulated(walking, end)
+        return self._formulations[walking, end]
+
+    def _formulated(self, walking: str | None, end: float) -> Formulation:
         model, kind = self.model, type(self.model.state)
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)

@@ -8,10 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from casadi_skin.commands.scene_commands import name_program, read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.directory import Existing
-from casadi_skin.scene import read_text
 
 if TYPE_CHECKING:
     from casadi_skin.maps.result import Map
@@ -42,11 +39,15 @@ def add_map(commands: Commands) -> None:
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     parser.add_argument("--no-pictures", action="store_true", help="tables alone")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    parser.set_defaults(act=run)
+    parser.set_defaults(act="map_command:run")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the map of a scene; nothing is written where the scene or its model is wrong."""
+    from casadi_skin.commands.scene_commands import name_program, read_scene
+    from casadi_skin.runs.directory import Existing
+    from casadi_skin.scene import read_text
+
     scene, _ = read_scene(arguments.scene)
     if scene.map is None:
         raise InputError(f"{arguments.scene}: [map]: missing; accepted: a table of parameters with ranges or lists")

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from casadi_skin.commands.status import DONE, InputError
-from casadi_skin.files import replacing
-from casadi_skin.scene import scene_schema
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"
 KINDS = ("chain", "lattice", "model")
@@ -68,6 +66,8 @@ def print_help(parser: argparse.ArgumentParser) -> int:
 
 def write_start(arguments: argparse.Namespace) -> int:
     """Write a scene to start from, with the Python file of a model; files that are there are not touched."""
+    from casadi_skin.files import replacing
+
     scene = arguments.out or Path(f"{arguments.kind}.toml")
     if scene.suffix != ".toml":
         raise InputError(f"new: given --out {scene}; accepted: a name that ends in .toml")
@@ -90,6 +90,9 @@ def write_start(arguments: argparse.Namespace) -> int:
 
 def write_schema(arguments: argparse.Namespace) -> int:
     """Print the JSON schema of scenes, or write it into a file."""
+    from casadi_skin.files import replacing
+    from casadi_skin.scene import scene_schema
+
     text = json.dumps(scene_schema(), indent=2)
     if arguments.out is None:
         print(text)

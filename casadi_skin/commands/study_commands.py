@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadi_skin.commands.json_output import add_output, print_results
-from casadi_skin.commands.scene_commands import bound, read_scene
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.directory import prepare_study
+from casadi_skin.methods import FORMATS
 
 if TYPE_CHECKING:
     from casadi_skin.studies.study import Study
@@ -72,14 +71,19 @@ def add_studies(commands: Commands) -> None:
     for parser in (paper, work, errors, hard):
         default = parser.get_default("out")
         parser.add_argument("--out", type=Path, metavar="DIR", help=f"directory of the results (default: {default})")
+        words = "format of its pictures, once for each that is wanted (default: png)"
+        parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
         parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
         add_output(parser)
-        parser.set_defaults(act=run_study)
+        parser.set_defaults(act="study_commands:run_study")
 
 
 def run_study(arguments: argparse.Namespace) -> int:
     """Run the study that the arguments ask for, show its report, and return the exit status."""
+    from casadi_skin.runs.directory import prepare_study
+
     study: Study = arguments.study(arguments)
+    study.formats = arguments.formats or study.formats
     prepare_study(study.directory, arguments.overwrite)
 
     from casadi_skin.progress import Progress
@@ -129,6 +133,8 @@ def _paper(arguments: argparse.Namespace) -> Study:
 
 
 def _work_precision(arguments: argparse.Namespace) -> Study:
+    from casadi_skin.commands.scene_commands import bound, read_scene
+
     scene = None if arguments.scene is None else read_scene(arguments.scene)[0]
     if scene is not None and (scene.family is None or scene.chain is None or scene.chain.sites == math.inf):
         accepted = "a scene with a table [family], and a [chain] of finite length"

@@ -63,12 +63,35 @@ def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Ar
     Hermite interpolation of degree 2 n - 1 through n points; sigma = row . (z(sigma) - z). Only points in order along
     `row` are used, so that the curve of a sharp turn is not wilder than the turn.
     """
-    from scipy.interpolate import KroghInterpolator
-
-    nodes, values, last = [0.0, 0.0], [z, t / float(row @ t)], 0.0
+    places, values, slopes, last = [0.0], [z], [t / float(row @ t)], 0.0
     for earlier, tangent in before:
         sigma, slope = float(row @ (earlier - z)), float(row @ tangent)
         if not (sigma < last and slope > 0.0):
             break
-        nodes, values, last = [*nodes, sigma, sigma], [*values, earlier, tangent / slope], sigma
-    return KroghInterpolator(np.array(nodes), np.array(values))
+        places, values, slopes, last = [*places, sigma], [*values, earlier], [*slopes, tangent / slope], sigma
+    return interpolant(np.array(places), np.array(values), np.array(slopes))
+
+
+def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float], Array]:
+    """The polynomial of least degree through values and slopes, each (places, m), by divided differences.
+
+    Written out, as scipy.interpolate takes a third of a family's time to load.
+    """
+    nodes, table = np.repeat(places, 2), np.repeat(values, 2, axis=0)
+    coefficients = [table[0]]
+    for order in range(1, nodes.size):
+        rise, apart = np.diff(table, axis=0), (nodes[order:] - nodes[:-order])[:, None]
+        if order == 1:
+            table = np.repeat(slopes, 2, axis=0)[:-1]
+            table[1::2] = rise[1::2] / apart[1::2]
+        else:
+            table = rise / apart
+        coefficients.append(table[0])
+
+    def at(place: float) -> Array:
+        height = coefficients[-1]
+        for coefficient, node in zip(coefficients[-2::-1], nodes[-2::-1], strict=True):
+            height = coefficient + (place - node) * height
+        return np.asarray(height)
+
+    return at

@@ -22,6 +22,7 @@ COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less 
 START_ERROR = 1e-4  # of the linear mode where a walk starts
 PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
 MEANINGFUL = 1e-3
+ASYMPTOTIC = 1e-2  # relative error below which what finer levels will do is foreseen
 TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
@@ -127,6 +128,29 @@ class PointSolver:
         does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
         relative error, where these have been found. Raises SingularError.
         """
+        return self._confirmed(self._climbed(problem, correction, row, held, known), held)
+
+    def _confirmed(self, point: Point | None, held: Scalar | None) -> Point | None:
+        """The point as the corrector's last word has it; raises SingularError where that refuses it."""
+        confirm = None if point is None else getattr(self.levels.corrector(point.problem), "confirm", None)
+        if point is None or confirm is None:
+            return point
+        problem, z = point.problem, point.z
+        row = self.metric(problem, z) * point.tangent if held is None else problem.row_of(held)
+        correction: Correction = confirm(z, row, float(row @ z))
+        if not correction.converged:
+            raise SingularError(f"{correction.status.value} {correction.message}".strip())
+        return point if correction.z is z else replace(point, z=correction.z)
+
+    def _climbed(
+        self,
+        problem: Problem,
+        correction: Correction,
+        row: Array,
+        held: Scalar | None,
+        known: tuple[Point, float] | None,
+    ) -> Point | None:
+        """As `refined`, before the last word."""
         z, iterations, polished, placed = correction.z, correction.iterations, False, False
         coarser: tuple[float, Point] | None = None  # the same point one level below, with its error
         climbed: list[tuple[int, float]] = []
@@ -152,7 +176,8 @@ class PointSolver:
             else:
                 climbed.append((problem.resolution, relative))
                 _check_gain(climbed, point)
-                finer = self.levels.finer(problem, z)
+                excess = relative / self.settings.tolerance if relative < ASYMPTOTIC else 1.0
+                finer = self.levels.finer(problem, z, excess)
                 if finer is None or self.levels.finer(finer) is None:
                     return None
                 polished, placed, target, coarser = False, False, finer, (relative, point)
@@ -169,7 +194,9 @@ class PointSolver:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
         point, relative = self._measured(problem, correction, tangent, held)
         finished = point.at_round_off or relative <= self.settings.tolerance
-        return point if finished else self.refined(problem, correction, row, held, (point, relative))
+        if finished:
+            return self._confirmed(point, held)
+        return self.refined(problem, correction, row, held, (point, relative))
 
     def _measured(
         self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None

@@ -35,14 +35,10 @@ class Stretch:
 
     def crossings(self, index: int, values: Iterable[float]) -> list[tuple[float, float]]:
         """All (tau, value) with tau in (0, length] at which component `index` equals one of `values`, ascending."""
-        from scipy.optimize import brentq
-
         course = self.coefficients[:, index]
         turn = np.arange(1, course.size) * course[1:]
         grid = np.linspace(0.0, self.length, GRID)
-        turns = [
-            brentq(lambda tau: polyval(tau, turn), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))
-        ]
+        turns = [_zero(turn.tolist(), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))]
         nodes: Array = np.sort(np.concatenate([grid, np.array(turns)]))
         heights: Array = np.asarray(polyval(nodes, course))
         found = set()
@@ -50,12 +46,38 @@ class Stretch:
             gap = course.copy()
             gap[0] -= value
             for a, b in _brackets(nodes, heights - value):
-                found.add((float(brentq(lambda tau, c=gap: polyval(tau, c), a, b, xtol=1e-15 * self.length)), value))
+                found.add((_zero(gap.tolist(), a, b), value))
         return sorted((tau, value) for tau, value in found if tau > 0.0)
 
 
 def _powers(tau: float | Array, count: int) -> Array:
     return np.asarray(np.power.outer(tau, np.arange(count)))
+
+
+def _zero(coefficients: list[float], low: float, high: float) -> float:
+    """The zero of a polynomial between two places, where it has opposite signs: Newton's method, or halving.
+
+    Written out, as scipy.optimize takes as long to load as a family to be followed.
+    """
+    rises = _value(coefficients, low)[0] < 0.0
+    closest, x = 1e-15 * abs(high - low), 0.5 * (low + high)
+    for _ in range(100):
+        value, slope = _value(coefficients, x)
+        low, high = (x, high) if (value < 0.0) == rises else (low, x)
+        step = value / slope if slope else np.inf
+        following = x - step if low < x - step < high else 0.5 * (low + high)
+        if value == 0.0 or abs(following - x) <= closest:
+            return x
+        x = following
+    return x
+
+
+def _value(coefficients: list[float], x: float) -> tuple[float, float]:
+    """A polynomial and its derivative at x, by Horner's scheme."""
+    value = slope = 0.0
+    for coefficient in reversed(coefficients):
+        slope, value = slope * x + value, value * x + coefficient
+    return value, slope
 
 
 def _brackets(nodes: Array, values: Array) -> list[tuple[float, float]]:

@@ -214,7 +214,7 @@ class ExactLevels(Levels):
     def __init__(self, problem: AlgebraicProblem, correct_with: Callable[[Problem], Corrector]) -> None:
         super().__init__(lambda _: problem, correct_with, (1,))
 
-    def finer(self, problem: Problem, z: Array | None = None) -> Problem:
+    def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:
         return problem
 
 

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.family import Family
 
 MOST_VALUES = 6  # of parameters in a title
+DPI = 200  # of pictures as PNG
+SAVING: Mapping[str, dict[str, Any]] = {  # without dates; levels of compression above 3 take long and gain little
+    "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
+    "svg": {"metadata": {"Date": None}},
+    "pdf": {"metadata": {"CreationDate": None}},
+}
 AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
 
 DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
@@ -43,9 +49,10 @@ def style() -> AbstractContextManager[None]:
 
 
 def blank(width: float, height: float) -> Figure:
+    """An empty figure; `finished` lays it out."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height))
 
 
 def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False) -> Figure:
@@ -58,14 +65,26 @@ def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: boo
         legend = figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns)
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
-    engine = figure.get_layout_engine()
-    if engine is not None:  # once and for all: laying out is slow, and makes the ticks while the style is set
-        engine.execute(figure)
-    figure.set_layout_engine("none")
+    _lay_out(figure)
     for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
         box = np.round(axes.get_position(original=True).bounds, 9)
         axes.set_position((float(box[0]), float(box[1]), float(box[2]), float(box[3])))
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Once and for all, on the canvas of pictures at their resolution, so that texts are measured once: it is slow.
+
+    An engine that stays with the figure would draw everything twice when it is saved.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    FigureCanvasAgg(figure)
+    before = figure.get_dpi()
+    figure.set_dpi(DPI)
+    ConstrainedLayoutEngine().execute(figure)
+    figure.set_dpi(before)
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -143,18 +162,18 @@ def number_sites(axes: Axes, first: int, last: int, label: str) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
 
 
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.png and `stem`.svg, each replaced atomically, and return their paths.
+def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[Path]:
+    """Write `stem`.png, or what `formats` name, each replaced atomically, and return their paths.
 
     The bytes depend on the figure alone. Raises OSError where the folder does not exist or cannot be written to.
     """
     paths = []
-    for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+    for kind in formats:
         path = stem.with_name(f"{stem.name}.{kind}")
         temporary = stem.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
             with style():
-                figure.savefig(temporary, format=kind, dpi=200, metadata=metadata)
+                figure.savefig(temporary, format=kind, dpi=DPI, **SAVING[kind])
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -30,6 +30,7 @@ from casadi_skin.orbits.period_limit import limit_between, resting_places
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.special_points import FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
+from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
@@ -156,7 +157,9 @@ class BoundarySpace:
     def _corrector(self, problem: Problem) -> Corrector:
         """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
-        return RoundedCorrector(methods.CORRECTORS[self.method.corrector].load()(problem, tolerance, ITERATIONS))
+        name = self.method.corrector
+        make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
+        return RoundedCorrector(make(problem, tolerance, ITERATIONS))
 
     @cached_property
     def point_solver(self) -> PointSolver:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, SingularError, Solve
+from casadi_skin.continuation.hermite import interpolant
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
@@ -52,14 +53,11 @@ class _Section:
 
     def predicted(self, place: float) -> tuple[Array, float]:
         """The orbit by Hermite interpolation through the nearest points, and the distance of the two next to it."""
-        from scipy.interpolate import KroghInterpolator
-
         right = int(np.clip(np.searchsorted(self.places, place), 1, self.places.size - 1))
         first = int(np.clip(right - NEIGHBOURS // 2, 0, max(self.places.size - NEIGHBOURS, 0)))
         chosen = slice(first, first + NEIGHBOURS)
-        values = np.stack([self.z[chosen], self.slopes[chosen]], axis=1).reshape(-1, self.z.shape[1])
-        curve = KroghInterpolator(np.repeat(self.places[chosen], 2), values)
-        return np.asarray(curve(place)), float(self.places[right] - self.places[right - 1])
+        curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
+        return curve(place), float(self.places[right] - self.places[right - 1])
 
 
 class OrbitSampler:

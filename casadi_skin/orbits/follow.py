@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,7 +17,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.method import MAX_POINTS
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyModel, FamilyRequest, family_request
+from casadi_skin.orbits.request import FamilyModel, family_request
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 
@@ -85,7 +84,7 @@ def follow_family(
         model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,
         max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
     )  # fmt: skip
-    request = for_stability(request, method.get("walker")) if stability else request
+    request = request.for_stability(method.get("walker")) if stability else request
     return run_following(Following(Family(request), stability, events, until=until), progress)
 
 
@@ -95,14 +94,6 @@ def _check_choices(stability: object, events: object, until: object, progress: o
     truth("events", events)
     for name, function in (("until", until), ("progress", progress)):
         function_of(name, function, "a solution")
-
-
-def for_stability(request: FamilyRequest, walker: str | None = None) -> FamilyRequest:
-    """The request with every position an unknown, as stability needs, unless its method asks for another way."""
-    if request.method.tail is not None or request.coordinates.is_whole:
-        return request
-    request.coordinates.check_whole()
-    return replace(request, method=replace(request.method, tail="full", walker=walker))
 
 
 def follow(

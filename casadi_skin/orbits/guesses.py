@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -24,7 +24,9 @@ class Evaluated(Protocol):
 
 
 Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
-SAMPLES = 4001  # of a guess, to find its jumps
+SAMPLES = 4001  # of a guess that has jumps
+FIRST_SAMPLES = 501  # of any guess
+SMOOTH = 0.05  # of the range of a state: what it changes by from one first sample to the next where it has no jump
 ACCEPTED = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
@@ -49,20 +51,25 @@ def known_times(statement: Statement, guess: Guess, count: int) -> Array:
     return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
 
 
-def along_the_guess(statement: Statement, guess: Guess, intervals: int) -> Array:
-    """Lengths of intervals that hold equal parts of time and of the length of the guess, shape (intervals,).
+def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -> list[Array]:
+    """Lengths of intervals that hold equal parts of time and of the length of a guess with jumps; empty for others.
 
-    The states are measured by their ranges. A guess that knows its own times, as a simulated cycle, is sampled there.
+    One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess that knows
+    its own times, as a simulated cycle, is sampled there.
     """
     start, end = statement.span(np.array(list(statement.values.values())))
-    times = known_times(statement, guess, SAMPLES)
-    fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
-    values = sampled(statement, guess, fine)
-    ranges = np.ptp(values, axis=0)
-    steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
+    for samples in (FIRST_SAMPLES, SAMPLES):
+        times = known_times(statement, guess, samples)
+        fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
+        values = sampled(statement, guess, fine)
+        ranges = np.ptp(values, axis=0)
+        steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
+        if samples == FIRST_SAMPLES and np.max(steps) < SMOOTH:
+            return []
     length = np.diff(fine) / (end - start) + np.sum(steps, axis=1) + 4.0 / (fine.size - 1)
     total = np.concatenate([[0.0], np.cumsum(length)])
-    return np.diff(np.interp(np.linspace(0.0, total[-1], intervals + 1), total, (fine - start) / (end - start)))
+    places = (fine - start) / (end - start)
+    return [np.diff(np.interp(np.linspace(0.0, total[-1], count + 1), total, places)) for count in counts]
 
 
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:

@@ -129,6 +129,13 @@ class FamilyRequest:
             return method.walker
         return "series" if transcription == TRIGONOMETRIC and whole and is_polynomial(self.coordinates) else "arclength"
 
+    def for_stability(self, walker: str | None = None) -> FamilyRequest:
+        """With every position an unknown, as stability needs, unless the method asks for another way."""
+        if self.method.tail is not None or self.coordinates.is_whole:
+            return self
+        self.coordinates.check_whole()
+        return replace(self, method=replace(self.method, tail="full", walker=walker))
+
     @property
     def degree(self) -> int:
         """Degree of the polynomials of gauss and radau: the one asked for, or the fastest for the tolerance.

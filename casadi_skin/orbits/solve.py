@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, number
+from casadi_skin.arguments import check_name, number, short_repr
 from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -25,8 +26,10 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction, Corrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solvers.watch import TimeLimitError, watched
 
-OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker")
+OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker", "time_limit", "progress")
+NOT_METHODS = ("tolerance", "time_limit", "progress")
 TRIES = 6  # resolutions on which a first solution is sought
 QUICK_TRIES = 1  # the same by another way
 JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
@@ -43,7 +46,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    return tolerance, boundary_method({k: v for k, v in options.items() if k != "tolerance" and v is not None})
+    return tolerance, boundary_method({k: v for k, v in options.items() if k not in NOT_METHODS and v is not None})
 
 
 def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
@@ -62,7 +65,8 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
             shape (times, states); a simulation; another solution.
         options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
             free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
-            `corrector`, `intervals` of the first mesh.
+            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function that is told
+            in words how far the solution is.
 
     Returns:
         The solution with its estimated errors; `found_by` tells where another way than the corrector's led to it.
@@ -71,11 +75,24 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         ValueError: an argument is out of range.
         BoundaryError: no solution is found to the tolerance.
     """
+    limit, tell = options.get("time_limit"), options.get("progress")
+    if limit is not None and not number("time_limit", limit) > 0.0:
+        raise ValueError(f"time_limit: given {limit!r}; accepted: a number of seconds > 0")
+    if tell is not None and not callable(tell):
+        raise TypeError(f"progress: given {short_repr(tell)}; accepted: a function of words")
     if statement.optimises or statement.bounds:
+        if limit is not None or tell is not None:
+            raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
         optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
         return optimum
     space = space_of(statement, guess, options)
-    return solution_near(space, guess)
+    watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
+    try:
+        with watch:
+            return solution_near(space, guess)
+    except TimeLimitError as error:
+        advice = "try a guess nearer by, or a larger tolerance"
+        raise BoundaryError(f"{statement.model.name}: {error}; {advice}") from None
 
 
 class NotReachedError(BoundaryError):
@@ -104,7 +121,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
     resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
     failures = []
     undetermined = ""
-    for problem in itertools.islice(_first_problems(point_solver.levels, resolutions, guess), tries):
+    for problem in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
         z = packed(problem, guess)
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
         if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
@@ -149,7 +166,9 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
     return finished if finished.converged else correction
 
 
-def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) -> Iterator[BoundaryProblem]:
+def _first_problems(
+    statement: Statement, levels: Levels, resolutions: Sequence[int], guess: Guess
+) -> Iterator[BoundaryProblem]:
     """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess.
 
     A guess with jumps, which a uniform mesh would miss, gets a mesh along its length before.
@@ -162,11 +181,10 @@ def _first_problems(levels: Levels, resolutions: Sequence[int], guess: Guess) ->
         problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         yield problem
-    for resolution in JUMPS:
-        problem = levels.problem(resolution)
-        assert isinstance(problem, BoundaryProblem)
-        lengths = along_the_guess(problem.statement, guess, resolution)
+    for resolution, lengths in zip(JUMPS, along_the_guess(statement, guess, JUMPS), strict=False):
         if np.min(lengths) < STEEP / resolution:
+            problem = levels.problem(resolution)
+            assert isinstance(problem, BoundaryProblem)
             yield problem.with_constants(lengths)
     for resolution in resolutions:
         problem = levels.problem(resolution)

@@ -5,29 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.bvp.statement import named_values
-from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import loads
-from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.orbits.find_orbit import rotations_of
-from casadi_skin.orbits.guesses import Guess
-from casadi_skin.orbits.orbit_statement import UNFOLDING
 from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.scene import OrbitTable, Scene, SceneError
 from casadi_skin.scene.faults import check_known, refusal, toml_repr
 from casadi_skin.scene.lattice_tables import LatticeTable
 from casadi_skin.scene.model_tables import CONSERVED, SELECTED, EquilibriumTable, ModelTable
 
-KINDS = (OdeModel, BoundaryValueProblem)
+if TYPE_CHECKING:
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.orbits.guesses import Guess
+
 Numbers = Sequence[float] | Mapping[str, float]
 Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, names and model by file and name
 # Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
@@ -79,12 +75,15 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
 
 
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
-    path = scene_path.parent / table.file
+    from casadi_skin.models.saved import loads
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+
+    path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)
     try:
         if (path, table.name) not in files:
             source = read_source(path)
             names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
-            found = loads(source, str(path)) if table.name is None else named(path, names, table.name, KINDS)
+            found = loads(source, str(path)) if table.name is None else named(path, names, table.name, kinds)
             files[path, table.name] = source, names, found
         source, names, found = files[path, table.name]
     except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
@@ -153,6 +152,8 @@ def _values(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
         check_known("[model] parameters", name, model.parameter_names)
     if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
         return dict(given)
+    from casadi_skin.bvp.statement import named_values
+
     try:
         return named_values(model, given)
     except ValueError as error:
@@ -232,6 +233,9 @@ def _check_forced(request: Request, orbit: OrbitTable) -> None:
 
 
 def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
+    from casadi_skin.bvp.stated_problem import PERIOD
+    from casadi_skin.orbits.orbit_statement import UNFOLDING
+
     model = request.ode
     for name in (PERIOD, UNFOLDING):
         if name in (*model.parameter_names, *model.state_names):
@@ -266,6 +270,8 @@ def _check_rotations(request: Request, orbit: OrbitTable) -> None:
 
 
 def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
+    from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
+
     if model.reversal is None:
         raise refusal("[orbit] symmetric", f"true with {model.name}", "true with a model that declares a reversal")
     try:

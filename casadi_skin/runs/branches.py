@@ -33,6 +33,7 @@ from casadi_skin.results.branch_records import (
 )  # fmt: skip
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs.request import Request
+from casadi_skin.solvers.watch import watched
 from casadi_skin.stability.flow import FlowError
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
@@ -137,7 +138,8 @@ class Branches:
                 simulated = cycle(self.request)
                 journal.append(cycle_record(simulated))
         self.progress.say("solving")
-        first = first_solution(self.request, simulated)
+        with watched(tell=self.progress.say):
+            first = first_solution(self.request, simulated)
         if table is not None:
             yield (
                 "branch",

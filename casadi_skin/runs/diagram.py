@@ -22,6 +22,7 @@ from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
+from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import ContinuationTable
 
@@ -123,13 +124,13 @@ def write_diagram(
     rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
     write_csv(directory / "special_points.csv", columns, rows)
     in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
-    figures.save(figures.bifurcation_figure(in_one, title), directory / "branch")
+    picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
     chosen = chosen_solutions(in_one)
     if chosen:
-        figures.save(figures.portrait_figure(chosen, title), directory / "portrait")
+        picture(request.scene, directory / "portrait", figures.portrait_figure, chosen, title)
     curves = [branch for branch in branches if branch not in in_one]
     if curves:
-        figures.save(figures.curves_figure(curves, title), directory / "curves")
+        picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
 
 
 def special_columns(branch: Branch) -> list[str]:

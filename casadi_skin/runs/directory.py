@@ -10,6 +10,7 @@ from glob import escape
 from pathlib import Path
 
 from casadi_skin.files import leftovers, replacing
+from casadi_skin.methods import FORMATS
 from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
@@ -18,15 +19,15 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
            "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
-           "curve_*.nc", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
+           "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
            "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model's name
 AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
-PICTURES = ("frequency", "profile", "spectrum", "multipliers_j*", "dynamics", "search", "branch", "orbit", "curves",
-            "portrait", "map_*")  # fmt: skip
+PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch",
+            "orbit", "curves", "portrait", "map_*", "skin", "spreading")  # fmt: skip
 
 
 class DirectoryError(ValueError):
@@ -46,7 +47,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in ("png", "svg")), "*.fmu")
+    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in FORMATS), "*.fmu")
     _check_writable(directory)
     left = leftovers(directory, names) if directory.is_dir() else []
     held = _check_free(

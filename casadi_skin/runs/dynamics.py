@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from casadi_skin import figures
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.figures.spreading import spreading_figure
@@ -20,9 +20,10 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
 from casadi_skin.results.evolution import evolution_columns, evolution_rows, evolution_variables
+from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of, origin
-from casadi_skin.scene import DynamicsTable
+from casadi_skin.scene import DynamicsTable, Scene
 from casadi_skin.theory.linear import Array
 
 PER_PERIOD, FEWEST, MOST = 20, 401, 4001
@@ -103,13 +104,13 @@ def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: E
     if dynamics.size is not None:
         title += f", perturbed by ${number(dynamics.size)}$ {_direction(dynamics)}"
     near = orbit if dynamics.size is not None else None
-    figure = spacetime_figure(evolution, title, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
-    figures.save(figure, directory / "dynamics")
+    draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
+    picture(request.scene, directory / "dynamics", draw, evolution, title)
     if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
-        _write_spreading(spreading(evolution), request.model, directory)
+        _write_spreading(request.scene, spreading(evolution), request.model, directory)
 
 
-def _write_spreading(found: Spreading, lattice: Lattice, directory: Path) -> None:
+def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:
     """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
     centres = [f"centre_{name}" for name in INDICES[: found.centre.shape[1]]]
     columns = ["t", "energy", *centres, "participation", "second_moment"]
@@ -118,4 +119,4 @@ def _write_spreading(found: Spreading, lattice: Lattice, directory: Path) -> Non
     sites = [f"energy_{name.partition('_')[2]}" for name in lattice.state_names[: lattice.declaration.size]]
     rows = np.column_stack([found.t, found.energies]).tolist()
     write_csv(directory / "energies.csv", ["t", *sites], (dict(zip(["t", *sites], row, strict=True)) for row in rows))
-    figures.save(spreading_figure(found, lattice), directory / "spreading")
+    picture(scene, directory / "spreading", spreading_figure, found, lattice)

@@ -15,9 +15,11 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import bands, cells_differ_by, lattice_modes
 from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
 from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.runs.pictures import picture
+from casadi_skin.scene import Scene
 
 
-def write_lattice_spectrum(lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
+def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
     """spectrum.csv, where modes live, with pictures; where all cells are alike also bands and the skin effect."""
     modes, alike = lattice_modes(lattice, parameters), not cells_differ_by(lattice)
     has_skin = alike and len(lattice.declaration.cells) == 1
@@ -35,14 +37,14 @@ def write_lattice_spectrum(lattice: Lattice, parameters: Mapping[str, float], di
         rows.append(row)
     write_csv(directory / "spectrum.csv", list(rows[0]), rows)
     if has_skin:
-        figures.save(skin_figure(lattice, parameters), directory / "skin")
+        picture(scene, directory / "skin", skin_figure, lattice, parameters)
     if modes.real and lattice.order == 2:
-        figures.save(figures.spectrum_figure(lattice, parameters), directory / "spectrum")
+        picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
     if alike:
-        _write_bands(lattice, parameters, directory)
+        _write_bands(scene, lattice, parameters, directory)
 
 
-def _write_bands(lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
+def _write_bands(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
     """bands.csv and its picture, of a lattice whose cells are all alike."""
     found = bands(lattice, parameters)
     names = INDICES[: found.wave_numbers.shape[1]]
@@ -53,4 +55,4 @@ def _write_bands(lattice: Lattice, parameters: Mapping[str, float], directory: P
             row |= {f"omega_squared_{b}": float(square.real), f"imaginary_part_{b}": float(square.imag)}
         of_bands.append(row)
     write_csv(directory / "bands.csv", list(of_bands[0]), of_bands)
-    figures.save(band_figure(lattice, parameters), directory / "bands")
+    picture(scene, directory / "bands", band_figure, lattice, parameters)

@@ -9,14 +9,11 @@ import numpy as np
 from casadi_skin import methods
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.orbits.boundary_space import DEGREE, FIRST
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit_statement import UNFOLDING
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.lattice_lines import lattice_lines, listed, long_lattice_lines, named
@@ -281,6 +278,10 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
+    from casadi_skin.bvp.stated_problem import PERIOD
+    from casadi_skin.orbits.boundary_space import DEGREE, FIRST
+    from casadi_skin.orbits.orbit_statement import UNFOLDING
+
     method, model, problem = request.scene.methods, request.ode, request.problem
     intervals, degree = method.intervals or FIRST, method.degree or DEGREE
     table = methods.COLLOCATION_TABLES[str(method.transcription)].load()(degree)

@@ -6,21 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
-from casadi_skin.orbits.follow import for_stability
-from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.method import Method, Targets
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.scene import OrbitTable, Scene
 from casadi_skin.scene.lattice_tables import LatticeTable, UniformTable
 from casadi_skin.scene.model_tables import CONSERVED
+
+if TYPE_CHECKING:  # what a scene of a chain does not need is not loaded
+    from casadi_skin.lattice.lattice import Lattice
+    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.orbits.guesses import Guess
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ class Request:
                 self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
                 self.scene.accuracy.certify,
             )  # fmt: skip
-            found.append(for_stability(request, self.scene.method.walker) if whole else request)
+            found.append(request.for_stability(self.scene.method.walker) if whole else request)
         return tuple(found)
 
     @property
@@ -128,6 +129,8 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
 
     Raises ValueError and TypeError, with the place in the table.
     """
+    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
+
     cells: Any = table.cells
     sites = [Site(s.name, str(s.onsite), str(s.mass), str(s.damping), str(s.drive)) for s in table.site]
     bonds = []

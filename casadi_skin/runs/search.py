@@ -7,7 +7,6 @@ from pathlib import Path
 
 import msgspec
 
-from casadi_skin import figures
 from casadi_skin.figures.search import search_figure
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
@@ -21,6 +20,7 @@ from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.progress import Progress
 from casadi_skin.results.journal import Journal
 from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
+from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene, SearchTable
 
@@ -78,7 +78,7 @@ def write_results(request: Request, scene_text: str, result: SearchResult, direc
     table = search_table(scene)
     write_search(result, directory, scene_text, scene.title or "")
     if result.optima or result.others:
-        figures.save(search_figure(result, table.objective), directory / "search")
+        picture(scene, directory / "search", search_figure, result, table.objective)
 
 
 def check_search(request: Request) -> None:

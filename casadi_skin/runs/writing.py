@@ -28,6 +28,7 @@ from casadi_skin.results.stability_tables import (
     tongue_rows,
 )
 from casadi_skin.runs.lattice_spectrum import write_lattice_spectrum
+from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 
 
@@ -74,17 +75,11 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
             ("tongues", TONGUE_COLUMNS, tongue_rows),
         ):
             write_csv(directory / f"{name}.csv", columns, [row for each in known for row in rows(*each)])
-    figures.save(figures.frequency_figure(branches), directory / "frequency")
-    profile = figures.profile_figure(branches)
-    if profile is not None:
-        figures.save(profile, directory / "profile")
+    picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
+    picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
-        in_plane = plane_figure(branch)
-        if in_plane is not None:
-            figures.save(in_plane, directory / f"plane_j{mode_of(branch)}")
-        multipliers = figures.multiplier_figure(branch)
-        if multipliers is not None:
-            figures.save(multipliers, directory / f"multipliers_j{mode_of(branch)}")
+        picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
+        picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
 
 
 def mode_of(branch: Branch) -> int:
@@ -108,8 +103,8 @@ def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
     title = request.scene.title or ""
     if len(branch) > 1:
         write_csv(directory / "special_points.csv", special_columns(branch), special_rows(branch))
-        figures.save(figures.branch_figure(branch, title), directory / "branch")
-    figures.save(figures.orbit_figure(branch.solutions[-1], title), directory / "orbit")
+        picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
+    picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
 
 
 def special_columns(branch: Branch) -> list[str]:
@@ -146,9 +141,9 @@ def _is_stable(solution: Solution) -> bool:
 def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
     if isinstance(request.model, Lattice):
-        write_lattice_spectrum(request.model, request.parameters, directory)
+        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
         return
     frequencies = linear_frequencies(request.model, request.parameters)
     rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
     write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
-    figures.save(figures.spectrum_figure(request.model, request.parameters), directory / "spectrum")
+    picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)

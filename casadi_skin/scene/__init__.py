@@ -19,7 +19,14 @@ from casadi_skin.scene.tables import (
     SpectrumTable,
     StabilityTable,
 )
-from casadi_skin.scene.task_tables import C_PARTS, DynamicsTable, ExportTable, SearchCondition, SearchTable
+from casadi_skin.scene.task_tables import (
+    C_PARTS,
+    DynamicsTable,
+    ExportTable,
+    FiguresTable,
+    SearchCondition,
+    SearchTable,
+)
 
 __all__ = [
     "C_PARTS",
@@ -31,6 +38,7 @@ __all__ = [
     "DynamicsTable",
     "ExportTable",
     "FamilyTable",
+    "FiguresTable",
     "LatticeTable",
     "MapTable",
     "MethodTable",

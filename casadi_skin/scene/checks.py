@@ -8,7 +8,7 @@ from casadi_skin.scene.faults import SceneError, refusal, toml_repr
 from casadi_skin.scene.model_tables import SELECTED, ModelTable
 from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import AccuracyTable, FamilyTable, MethodTable, one_of
-from casadi_skin.scene.task_checks import check_dynamics, check_export, check_search
+from casadi_skin.scene.task_checks import check_dynamics, check_export, check_figures, check_search
 
 LOWEST_DEGREE = 2  # of families; the same as in orbits.request, which loads numerics
 
@@ -37,6 +37,7 @@ def check_scene(scene: Scene) -> None:
     check_dynamics(scene)
     check_search(scene)
     check_export(scene)
+    check_figures(scene)
 
 
 def _check_accuracy(accuracy: AccuracyTable) -> None:

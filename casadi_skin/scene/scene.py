@@ -26,7 +26,7 @@ from casadi_skin.scene.tables import (
     StabilityTable,
     Table,
 )
-from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, SearchTable
+from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, FiguresTable, SearchTable
 
 
 class Scene(Table, frozen=True):
@@ -45,6 +45,7 @@ class Scene(Table, frozen=True):
     dynamics: DynamicsTable | None = None
     search: SearchTable | None = None
     export: ExportTable | None = None
+    figures: FiguresTable = msgspec.field(default_factory=FiguresTable)
     map: MapTable | None = None
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
@@ -100,6 +101,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "dynamics": DynamicsTable,
         "search": SearchTable,
         "export": ExportTable,
+        "figures": FiguresTable,
         "map": MapTable,
         "accuracy": AccuracyTable,
         "method": MethodTable,

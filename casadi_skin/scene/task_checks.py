@@ -1,4 +1,4 @@
-"""What ties the keys of [dynamics], [export] and [search] to other tables."""
+"""What ties the keys of [dynamics], [export], [figures] and [search] to other tables."""
 
 import math
 
@@ -33,6 +33,13 @@ def check_dynamics(scene: Scene) -> None:
     if scene.chain is not None:
         _check_envelope(scene.chain)
         _check_perturbation(scene.chain, dynamics)
+
+
+def check_figures(scene: Scene) -> None:
+    formats = scene.figures.formats
+    for item, name in enumerate(formats, start=1):
+        if name in formats[: item - 1]:
+            raise refusal("[figures] formats", f"{toml_repr(name)} as item {item} again", "each format once")
 
 
 def _check_orbit_of_family(table: str, scene: Scene, family: FamilyTable, S: float, mode: int | None) -> None:

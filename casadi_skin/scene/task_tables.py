@@ -16,8 +16,10 @@ Fmi = Literal["3.0", "2.0"]
 CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
 if TYPE_CHECKING:
     Evolver: TypeAlias = str
+    Format: TypeAlias = str
 else:  # the names of integrators are those of the one registry
     Evolver = Literal[tuple(methods.INTEGRATORS)]
+    Format = Literal[methods.FORMATS]
 FMI_VERSIONS: tuple[str, ...] = get_args(Fmi)
 C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
 
@@ -75,6 +77,18 @@ class DynamicsTable(Table, frozen=True):
         Annotated[int, Meta(ge=0, le=2**63 - 1)] | None,
         Meta(title="Seed of random displacements", description="a whole number >= 0 and < 2^63"),
     ] = None
+
+
+class FiguresTable(Table, frozen=True):
+    """The pictures of a run."""
+
+    formats: Annotated[
+        tuple[Format, ...],
+        Meta(
+            title="Formats in which each picture is written",
+            description=f"a list of {one_of(methods.FORMATS)}; [] for none",
+        ),
+    ] = ("png",)
 
 
 class ExportTable(Table, frozen=True):

@@ -9,6 +9,7 @@ Govaerts (2000) chapter 3. Everything else goes to SuperLU.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError, Solve
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
@@ -99,6 +101,7 @@ class BorderedSolver:
         from scipy.sparse import csc_matrix
 
         self.problem = problem
+        self._last: tuple[Array, Array, Solve] | None = None
         self._band = _Band.of(problem)
         size, (rows, columns) = problem.size, problem.pattern
         self._probes = np.zeros((size, 2))
@@ -111,11 +114,33 @@ class BorderedSolver:
         closed = np.insert(rows, ends[1:], size - 1)
         self._closed = csc_matrix((np.zeros(closed.size), closed, np.append(0, self._closing + 1)), shape=(size, size))
 
+    @staticmethod
+    def of(problem: Problem) -> BorderedSolver:
+        """The one that serves all problems that differ in their constants only."""
+        if "bordered" not in problem.shared:
+            problem.shared["bordered"] = BorderedSolver(problem)
+        found: BorderedSolver = problem.shared["bordered"]
+        return found
+
+    @cached_property
+    def _scale(self) -> Array:
+        """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
+        long = np.bincount(self._closed.indices, minlength=self.problem.size) > 0.5 * self.problem.size
+        return np.where(long, LONG, 1.0)
+
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
 
         Raises SingularError where the matrix is singular to working precision.
         """
+        if self._last is not None and np.array_equal(row, self._last[1]) and np.array_equal(nonzeros, self._last[0]):
+            return self._last[2]
+        solve = self._factored(z, nonzeros, row)
+        if self.problem.in_order:  # collocation, whose solution is corrected, refined and measured with one matrix
+            self._last = nonzeros, row.copy(), solve
+        return solve
+
+    def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         if self._band is not None:
             factors, probes = self._factor_band(self._band, z, nonzeros, row)
             if self._accurate(probes, nonzeros, row):
@@ -184,7 +209,11 @@ class BorderedSolver:
 
         self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
         try:
-            return splu(self._closed).solve
+            if not self.problem.in_order:
+                return splu(self._closed).solve
+            self._closed.data *= self._scale[self._closed.indices]
+            solve = splu(self._closed, permc_spec="NATURAL").solve
+            return lambda b: solve((self._scale * b.T).T)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
 

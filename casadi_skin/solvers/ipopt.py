@@ -8,10 +8,12 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
+from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
 
 _STATUS = {
     SOLVED: Status.CONVERGED,
@@ -23,27 +25,96 @@ _STATUS = {
 }
 
 
+def _expressed(problem: Problem, z: ca.MX, held: ca.MX) -> tuple[ca.MX, ca.Function]:
+    """The constraints and the function of their Jacobian, of a problem that is made of expressions."""
+    size = problem.size
+    row, value, scale = held[:size], held[size], held[size + 1]
+    own = [*problem.symbols, problem.constants_symbol]
+    residual, jacobian = ca.graph_substitute(own[1:3], [own[0], own[3]], [z, held[size + 2 :]])
+    constraints = ca.vertcat(residual / scale, ca.dot(row, z) - value)
+    results = [constraints, ca.vertcat(jacobian / scale, row.T)]
+    return constraints, ca.Function("jac_g", [z, held], results, ["x", "p"], ["g", "jac_g_x"])
+
+
+class _Constraints(ca.Callback):  # type: ignore[misc]
+    """The constraints of a problem that is evaluated by numpy, with their Jacobian or without, as a CasADi function."""
+
+    def __init__(self, problem: CollocationEquations, with_jacobian: bool, one_scalar: bool) -> None:
+        ca.Callback.__init__(self)
+        self._evaluate, self._size, self._constants = problem.discretisation, problem.size, problem.constants.size
+        self._with_jacobian = with_jacobian
+        size, (rows, columns) = self._size, problem.pattern
+        self._held = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
+        ends = np.searchsorted(columns, np.arange(size + 1))
+        closed = np.insert(rows, ends[self._held + 1], size - 1)  # it is the last entry of its columns
+        added = np.searchsorted(self._held, np.arange(size + 1))
+        self._sparsity = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
+        self._closing = ends[self._held + 1] + np.arange(self._held.size)
+        self._open = np.delete(np.arange(closed.size), self._closing)
+        self.construct("jac_g" if with_jacobian else "g", {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return 1 + self._with_jacobian
+
+    def get_name_in(self, i: int) -> str:
+        return "xp"[i]
+
+    def get_name_out(self, i: int) -> str:
+        return ("g", "jac_g_x")[i]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense((self._size, self._size + 2 + self._constants)[i])
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._sparsity if i else ca.Sparsity.dense(self._size)
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: list[memoryview], results: list[memoryview | None]) -> int:
+        """Fill the results that are wanted, as buffers of doubles; not a number where the model cannot be evaluated."""
+        size = self._size
+        z, held = (np.frombuffer(argument) for argument in arguments)
+        row, value, scale = held[:size], held[size], held[size + 1]
+        found = [None if result is None else np.frombuffer(result) for result in results]
+        try:
+            if is_over():  # which ends the iteration
+                raise TimeLimitError
+            residual, nonzeros = self._evaluate(z, held[size + 2 :])
+        except (ArithmeticError, RuntimeError):
+            residual, nonzeros = np.full(size - 1, np.nan), np.full(self._open.size, np.nan)
+        if found[0] is not None:
+            found[0][:-1], found[0][-1] = residual / scale, row @ z - value
+        if self._with_jacobian and found[1] is not None:
+            found[1][self._open], found[1][self._closing] = nonzeros / scale, row[self._held]
+        return 0
+
+
 class IpoptCorrector:
     """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value.
 
     Its parameters are row, value and the problem's constants.
+
+    With `one_scalar` rows hold scalars alone, which makes sparser matrices.
 
     Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
     Ipopt gets the Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no
     objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
     """
 
-    def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
-        self.problem = problem
-        z, residual, jacobian = problem.symbols
-        size = problem.size
-        held = ca.MX.sym("held", size + 2 + problem.constants.size)
-        row, value, scale = held[:size], held[size], held[size + 1]
-        residual, jacobian = ca.graph_substitute([residual, jacobian], [problem.constants_symbol], [held[size + 2 :]])
-        constraints = ca.vertcat(residual / scale, ca.dot(row, z) - value)
-        jac_g = ca.Function(
-            "jac_g", [z, held], [constraints, ca.vertcat(jacobian / scale, row.T)], ["x", "p"], ["g", "jac_g_x"]
-        )
+    def __init__(
+        self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20, one_scalar: bool = False
+    ) -> None:
+        self.problem, size = problem, problem.size
+        z, held = ca.MX.sym("z", size), ca.MX.sym("held", size + 2 + problem.constants.size)
+        if isinstance(problem, CollocationEquations):  # which are no expressions
+            self._evaluated = tuple(_Constraints(problem, jacobian, one_scalar) for jacobian in (False, True))
+            constraints, jac_g = self._evaluated[0](z, held), self._evaluated[1]
+        else:
+            constraints, jac_g = _expressed(problem, z, held)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
         hess_lag = ca.Function(
             "hess_lag",
@@ -88,12 +159,15 @@ class IpoptCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
+        words = f"Ipopt, {self.problem.size} unknowns"
+        heed(words)
         scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
         with interrupts_deferred():
             buffer, trigger, start, held, found = self._buffers
             start[:], size = guess, self.problem.size
             held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, self.problem.constants
             trigger()
+        heed(words)
         stats = buffer.stats()
         words = str(stats["return_status"])
         status = _STATUS.get(words, Status.DIVERGED)

@@ -12,6 +12,7 @@ from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Corrector
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+MUCH = 2.0  # tolerances: a level whose error is expected above them is passed over
 UNEVEN = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
 NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with what rounding does
 FOLD = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
@@ -78,7 +79,7 @@ class Levels:
     def solver(self, problem: Problem) -> BorderedSolver:
         """The bordered linear solver of a problem."""
         if problem.resolution not in self._solvers:
-            self._solvers[problem.resolution] = BorderedSolver(problem)
+            self._solvers[problem.resolution] = BorderedSolver.of(problem)
         return self._solvers[problem.resolution]
 
     def corrector(self, problem: Problem) -> Corrector:
@@ -87,14 +88,18 @@ class Levels:
             self._correctors[problem.resolution] = self._correct_with(problem)
         return self._correctors[problem.resolution].on(problem)
 
-    def finer(self, problem: Problem, z: Array | None = None) -> Problem | None:
+    def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem | None:
         """The next level above, or None at the top.
 
-        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it.
+        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it. Levels whose error is
+        expected above the tolerance, of which that of z is the `excess`, are passed over.
         """
         above = [r for r in self.resolutions if r > problem.resolution]
         if not above:
             return None
+        if z is not None and problem.in_order:
+            while len(above) > 2 and problem.expected_error(z, excess, self.problem(above[0])) > MUCH:
+                del above[0]
         if z is not None and problem.imbalance(z) > UNEVEN:
             return problem.placed(z, self.problem(above[0]))
         return problem.transferred(self.problem(above[0]))

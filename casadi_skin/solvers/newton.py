@@ -9,6 +9,10 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Correction, Status
+from casadi_skin.solvers.watch import heed
+
+CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
+SLOW = 0.1  # of the step before: a longer one with old factors asks for new ones
 
 
 class NewtonCorrector:
@@ -16,7 +20,7 @@ class NewtonCorrector:
 
     def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
-        self._solver = BorderedSolver(problem)
+        self._solver = BorderedSolver.of(problem)
 
     def on(self, problem: Problem) -> NewtonCorrector:
         """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
@@ -29,20 +33,26 @@ class NewtonCorrector:
         if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
-        last = np.inf
+        last, reuse, solve = np.inf, False, None
         for iteration in range(1, self.max_iterations + 1):
+            heed(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
             try:
                 residual, nonzeros = self.problem.evaluate(z)
-                solve = self._solver.factor(z, nonzeros, row)
+                if solve is None or not reuse:
+                    solve = self._solver.factor(z, nonzeros, row)
             except SingularError as error:
                 return Correction(z, Status.SINGULAR, iteration, str(error))
             step = solve(np.append(residual, row @ z - value))
-            z = z - step
             length = float(np.sqrt(np.sum(weights * step**2)))
+            if reuse and not length <= SLOW * last:
+                reuse = False
+                continue
+            z = z - step
             if not np.isfinite(length) or length > max(1.0, 10.0 * last):
                 return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
-            if length <= self.tolerance or (length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance):
+            quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
+            if length <= self.tolerance or quadratic:
                 return Correction(z, Status.CONVERGED, iteration)
-            last = length
+            reuse, last = self.problem.in_order and length <= CHORD, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.solvers.corrector import Correction, Corrector, Status
 
+TO_ROUNDING = "to rounding"
 ROUNDED = 4.0  # times the rounding of the largest term
 
 
@@ -28,7 +29,17 @@ class RoundedCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
-        correction = self.inner.correct(guess, row, value)
+        return self._rounded(self.inner.correct(guess, row, value), row, value)
+
+    def confirm(self, z: Array, row: Array, value: float) -> Correction:
+        """A solution as the last word has it: z itself where the inner corrector has none, or agrees."""
+        confirm = getattr(self.inner, "confirm", None)
+        if confirm is None:
+            return Correction(z, Status.CONVERGED, 0)
+        found = self._rounded(confirm(z, row, value), row, value)
+        return replace(found, z=z) if found.message == TO_ROUNDING else found
+
+    def _rounded(self, correction: Correction, row: Array, value: float) -> Correction:
         if correction.converged or correction.status is Status.SINGULAR:
             return correction
         z = correction.z
@@ -38,5 +49,5 @@ class RoundedCorrector:
             return correction
         held = abs(float(row @ z) - value) <= ROUNDED * np.finfo(float).eps * max(1.0, float(np.abs(row) @ np.abs(z)))
         if held and largest <= ROUNDED * self.problem.rounding(z):
-            return replace(correction, status=Status.CONVERGED, message="to rounding")
+            return replace(correction, status=Status.CONVERGED, message=TO_ROUNDING)
         return correction

@@ -125,9 +125,11 @@ def _course(first: Array, spectra: Sequence[Spectrum], start: float, assign: Ass
 
 def _to_the_nearest(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
     """Which angle each one goes to where the sum of distances from what rates predict is smallest."""
-    from scipy.optimize import linear_sum_assignment
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching  # scipy.optimize takes long to load
 
-    return np.asarray(linear_sum_assignment(np.abs(distance))[1])
+    costs = csr_array(1.0 + np.abs(distance))  # with no entry zero, which would be none
+    return np.asarray(min_weight_full_bipartite_matching(costs)[1], dtype=np.int64)
 
 
 def _in_cyclic_order(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:

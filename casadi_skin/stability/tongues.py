@@ -235,13 +235,25 @@ class StabilityDiagram:
         """Whether a coordinate lies in no tongue."""
         return not any(tongue.holds(coordinate) for tongue in self.tongues)
 
+    def _inside(self, coordinates: Array) -> NDArray[np.bool_]:
+        """Whether coordinates lie in tongues, as `is_stable` tells of one."""
+        if not self.tongues:
+            return np.zeros(len(coordinates), dtype=bool)
+        ends = np.array([(t.start.coordinate, t.end.coordinate) for t in self.tongues])
+        is_open = np.array([(t.open_start, t.open_end) for t in self.tongues])
+        after, before = coordinates[:, None] - ends[:, 0], ends[:, 1] - coordinates[:, None]
+        after_start, before_end = (
+            (apart > 0) | (is_open[:, side] & (apart == 0)) for side, apart in enumerate((after, before))
+        )
+        return np.asarray(np.any(after_start & before_end, axis=1))
+
     def max_abs_multiplier(self, coordinates: Array) -> Array:
         """Largest modulus of a multiplier at coordinates, 1 outside tongues, shape (points,)."""
         return np.asarray(np.exp(np.max(self.growths(coordinates), axis=1, initial=0.0)))
 
     def growths(self, coordinates: Array) -> Array:
         """log |multiplier| >= 0 over a period of each mu at coordinates, 0 outside tongues, shape (points, m)."""
-        inside = np.array([not self.is_stable(coordinate) for coordinate in coordinates.tolist()], dtype=bool)
+        inside = self._inside(coordinates)
         growth = np.zeros((len(coordinates), self.pieces[0].matrices.size))
         for piece, chosen in by_piece(self.pieces, coordinates[inside]) if inside.any() else ():
             rows = np.flatnonzero(inside)[chosen]

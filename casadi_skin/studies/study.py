@@ -29,6 +29,7 @@ class Study(ABC):
 
     directory: Path
     say: Callable[[str], None] = field(default=lambda words: None, kw_only=True)
+    formats: Sequence[str] = field(default=("png",), kw_only=True)  # of pictures
     files: list[Path] = field(default_factory=list, kw_only=True)
     done: int = field(default=0, kw_only=True)  # parts of the study, as `part` calls them, that are finished
 
@@ -74,8 +75,8 @@ class Study(ABC):
         self._written([path])
 
     def write_figure(self, stem: str, figure: Figure) -> None:
-        """Replace STEM.png and STEM.svg."""
-        self._written(save(figure, self.directory / stem))
+        """Replace STEM.png, or what `formats` name."""
+        self._written(save(figure, self.directory / stem, self.formats))
 
     def _written(self, paths: Iterable[Path]) -> None:
         self.files += [path for path in paths if path not in self.files]

@@ -47,7 +47,7 @@ def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFi
     assert on_branch == [("hopf", 1.05156), ("fold", 1.04205), ("fold", 1.05220), ("hopf", 1.04099)]
     assert {p["kind"] for p in points if p["branch"] != "branch"} == {"cusp", "generalized hopf"}
     assert all(0.0 < float(p["error"]) < 1e-10 for p in points)
-    for name in ("branch.csv", "branch.nc", "branch.svg", "curves.svg", "curve_1.csv", "curve_2.nc"):
+    for name in ("branch.csv", "branch.nc", "branch.png", "curves.png", "curve_1.csv", "curve_2.nc"):
         assert (out / name).exists(), name
     assert not (out / "curve_3.csv").exists()  # the second fold is on the curve of the first one
     folds = rows(out / "curve_2.csv")

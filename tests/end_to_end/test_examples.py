@@ -36,7 +36,9 @@ def requested_points(directory: Path) -> dict[tuple[int, float], tuple[float, fl
 def test_pictures_of_a_run_are_drawn(tmp_path: Path) -> None:
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     chain = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
-    scene.write_text(chain + "[family]\nmode = 1\namplitude_max = 0.1\n", encoding="utf-8")
+    scene.write_text(
+        chain + "[family]\nmode = 1\namplitude_max = 0.1\n[figures]\nformats = ['svg', 'png']\n", encoding="utf-8"
+    )
     assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
     assert (out / "frequency.png").read_bytes().startswith(b"\x89PNG")
     assert "</svg>" in (out / "frequency.svg").read_text(encoding="utf-8")

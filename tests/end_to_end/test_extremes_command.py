@@ -17,8 +17,8 @@ from casadi_skin.studies.stress.study import COLUMNS
 pytestmark = pytest.mark.usefixtures("pictures")
 
 FILES = {
-    *("extremes.csv", "extremes.png", "extremes.svg"),
-    *(f"{name}.{kind}" for name in ("physical_against_gauge", "threshold") for kind in ("csv", "png", "svg")),
+    *("extremes.csv", "extremes.png"),
+    *(f"{name}.{kind}" for name in ("physical_against_gauge", "threshold") for kind in ("csv", "png")),
 }
 
 

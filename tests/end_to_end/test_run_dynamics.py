@@ -39,7 +39,7 @@ def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.Capt
     scene = write_scene(tmp_path / "kick.toml", KICK + 'samples = 51\nmethod = "dop853"\n', mode="[2, 1]")
     assert main(["run", str(scene), "--out", str(out)]) == 0
     assert "dynamics: dop853 in gauge coordinates, tolerance 1e-11: t = 10 reached" in capsys.readouterr().out
-    assert {"dynamics.csv", "dynamics.nc", "dynamics.png", "dynamics.svg"} <= {path.name for path in out.iterdir()}
+    assert {"dynamics.csv", "dynamics.nc", "dynamics.png"} <= {path.name for path in out.iterdir()}
     header, values = table(out / "dynamics.csv")
     assert header == ["t", "energy", *(f"y_{n}" for n in range(1, 7))]
     np.testing.assert_allclose(values[:, 0], np.linspace(0.0, 10.0, 51), atol=1e-15)
@@ -114,7 +114,7 @@ def test_an_interruption_is_heard_at_once(tmp_path: Path, method: str, number: s
     out = tmp_path / "out"
     scene = write_scene(tmp_path / "long.toml", f'[dynamics]\nS = 0.2\nperiods = 1000000\nmethod = "{method}"\n')
     process = undrawn("run", scene, "--out", out)
-    while not (out / "frequency.svg").exists():  # the last file of the family
+    while not (out / "frequency.png").exists():  # the last file of the family
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
     time.sleep(0.3)  # most likely the integrator is at work then, for hours; what must hold does not depend on it

@@ -53,7 +53,7 @@ def test_run_writes_optima_starts_and_a_picture(tmp_path: Path, capsys: pytest.C
         profile = file.variables["profile"].data[0].astype(float)
     assert np.sum(profile**2) ** 2 / np.sum(profile**4) == pytest.approx(float(best["objective"]), rel=1e-9)
     assert {p.name for p in out.iterdir()} == {
-        "scene.toml", "search.csv", "starts.csv", "search.nc", "search.png", "search.svg"
+        "scene.toml", "search.csv", "starts.csv", "search.nc", "search.png"
     }  # fmt: skip
     assert main(["run", str(tmp_path / "s.toml"), "--out", str(out), "--resume"]) == 0
     assert "complete run already" in capsys.readouterr().out

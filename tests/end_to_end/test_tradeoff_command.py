@@ -27,7 +27,7 @@ at = [0.2, 0.4]
 """
 FILES = {
     *("reference.csv", "tradeoff.csv", "flows.csv", "recommendations.md"),
-    *("tradeoff.png", "tradeoff.svg"),
+    "tradeoff.png",
 }
 
 

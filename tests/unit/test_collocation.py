@@ -129,8 +129,7 @@ def test_problems_that_differ_in_their_mesh_share_what_was_built_and_keep_their_
     z = np.random.default_rng(0).normal(size=even.size)
     before = even.evaluate(z)
     other = uneven.evaluate(z)
-    assert uneven.function is even.function
-    assert uneven.pattern is even.pattern
+    assert uneven.discretisation is even.discretisation
     np.testing.assert_array_equal(even.evaluate(z)[0], before[0])
     assert np.abs(other[0] - before[0]).max() > 1e-3
     fresh = gauss_problem(even.model, 4, QUARTER, degree=3)

@@ -288,15 +288,16 @@ def without_numbers() -> Figure:
 def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Callable[[], Figure]) -> None:
     before = dict(matplotlib.rcParams)
     figure = draw()
-    first = save(figure, tmp_path / "spectrum.v1")
+    formats = ("png", "svg", "pdf")
+    first = save(figure, tmp_path / "spectrum.v1", formats)
     assert dict(matplotlib.rcParams) == before
-    assert [path.name for path in first] == ["spectrum.v1.png", "spectrum.v1.svg"]
+    assert [path.name for path in first] == [f"spectrum.v1.{kind}" for kind in formats]
     contents = [path.read_bytes() for path in first]
     with matplotlib.rc_context({"font.size": 20.0, "xtick.direction": "out", "savefig.bbox": "tight"}):
-        other = save(draw(), tmp_path / "other")
+        other = save(draw(), tmp_path / "other", formats)
     assert [path.read_bytes() for path in other] == contents
-    assert [path.read_bytes() for path in save(figure, tmp_path / "other")] == contents  # replaced, by one drawn before
-    assert len(list(tmp_path.iterdir())) == 4
+    assert [path.read_bytes() for path in save(figure, tmp_path / "other", formats)] == contents  # replaced
+    assert len(list(tmp_path.iterdir())) == 6
     assert first[0].read_bytes().startswith(b"\x89PNG")
     assert b"<dc:date>" not in first[1].read_bytes()
 

@@ -41,7 +41,7 @@ NAMES = (
         "stability",
         "dynamics",
     ),
-    *("search", "export", "map", "accuracy", "method"),
+    *("search", "export", "figures", "map", "accuracy", "method"),
 )
 TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
 

@@ -1,0 +1,30 @@
+"""The pictures of a run: drawn once, in the formats that its scene asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, ParamSpec
+
+from casadi_skin.figures.style import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from casadi_skin.scene import Scene
+
+Arguments = ParamSpec("Arguments")
+
+
+def picture(
+    scene: Scene,
+    stem: Path,
+    draw: Callable[Arguments, Figure | None],
+    *arguments: Arguments.args,
+    **options: Arguments.kwargs,
+) -> None:
+    """Write what `draw` makes of its arguments, as `stem`.png and so on; a scene without formats draws nothing."""
+    if scene.figures.formats:
+        figure = draw(*arguments, **options)
+        if figure is not None:
+            save(figure, stem, scene.figures.formats)

@@ -1,0 +1,62 @@
+"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and as arbiter of what is reported."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.bvp.collocation import CollocationEquations
+from casadi_skin.bvp.problem import Array
+from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.newton import NewtonCorrector
+
+STEPS = 10  # of Newton's method, before Ipopt is asked
+AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
+
+
+class ArbitratedCorrector:
+    """Newton's method on collocation equations, and Ipopt from the same guess where that does not converge."""
+
+    def __init__(self, problem: CollocationEquations, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self._newton = NewtonCorrector(problem, tolerance, STEPS)
+
+    def on(self, problem: Any) -> ArbitratedCorrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        other = copy.copy(self)
+        other.problem, other._newton = problem, self._newton.on(problem)
+        return other
+
+    def _ipopt(self, one_scalar: bool) -> IpoptCorrector:
+        """Ipopt on equations of this number of intervals, built when it is first needed."""
+        shared = self.problem.shared
+        key = ("ipopt", one_scalar, self.tolerance, self.max_iterations)
+        if key not in shared:
+            shared[key] = IpoptCorrector(self.problem, self.tolerance, self.max_iterations, one_scalar)
+        found: IpoptCorrector = shared[key]
+        return found.on(self.problem)
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        correction = self._newton.correct(guess, row, value)
+        if correction.converged:
+            return correction
+        return self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
+
+    def confirm(self, z: Array, row: Array, value: float) -> Correction:
+        """What Ipopt makes of a solution: z itself where it agrees, whatever it was asked before.
+
+        The free parameter is held in place of `row` where that will do: a row through all unknowns costs more.
+        """
+        held = self.problem.parameter_row()
+        found = self._ipopt(True).correct(z, held, float(held @ z))
+        if not found.converged and np.any(row[: self.problem.states]):
+            found = self._ipopt(False).correct(z, row, value)
+        if not found.converged:
+            return found
+        step = found.z - z
+        apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2)))
+        return Correction(z, found.status, 0) if apart <= AGREED * self.tolerance else found

@@ -1,0 +1,126 @@
+"""Equations assembled by structure beside CasADi's own graph of them, and what Ipopt says of a solution."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from casadi_skin import BoundaryValueProblem
+from casadi_skin.bvp.problem import Problem
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_space import BoundaryError
+from casadi_skin.orbits.solve import space_of
+from casadi_skin.solvers import ipopt, watch
+from casadi_skin.solvers.arbitrated import ArbitratedCorrector
+from casadi_skin.solvers.corrector import Correction, Status
+from casadi_skin.solvers.ipopt import IpoptCorrector
+
+
+def oscillator() -> BoundaryValueProblem:
+    """A closed orbit of given mean x^2, with a period and a parameter free: every kind of equation and unknown."""
+    x, y, mu, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "T"))
+    model = OdeModel("v", ca.vertcat(x, y), T * ca.vertcat(y, mu * (1 - x**2) * y - x), ca.vertcat(mu, T))
+    conditions = [model.start(x) - model.end(x), model.start(y) - model.end(y), model.start(y)]
+    return BoundaryValueProblem(
+        model, conditions, integrals=[x**2 - 2.1], parameters={"mu": 1.0, "T": 6.6}, free=["mu", "T"]
+    )
+
+
+@pytest.mark.parametrize("options", [{}, {"transcription": "radau"}, {"degree": 1}, {"degree": 2}])
+def test_the_assembled_equations_are_those_of_the_graph(options: dict[str, object]) -> None:
+    problem = space_of(oscillator(), [1.0, 2.0], options).levels.problem(5)
+    generator = np.random.default_rng(0)
+    z, lengths = generator.normal(size=problem.size), generator.uniform(0.1, 1.0, 5)
+    problem = problem.with_constants(lengths / lengths.sum())
+    residual, nonzeros = problem.evaluate(z)
+    expected, jacobian = problem.function(z, problem.constants)
+    np.testing.assert_allclose(residual, expected.full()[:, 0], rtol=0, atol=1e-14)
+    matrix = np.zeros(jacobian.shape)
+    matrix[problem.pattern] = nonzeros
+    np.testing.assert_allclose(matrix, jacobian.full(), rtol=0, atol=1e-14)
+    assert np.array_equal(problem.pattern, jacobian.sparsity().get_triplet())
+
+
+def line() -> tuple[BoundaryProblem, NDArray[np.float64]]:
+    """u'' = u, u(0) = 0, u(1) = 1 on five intervals, and zeros as a guess."""
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0])
+    found = space_of(problem, [0.0, 0.0], {}).levels.problem(5)
+    assert isinstance(found, BoundaryProblem)
+    return found, np.zeros(found.size)
+
+
+def test_ipopt_on_assembled_equations_finds_what_newton_finds() -> None:
+    problem, guess = line()
+    row = problem.parameter_row()
+    found = ArbitratedCorrector(problem).correct(guess, row, 0.0)
+    for one_scalar in (False, True):
+        other = IpoptCorrector(problem, 1e-12, 20, one_scalar).correct(guess, row, 0.0)
+        assert found.converged
+        assert other.converged
+        np.testing.assert_allclose(other.z, found.z, atol=1e-11)
+    assert problem.sample(found.z, np.array([0.5]))[0, 0] == pytest.approx(np.sinh(0.5) / np.sinh(1.0), abs=1e-12)
+
+
+def test_ipopt_takes_over_where_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, guess = line()
+    corrector = ArbitratedCorrector(problem)
+    failed = Correction(guess, Status.DIVERGED, 1)
+    monkeypatch.setattr(corrector._newton, "correct", lambda *_: failed)
+    assert corrector.correct(guess, problem.parameter_row(), 0.0).converged
+
+
+def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solution stays as it is where Ipopt agrees, becomes Ipopt's where it moves it, and is refused with it."""
+    problem, guess = line()
+    corrector, row = ArbitratedCorrector(problem), problem.parameter_row()
+    z = corrector.correct(guess, row, 0.0).z
+    assert corrector.confirm(z, row, 0.0).z is z
+    moved = corrector.confirm(z + 1e-4 * (row == 0.0), row, 0.0)
+    np.testing.assert_allclose(moved.z, z, atol=1e-11)
+    refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
+    monkeypatch.setattr(IpoptCorrector, "correct", refuse)
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
+    with pytest.raises(BoundaryError, match="no point near the guess satisfies the equations"):
+        BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0]).solve([0.0, 0.0])
+
+
+def test_solving_again_builds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = oscillator()
+    guess = lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]  # noqa: E731
+    first = problem.solve(guess)
+
+    def build(*_: object, **__: object) -> None:
+        raise AssertionError("built again")
+
+    monkeypatch.setattr(ca.Function, "map", build)
+    monkeypatch.setattr(ca, "nlpsol", build)
+    monkeypatch.setattr(Problem, "symbols", property(build))
+    assert problem.solve(guess).parameters == first.parameters
+
+
+def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
+    told: list[str] = []
+    problem, guess = oscillator(), lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]
+    problem.solve(guess, progress=told.append)
+    assert "step 1 of Newton's method" in told[0]
+    assert "Ipopt" in told[-1]
+    with pytest.raises(BoundaryError, match=r"the time allowed, 1e-06 s, is over, at step 1 of Newton's method"):
+        problem.solve(guess, time_limit=1e-6)
+    with pytest.raises(ValueError, match="time_limit: given -1; accepted: a number of seconds > 0"):
+        problem.solve(guess, time_limit=-1)
+
+
+def test_ipopt_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, guess = line()
+    row, corrector = problem.parameter_row(), IpoptCorrector(problem)
+    calls = iter(range(1000))
+    monkeypatch.setattr(watch, "is_over", lambda: next(calls) > 1)
+    monkeypatch.setattr(ipopt, "is_over", watch.is_over)
+    with watch.watched(10.0), pytest.raises(watch.TimeLimitError, match="the time allowed, 10 s, is over, at Ipopt"):
+        corrector.correct(guess, row, 0.0)
