@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin import methods
 from casadi_skin.arguments import check_name
 from casadi_skin.maps.columns import REASON, Columns
 from casadi_skin.maps.store import DONE, ENDED, FAILED, UNKNOWN, Store
@@ -101,10 +102,9 @@ class Map:
 
     def plot(self, name: str) -> Figure:
         """The picture of a quantity; raises ValueError for an unknown one, or one that is a text."""
-        from casadi_skin.maps.pictures import picture
-
         check_name("quantity", name, [n for n in self.names if n in self.columns.numbers])
-        return picture(self, name)
+        figure: Figure = methods.TASKS["map_picture"].load()(self, name)
+        return figure
 
     def to_xarray(self) -> xarray.Dataset:
         """The map as an xarray Dataset, as in map.nc; raises ImportError, naming the extra, without xarray."""
