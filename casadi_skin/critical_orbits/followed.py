@@ -11,7 +11,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.boundary_space import Sizes
+from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.stability.reduction import ComplexArray
 
 

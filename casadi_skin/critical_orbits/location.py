@@ -12,7 +12,8 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.critical_orbits.starting import component_sizes, critical_plane, normal_of, started
 from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.boundary_choices import Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be

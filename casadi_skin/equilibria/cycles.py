@@ -17,7 +17,8 @@ from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import FIRST, BoundarySpace, Periodic, Sizes, boundary_method
+from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes, boundary_method
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.find_orbit import closed_statement
 from casadi_skin.solvers.levels import ErrorEstimate
 

@@ -12,7 +12,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.orbits.bifurcations import critical_vector
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.boundary_choices import Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.find_orbit import closed_statement, forced_statement
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.solvers.levels import ErrorEstimate

@@ -21,7 +21,8 @@ from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes
+from casadi_skin.orbits.boundary_choices import Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.find_orbit import find_orbit, guessed_period, scalar_of
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, short_repr
+from casadi_skin.arguments import check_name
 from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -22,11 +22,12 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes
 from casadi_skin.orbits.branch_points import branch_point_between
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
-from casadi_skin.orbits.period_limit import limit_between, resting_places
+from casadi_skin.orbits.period_limit import joined_words, limit_between, resting_phases, resting_places, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.special_points import FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
@@ -44,59 +45,7 @@ if TYPE_CHECKING:
 
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
-DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
-PLACES = 2001  # along an orbit at which its speed is looked at
-SMALLEST = 1e-9  # of the largest component: smaller ones are told as 0
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
-
-
-def boundary_method(options: Mapping[str, Any]) -> Method:
-    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
-    for name, accepted, first in (
-        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
-        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
-        ("walker", ("arclength",), "arclength"),
-    ):
-        options = {name: first, **options}
-        if not isinstance(options[name], str) or options[name] not in accepted:
-            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
-    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
-    method.check_degree(1)
-    return method
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """What components of the state and free parameters are measured by at least."""
-
-    states: Array
-    scalars: Array
-
-    @classmethod
-    def of(cls, statement: Statement, guess: Array) -> Sizes:
-        """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
-        states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
-        values = np.array([statement.values[name] for name in statement.free])
-        return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
-
-
-@dataclass(frozen=True, eq=False)
-class Periodic:
-    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for.
-
-    `turns` are the rotations of the states in a period, none where it is empty.
-    """
-
-    given: OdeModel
-    model: OdeModel
-    symmetry: SymmetryClass
-    turns: tuple[int, ...] = ()
-
-    def rotated(self, theta: Array) -> Array:
-        """What rotations add at phases to states of the part solved for, mirrored or not, shape (phases, states)."""
-        turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
-        mirrored = np.mod(turn, 1.0) > self.symmetry.value
-        return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,32 +178,15 @@ class BoundarySpace:
         if self.periodic is None or PERIOD not in self.statement.free:
             return None
         left = limit_between(self.start, before, after, self.tolerance)
-        places = 0 if left is None else len(self._resting_places(after))
-        if left is None or not places:
-            return None
-        error = replace(after.error, parameter=left / after.problem.parameter_size(after.z) + after.error.relative(1.0))
-        kind = HOMOCLINIC if places == 1 else HETEROCLINIC
-        return replace(after, error=error, special=kind, walked=False, requested=False)
+        return None if left is None else unbounded(after, left, self._resting_places(after))
 
     def _resting_places(self, point: Point) -> list[Array]:
         """Equilibria that an orbit passes slowly."""
         periodic, problem = self._orbit_of(), point.problem
         assert isinstance(problem, BoundaryProblem)
-        parts = np.concatenate([np.linspace(0.0, 1.0, PLACES), periodic.symmetry.value * problem._fractions()])
-        states = self.states_at(point, TWO_PI * np.unique(parts), None)
+        states = self.states_at(point, resting_phases(problem, periodic.symmetry), None)
         p = problem.parameters(point.z)[: periodic.model.parameters.numel()]
         return resting_places(periodic.model, states, p, periodic.turns)
-
-    def _unbounded_words(self, point: Point) -> str:
-        """Which equilibria the orbit with a period without bound joins."""
-        found = []
-        for x in self._resting_places(point):
-            x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
-            state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.state_names, x, strict=True))
-            found.append(f"({state})")
-        value = self.parameters(point)[self.parameter]
-        where = f"{self.parameter} = {value:.10g} +- {self.parameter_error(point):.0e}"
-        return f"orbits come to one that is {point.special} to {' and '.join(found)}, at {where}"
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
@@ -302,7 +234,9 @@ class BoundarySpace:
         if point.special == HOPF:
             return End.HOPF, ""
         if point.special in (HOMOCLINIC, HETEROCLINIC):
-            return End.UNBOUNDED, self._unbounded_words(point)
+            value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
+            where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
+            return End.UNBOUNDED, f"{joined_words(point, self._resting_places(point), self.model)}, at {where}"
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

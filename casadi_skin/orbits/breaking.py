@@ -26,7 +26,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import ContinuationSettings, Point
-from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic, Sizes
+from casadi_skin.orbits.boundary_choices import Periodic, Sizes
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit

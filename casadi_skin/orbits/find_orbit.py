@@ -17,7 +17,8 @@ from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.models.conserved import quantities
 from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundarySpace, Periodic
+from casadi_skin.orbits.boundary_choices import Periodic
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.guesses import Guess, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, Asked, statement_of

@@ -8,14 +8,21 @@ follows how far the limit is. The branch ends where that is nearer than the tole
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Scalar
+from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import Point
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.method import TWO_PI
+from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC
 
+PLACES = 2001  # along an orbit at which its speed is looked at
+SMALLEST = 1e-9  # of the largest component: smaller ones are told as 0
 GROWN = 3.0  # times the period at the start of the branch
 SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
 STILL = 1e-15  # of it: a parameter that does not change
@@ -110,3 +117,28 @@ def _equilibrium(model: OdeModel, x: Array, p: Array) -> Array | None:
         if np.max(np.abs(step)) < CONVERGED * size:
             return np.asarray(x)
     return np.asarray(x) if np.max(np.abs(step)) < 1e-4 * size else None  # a double one is come to slowly
+
+
+def unbounded(orbit: Point, left: float, places: Sequence[Array]) -> Point | None:
+    """An orbit marked as the end of its branch, a distance from the limit; None where it rests nowhere nearly."""
+    if not places:
+        return None
+    error = replace(orbit.error, parameter=left / orbit.problem.parameter_size(orbit.z) + orbit.error.relative(1.0))
+    kind = HOMOCLINIC if len(places) == 1 else HETEROCLINIC
+    return replace(orbit, error=error, special=kind, walked=False, requested=False)
+
+
+def resting_phases(problem: BoundaryProblem, symmetry: SymmetryClass) -> Array:
+    """Phases at which it is looked at how fast an orbit moves: even ones, and those of the mesh."""
+    parts = np.concatenate([np.linspace(0.0, 1.0, PLACES), symmetry.value * problem._fractions()])
+    return np.asarray(TWO_PI * np.unique(parts))
+
+
+def joined_words(orbit: Point, places: Sequence[Array], model: OdeModel) -> str:
+    """Which equilibria an orbit with a period without bound joins."""
+    found = []
+    for x in places:
+        x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
+        state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, x, strict=True))
+        found.append(f"({state})")
+    return f"orbits come to one that is {orbit.special} to {' and '.join(found)}"

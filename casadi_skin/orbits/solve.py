@@ -15,7 +15,8 @@ from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
-from casadi_skin.orbits.boundary_space import BoundarySpace, Sizes, boundary_method
+from casadi_skin.orbits.boundary_choices import Sizes, boundary_method
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, along_the_guess, sampled
 from casadi_skin.orbits.method import Method

@@ -279,7 +279,7 @@ def _problem_lines(request: Request) -> Lines:
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
     from casadi_skin.bvp.stated_problem import PERIOD
-    from casadi_skin.orbits.boundary_space import DEGREE, FIRST
+    from casadi_skin.orbits.boundary_choices import DEGREE, FIRST
     from casadi_skin.orbits.orbit_statement import UNFOLDING
 
     method, model, problem = request.scene.methods, request.ode, request.problem
