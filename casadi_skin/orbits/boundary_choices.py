@@ -1,0 +1,68 @@
+"""What is chosen for a boundary-value problem, what its unknowns are measured by, and what makes solutions orbits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadi_skin import methods
+from casadi_skin.arguments import short_repr
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.statement import Statement
+from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.method import Method
+
+DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
+
+
+def boundary_method(options: Mapping[str, Any]) -> Method:
+    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
+    for name, accepted, first in (
+        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
+        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
+        ("walker", ("arclength",), "arclength"),
+    ):
+        options = {name: first, **options}
+        if not isinstance(options[name], str) or options[name] not in accepted:
+            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
+    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method.check_degree(1)
+    return method
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What components of the state and free parameters are measured by at least."""
+
+    states: Array
+    scalars: Array
+
+    @classmethod
+    def of(cls, statement: Statement, guess: Array) -> Sizes:
+        """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
+        states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
+        values = np.array([statement.values[name] for name in statement.free])
+        return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for.
+
+    `turns` are the rotations of the states in a period, none where it is empty.
+    """
+
+    given: OdeModel
+    model: OdeModel
+    symmetry: SymmetryClass
+    turns: tuple[int, ...] = ()
+
+    def rotated(self, theta: Array) -> Array:
+        """What rotations add at phases to states of the part solved for, mirrored or not, shape (phases, states)."""
+        turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
+        mirrored = np.mod(turn, 1.0) > self.symmetry.value
+        return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
