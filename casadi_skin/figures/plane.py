@@ -51,7 +51,7 @@ def plane_figure(branch: Branch) -> Figure | None:
             for panel, (values, colours, low, high, words) in zip(panels[:, k], looks, strict=True):
                 extent = (0.5, rows + 0.5, 0.5, columns + 0.5)
                 image = panel.imshow(values.T, cmap=colours, vmin=low, vmax=high, origin="lower", extent=extent)
-                figure.colorbar(image, ax=panel, shrink=0.8)
+                figure.colorbar(image, ax=panel, shrink=0.8, use_gridspec=False)
                 panel.set_title(words)
                 panel.set_xlabel("cell $n$")
                 panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")

@@ -77,7 +77,9 @@ def spacetime_figure(
             image = draw_spacetime(main, evolution, orbit)
             beyond = bool(np.abs(_shown(evolution)).max() > 1.02 * _largest(evolution, orbit))
             extend = "both" if beyond else "neither"
-            figure.colorbar(image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend)
+            figure.colorbar(
+                image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend, use_gridspec=False
+            )
         if profile:
             _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
         for row, draw in enumerate(below, start=1):

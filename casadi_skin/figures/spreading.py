@@ -42,7 +42,7 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
             shading="nearest", rasterized=True,
         )  # fmt: skip
         panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
-        figure.colorbar(drawn, ax=panels["a"], label="energy of the site")
+        figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
         for k, dash in zip(range(found.centre.shape[1]), DASHES, strict=False):
             label = f"along direction {k + 1}" if found.centre.shape[1] > 1 else None
             panels["b"].plot(found.t, found.centre[:, k], color="black", ls=dash, lw=0.9, label=label)

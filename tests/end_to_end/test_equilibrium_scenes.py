@@ -73,7 +73,7 @@ def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
     assert abs(float(lost["K"]) - 3.0) < 1e-12
     assert abs(float(lost["frequency"]) - 3.0**-0.5) < 1e-12
     assert lost["criticality"] == "supercritical"
-    assert (out / "portrait.svg").exists()
+    assert (out / "portrait.png").exists()
     cycles = rows(out / "cycles_1_1.csv")
     assert float(cycles[0]["period"]) == pytest.approx(2.0 * np.pi * 3.0**0.5, rel=1e-10)
     assert float(cycles[-1]["K"]) == 5.0
@@ -215,7 +215,7 @@ def test_the_example_of_roessler_follows_its_period_doublings(tmp_path: Path) ->
     assert float(doubling["c"]) == pytest.approx(2.832445, abs=1e-6)
     curve = rows(out / "curve_1.csv")
     assert (float(curve[0]["a"]), float(curve[-1]["a"])) == (0.2, 0.22)
-    assert (out / "curves.svg").exists()
+    assert (out / "curves.png").exists()
     x, y, z, c = (ca.SX.sym(name) for name in "xyzc")
     a, at = float(curve[-1]["a"]), float(curve[-1]["c"])
     model = OdeModel("Roessler", ca.vertcat(x, y, z), ca.vertcat(-y - z, x + a * y, 0.2 + z * (x - c)), c)

@@ -49,7 +49,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(out), "--quiet"]) == 0
+    assert main(["tradeoff", str(scene), "--quick", "--out", str(out)]) == 0
     told = capsys.readouterr().out
     assert "For Omega" in told
     assert f"45 settings; 6 files in {out}" in told
@@ -100,14 +100,14 @@ def test_a_few_settings_and_what_an_interruption_leaves(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--quiet"]) == 130
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out)]) == 130
     told = capsys.readouterr()
     assert told.err == f"interrupted after 4 settings; the results so far are in {out}\n"
     assert {path.name for path in out.iterdir()} == FILES - {"flows.csv"}
     assert len(read_rows(out / "tradeoff.csv")) == 4
 
     monkeypatch.setattr(study_module, "measure", real)
-    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--overwrite", "--quiet"]) == 0
+    assert main(["tradeoff", str(scene), "--quick", "--repeats", "1", "--out", str(out), "--overwrite"]) == 0
     assert {path.name for path in out.iterdir()} == FILES
     assert len(read_rows(out / "tradeoff.csv")) == 3 + methods
     assert len(read_rows(out / "flows.csv")) == flows
@@ -147,7 +147,7 @@ def test_a_family_that_ends_early_is_told_in_one_line(
         raise ArithmeticError("no step, however short, stays on the family")
 
     monkeypatch.setattr(study_module, "Reference", lost)
-    assert main(["tradeoff", str(scene), "--quick", "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    assert main(["tradeoff", str(scene), "--quick", "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert "no step" in told

@@ -49,7 +49,7 @@ def draw_space_time(figure: Figure, axes: Axes, evolution: Evolution) -> None:
     """Displacements in time as an image with its colour bar."""
     image = draw_spacetime(axes, evolution)
     axes.set(xlabel="time $t$", yticks=[1, 6, 12, 18, 24])
-    figure.colorbar(image, ax=axes, label="$y_n(t)$", aspect=25, pad=0.02)
+    figure.colorbar(image, ax=axes, label="$y_n(t)$", aspect=25, pad=0.02, use_gridspec=False)
 
 
 def families_table(families: dict[float, dict[int, Branch]]) -> Rows:

@@ -81,7 +81,9 @@ def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
     axes.set(xlabel=rf"vector $l$, in increasing {MODULUS}", ylabel="site $n$")
     axes.set(xticks=[1, 12, 24, 36, 48], yticks=[1, 6, 12, 18, 24])
     axes.tick_params(top=False, right=False, direction="out")
-    figure.colorbar(image, ax=axes, label=r"$|z_{l,n}|$ over its largest value", aspect=25, pad=0.02)
+    figure.colorbar(
+        image, ax=axes, label=r"$|z_{l,n}|$ over its largest value", aspect=25, pad=0.02, use_gridspec=False
+    )
 
 
 def _multipliers_table(orbit: Orbit) -> Rows:
