@@ -41,6 +41,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if slow_run(config) and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
             item.add_marker("slow")
+    # Of a test that is slow by itself the quick variants of a fixture are left out: the long ones hold all of them.
+    short = [item for item in items if item.get_closest_marker("slow") and _is_short(item)]
+    config.hook.pytest_deselected(items=short)
+    items[:] = [item for item in items if item not in short]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -64,6 +68,12 @@ def interruptible() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
+def _is_short(item: pytest.Item) -> bool:
+    """Whether a fixture with a quick and a long variant is the quick one."""
+    params = getattr(getattr(item, "callspec", None), "params", {})
+    return params.get("pictures") == "blank" or params.get("harmonics") == "few"
 
 
 @pytest.fixture(params=["blank", pytest.param("drawn", marks=pytest.mark.slow)])
