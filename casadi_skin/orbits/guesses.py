@@ -26,7 +26,7 @@ class Evaluated(Protocol):
 Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
 SAMPLES = 4001  # of a guess that has jumps
 FIRST_SAMPLES = 501  # of any guess
-SMOOTH = 0.05  # of the range of a state: what it changes by from one first sample to the next where it has no jump
+SMOOTH = 50.0  # ranges that a state without jumps goes through in an interval, at its greatest speed
 ACCEPTED = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
@@ -64,7 +64,7 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
         values = sampled(statement, guess, fine)
         ranges = np.ptp(values, axis=0)
         steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
-        if samples == FIRST_SAMPLES and np.max(steps) < SMOOTH:
+        if np.all(np.max(steps, axis=1) * (end - start) < SMOOTH * np.diff(fine)):  # samples may be dense in a jump
             return []
     length = np.diff(fine) / (end - start) + np.sum(steps, axis=1) + 4.0 / (fine.size - 1)
     total = np.concatenate([[0.0], np.cumsum(length)])
