@@ -71,7 +71,8 @@ class LongLattice:
 
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
-        if not (self.cells == math.inf or (whole and self.cells >= FEWEST)):
+        endless = isinstance(self.cells, float) and self.cells == math.inf
+        if not (endless or (whole and self.cells >= FEWEST)):
             accepted = f"a whole number >= {FEWEST}, or inf (with fewer a Lattice)"
             raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: {accepted}")
         lattice = self.sample

@@ -14,15 +14,19 @@ from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 
 STEPS = 10  # of Newton's method, before Ipopt is asked
+SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
 AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
 
 
 class ArbitratedCorrector:
-    """Newton's method on collocation equations, and Ipopt from the same guess where that does not converge."""
+    """Newton's method on collocation equations, and Ipopt from the same guess where that does not converge at once.
+
+    Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family.
+    """
 
     def __init__(self, problem: CollocationEquations, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
-        self._newton = NewtonCorrector(problem, tolerance, STEPS)
+        self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
 
     def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""

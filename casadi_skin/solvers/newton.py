@@ -16,10 +16,16 @@ SLOW = 0.1  # of the step before: a longer one with old factors asks for new one
 
 
 class NewtonCorrector:
-    """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast."""
+    """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast.
 
-    def __init__(self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10) -> None:
+    A step longer than `shrink` times the one before ends them where it is given: they may lead anywhere then.
+    """
+
+    def __init__(
+        self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10, shrink: float | None = None
+    ) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self._shrink = np.inf if shrink is None else shrink
         self._solver = BorderedSolver.of(problem)
 
     def on(self, problem: Problem) -> NewtonCorrector:
@@ -48,7 +54,7 @@ class NewtonCorrector:
                 reuse = False
                 continue
             z = z - step
-            if not np.isfinite(length) or length > max(1.0, 10.0 * last):
+            if not np.isfinite(length) or length > max(1.0, 10.0 * last) or length > self._shrink * last:
                 return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
