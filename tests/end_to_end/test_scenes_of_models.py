@@ -275,12 +275,17 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
         assert float(row["max_abs_multiplier"]) == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-5)
         assert bool(int(row["stable"])) == orbit.floquet().stable
     motion = read_rows(out / "dynamics.csv")
-    assert list(motion[0]) == ["t", "y_1", "y_2", "y_3"]
+    assert list(motion[0]) == ["t", "energy", "y_1", "y_2", "y_3"]
+    energies = [float(row["energy"]) for row in motion]
+    assert np.ptp(energies) < 1e-9 * energies[0]
     last = [float(motion[0][f"y_{n}"]) for n in (1, 2, 3)]
     flow = solve_ivp(
         lambda t, s: [*s[3:], *chain_forces(s[:3], 0.4)], (0.0, 5.0), [*last, 0, 0, 0], rtol=1e-11, atol=1e-12
     )
     np.testing.assert_allclose([float(motion[-1][f"y_{n}"]) for n in (1, 2, 3)], flow.y[:3, -1], atol=1e-7)
+    weights, y = (0.6 / 1.4) ** np.arange(3), np.array(last)  # of the gauge, and the energy at rest
+    energy = weights @ (1.5 * y**2 + y**4 / 4) - 0.6 * weights[:2] @ (y[:-1] * y[1:])
+    np.testing.assert_allclose(energies, energy, rtol=1e-9)
     assert not read_rows(out / "special_points.csv")
     assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
 
