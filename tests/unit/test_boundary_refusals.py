@@ -185,7 +185,9 @@ def test_an_infeasible_string_names_both_ends(corrector: str) -> None:
 def test_a_condition_given_twice_is_named(corrector: str, second: ca.SX, text: str) -> None:
     message = failing(lambda: stated(conditions=[START, second]).solve([1.0, 0.0], corrector=corrector))
     assert f"condition 1 (u(start)) and condition 2 ({text}) repeat or contradict each other" in message
-    assert "v (most at t = " in message
+    # Every c (sin t, cos t) has u(0) = 0 and 2 u(0) = 0: beside one of them, relative to its sizes, u and v tie.
+    tied = "u (most at t = 1)" in message and text.startswith("2")
+    assert "v (most at t = 0)" in message or tied
 
 
 @pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
