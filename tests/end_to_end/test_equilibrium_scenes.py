@@ -38,6 +38,7 @@ def write(tmp_path: Path, name: str, rest: str) -> Path:
     return scene
 
 
+@pytest.mark.slow
 def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Values published in MatCont's manual for the catalytic oscillator, to the digits printed there."""
     out = tmp_path / "out"

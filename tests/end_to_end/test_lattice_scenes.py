@@ -43,6 +43,7 @@ def column(path: Path, name: str) -> np.ndarray:
     return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True)[name])
 
 
+@pytest.mark.slow
 def test_a_lattice_runs_as_the_chain_does(tmp_path: Path) -> None:
     for name, text in (("long", CHAIN), ("short", SHORT)):
         (tmp_path / f"{name}.toml").write_text(text)

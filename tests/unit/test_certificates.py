@@ -45,6 +45,7 @@ def test_exact_duffing_oscillator_is_inside_its_enclosures(g, S):
         assert abs(middle - Omega) <= radius
 
 
+@pytest.mark.slow
 def test_newton_with_forty_digits_is_inside_the_enclosures():
     """Collocation at other nodes and with twice the harmonics, in mpmath."""
     chain, S, H = Chain(2, 1.0, 0.25, -1.0), 1.25, 22

@@ -186,6 +186,7 @@ def test_steps_that_are_too_long_are_halved_until_cvodes_agrees() -> None:
     assert checked.optimum.norm * np.sqrt(0.2) == pytest.approx(found(2.0).norm, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_interruption_keeps_the_best_and_progress_is_told() -> None:
     told: list[SearchProgress] = []

@@ -113,6 +113,7 @@ def test_a_condition_that_cannot_hold_is_off_by_the_least_at_the_nearest_orbit()
     assert result.nearest.gap == pytest.approx(0.3 - most, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bound_on_a_quantity_is_active() -> None:
     bounds = {"omega": (0.3, 2.0), "v": (None, 0.2)}
     result = search(running="square", maximise=True, bounds=bounds, constraints=[], starts=1)
