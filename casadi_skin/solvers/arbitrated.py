@@ -21,17 +21,19 @@ AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was
 class ArbitratedCorrector:
     """Newton's method on collocation equations, and Ipopt from the same guess where that does not converge at once.
 
-    Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family.
+    Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family: they
+    are taken only where Ipopt finds none, as in stiff problems far from their guess.
     """
 
     def __init__(self, problem: CollocationEquations, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
+        self._free = NewtonCorrector(problem, tolerance, STEPS)
 
     def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
         other = copy.copy(self)
-        other.problem, other._newton = problem, self._newton.on(problem)
+        other.problem, other._newton, other._free = problem, self._newton.on(problem), self._free.on(problem)
         return other
 
     def _ipopt(self, one_scalar: bool) -> IpoptCorrector:
@@ -48,7 +50,11 @@ class ArbitratedCorrector:
         correction = self._newton.correct(guess, row, value)
         if correction.converged:
             return correction
-        return self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
+        correction = self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
+        if correction.converged:
+            return correction
+        last = self._free.correct(guess, row, value)
+        return last if last.converged else correction
 
     def confirm(self, z: Array, row: Array, value: float) -> Correction:
         """What Ipopt makes of a solution: z itself where it agrees, whatever it was asked before.
