@@ -11,13 +11,14 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.critical_orbits.followed import Followed
-from casadi_skin.equilibria.curve import curve as hopf_curve
+from casadi_skin.equilibria.curve import curve_space
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.equilibria.location import HOPF, locate
 from casadi_skin.equilibria.problem import sizes_of
 from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
+from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.special_points import FOLD, TORUS, SpecialPoint
 from casadi_skin.solvers.levels import ErrorEstimate
 
@@ -35,7 +36,10 @@ def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
     start, span = hopf.parameters[space.parameter], space.to - space.statement.values[space.parameter]
     found = list[SpecialPoint]()
     for side in (1.0, -1.0):
-        curve = hopf_curve(hopf, space.parameter, start + side * AROUND * span, max_step=0.05)
+        to = start + side * AROUND * span
+        curve = run_following(
+            Following(curve_space(hopf, space.parameter, to, at=(), max_points=500, max_step=0.05)), None
+        )
         found += [point for point in curve.special_points if point.kind in KINDS[space.kind]]
     close = [p for p in found if abs(p.parameters[space.parameter] - start) <= NEAR * abs(span)]
     if not close:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -18,9 +18,7 @@ from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, j
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
-from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.follow import following_settings
-from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.solvers.levels import Levels
 
@@ -73,40 +71,6 @@ class CurveSpace(EquilibriumSpace):
         return (End.TAKENS if self.kind == HOPF and point.special == TAKENS else None), ""
 
 
-def curve(
-    point: SpecialPoint,
-    parameter: str,
-    to: float,
-    *,
-    at: Sequence[float] = (),
-    max_points: int = 500,
-    max_step: float = 0.2,
-    back_to: float | None = None,
-    until: Callable[[Any], bool] | None = None,
-    progress: Callable[[Any], None] | None = None,
-) -> Branch:
-    """A special point of equilibria followed in a second parameter, with that in which it was found free.
-
-    Arguments:
-        point: the fold, Hopf point or branch point; a branch point where a symmetry, or a state that stays zero, keeps
-            both branches together.
-        parameter: name of the second parameter.
-        to: its value at which the curve ends.
-        at, max_points, max_step, back_to, until, progress: as in `follow`.
-
-    Returns:
-        The curve as a branch of equilibria; its special points are those of codimension two: "cusp", "bogdanov-takens",
-        "zero-hopf", "generalized hopf", "hopf-hopf". It also ends where it comes back to the value that it started
-        from, and a curve of Hopf points at a Bogdanov-Takens point.
-
-    Raises:
-        ValueError: an argument is out of range, or the point is of another kind.
-        EquilibriumError: the curve cannot be started, or the branch point does not stay one.
-    """
-    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
-    return run_following(Following(space, until=until), progress)
-
-
 def curve_space(
     point: SpecialPoint,
     parameter: str,
@@ -117,7 +81,11 @@ def curve_space(
     max_step: float,
     back_to: float | None = None,
 ) -> CurveSpace:
-    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    """The space of the curve of a special point of equilibria in a second parameter.
+
+    Raises ValueError for arguments out of range and points of another kind, EquilibriumError where the curve cannot be
+    started, or a branch point does not stay one.
+    """
     solution = point.solution
     if not isinstance(solution, Equilibrium) or point.kind not in SYSTEMS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")

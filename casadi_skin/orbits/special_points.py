@@ -101,7 +101,7 @@ class SpecialPoint:
         return methods.TASKS["switch"].load()(self, parameter, to, **options)
 
     def curve(self, parameter: str, to: float, **options: Any) -> Any:
-        """This point followed in a second parameter, by `casadi_skin.equilibria.curve.curve`."""
+        """This point followed in a second parameter, by `casadi_skin.critical_orbits.curve.curve`."""
         return methods.TASKS["curve"].load()(self, parameter, to, **options)
 
 
