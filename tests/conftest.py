@@ -32,7 +32,7 @@ def slow_run(config: pytest.Config) -> bool:
 def pytest_configure(config: pytest.Config) -> None:
     settings.register_profile("quick", max_examples=20, deadline=None, derandomize=True, database=None)
     settings.register_profile("slow", max_examples=100, deadline=None, derandomize=True, database=None)
-    settings.register_profile("random", max_examples=300, deadline=None)  # HYPOTHESIS_PROFILE=random looks for new faults
+    settings.register_profile("random", max_examples=300, deadline=None)  # looks for new faults
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "slow" if slow_run(config) else "quick"))
 
 
