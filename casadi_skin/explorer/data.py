@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.results.netcdf import read_name
+
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
 POINTS = 3000  # of a curve
 NUMBERS = 400_000  # of wave forms, in all
@@ -45,7 +47,7 @@ def _read(path: Path) -> tuple[dict[str, str], Variables]:
     with netcdf_file(path, "r", mmap=False) as file:
         known: dict[str, Any] = vars(file)["_attributes"]
         attributes = {k: v.decode() for k, v in known.items() if isinstance(v, bytes)}
-        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in file.variables.items()}
+        variables: dict[str, NDArray[Any]] = {read_name(n): np.array(held[:]) for n, held in file.variables.items()}
     for name, values in variables.items():
         if values.dtype.kind == "S":
             variables[name] = np.array([b"".join(row).decode().rstrip() for row in values])

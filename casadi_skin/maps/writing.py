@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.files import replacing
 from casadi_skin.maps.columns import REASON, STATUS, Columns, scratch
 from casadi_skin.maps.grid import Axis
 from casadi_skin.maps.store import UNKNOWN
-from casadi_skin.results.dataset import EMPTY, Cell, write_csv
+from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.results.netcdf import EMPTY, characters, new_file, put_attributes, stored_name
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file
 
 CSV, NETCDF = "map.csv", "map.nc"
+LARGEST = 2**31  # of whole numbers in netCDF 3
 CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
                   "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
                   "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
@@ -48,21 +49,17 @@ def write_table(columns: Columns, path: Path) -> None:
 
 def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimensionless: bool) -> None:
     """map.nc: dimensions named by the parameters, quantities over them; netCDF 3, which every reader opens."""
-    from scipy.io import netcdf_file
-
-    unit = "1" if dimensionless else "as in the model"
-    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        for name, value in attributes.items():
-            setattr(file, name, value if value != "" else "untitled")
+    unit = "1" if dimensionless else ""
+    with new_file(path, attributes) as file:
         names = dimension_names(columns)
         for axis, dimension in zip(columns.store.grid.axes, names, strict=True):
             _put_axis(file, axis, dimension, unit)
         shape = columns.store.grid.shape
-        flags = file.createVariable("status", "i4", names)
+        flags = file.createVariable(_free(file, "status"), "i4", names)
         flags[:] = columns.store.states.reshape(shape)
-        flags.long_name = "what is known of a cell"  # type: ignore[attr-defined]
-        flags.flag_values = np.arange(len(STATUS), dtype="i4")  # type: ignore[attr-defined]
-        flags.flag_meanings = " ".join(word.replace(" ", "_") for word in STATUS)  # type: ignore[attr-defined]
+        words = " ".join(word.replace(" ", "_") for word in STATUS)
+        values = np.arange(len(STATUS), dtype="i4")
+        put_attributes(flags, {"long_name": "what is known of a cell", "flag_values": values, "flag_meanings": words})
         for name in columns.names:
             meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
             if name in columns.texts:
@@ -73,24 +70,32 @@ def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimen
 
 
 def dimension_names(columns: Columns) -> tuple[str, ...]:
-    """Names of the dimensions: those of the parameters, told apart from quantities."""
-    return tuple(re.sub(r"\W+", "_", axis.name) for axis in columns.store.grid.axes)
+    """Names of the dimensions, as they are stored: those of the parameters, each once."""
+    found = list[str]()
+    for axis in columns.store.grid.axes:
+        name = stored_name(re.sub(r"\W+", "_", axis.name))
+        while name in found:
+            name = f"{name}_"
+        found.append(name)
+    return tuple(found)
 
 
 def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
     values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
+    meaning = {"long_name": CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")}
     file.createDimension(dimension, len(axis.values))
     if values.dtype.kind in "US":
-        encoded = np.char.encode(values.astype(str))
-        file.createDimension(f"{dimension}_length", encoded.dtype.itemsize)
+        encoded = characters([str(value) for value in axis.values])
+        file.createDimension(f"{dimension}_length", encoded.shape[1])
         stored = file.createVariable(dimension, "c", (dimension, f"{dimension}_length"))
-        stored[:] = np.array([list(word.ljust(encoded.dtype.itemsize).decode("latin-1")) for word in encoded], "S1")
+        stored[:] = encoded
     else:
-        kind = "i4" if values.dtype.kind in "bi" else "f8"
+        whole = values.dtype.kind in "bi" and bool(np.all(np.abs(values.astype(float)) < LARGEST))
+        kind = "i4" if whole else "f8"
         stored = file.createVariable(dimension, kind, (dimension,))
         stored[:] = values.astype(kind)
-        stored.units = unit  # type: ignore[attr-defined]
-    stored.long_name = CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")  # type: ignore[attr-defined]
+        meaning |= _units(unit)
+    put_attributes(stored, meaning)
 
 
 def _put_numbers(
@@ -102,7 +107,12 @@ def _put_numbers(
     data = scratch(">f8", values.shape)
     data[:] = np.where(np.isfinite(values), values, EMPTY)
     stored.__dict__["data"] = data.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
-    stored.long_name, stored.units, stored._FillValue = meaning, unit, EMPTY  # type: ignore[attr-defined]
+    put_attributes(stored, {"long_name": meaning, **_units(unit), "_FillValue": EMPTY})
+
+
+def _units(unit: str) -> dict[str, str]:
+    """Attributes of what has a unit: numbers of a model of the user's have whatever unit the model has."""
+    return {"units": unit} if unit else {}
 
 
 def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str) -> None:
@@ -117,11 +127,12 @@ def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[
         text = columns.text(name, cell).encode()
         data[cell, : len(text)] = np.frombuffer(text, "S1")
     stored.__dict__["data"] = data.reshape(*columns.store.grid.shape, width)
-    stored.long_name = meaning  # type: ignore[attr-defined]
+    put_attributes(stored, {"long_name": meaning})
 
 
 def _free(file: netcdf_file, name: str) -> str:
-    """A name that no dimension and no other variable has."""
+    """A name that no dimension and no other variable has, as it is stored."""
+    name = stored_name(name)
     while name in file.variables or name in file.dimensions:
         name = f"{name}_of_cell"
     return name

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
 from casadi_skin.files import replacing
+from casadi_skin.results.netcdf import EMPTY, characters, new_file, put_attributes, stored_name
 
 if TYPE_CHECKING:
     import xarray
     from scipy.io import netcdf_file
 
 Cell = float | int | str
-EMPTY = 9.969209968386869e36  # the fill value of netCDF for doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,7 @@ def write_netcdf(path: Path, dataset: Dataset) -> None:
     Complex values have a last dimension `part` (real, imaginary), text one for its characters. Raises ArithmeticError,
     naming the place, on a value that is not finite and may not be empty.
     """
-    from scipy.io import netcdf_file
-
-    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        for name, value in dataset.attributes.items():
-            setattr(file, name, value if value != "" else "untitled")
+    with new_file(path, dataset.attributes) as file:
         for variable in dataset.variables:
             _put(file, variable)
 
@@ -90,21 +86,20 @@ def write_netcdf(path: Path, dataset: Dataset) -> None:
 def _put(file: netcdf_file, variable: Variable) -> None:
     dimensions, data = variable.dimensions, np.asarray(variable.values)
     if data.dtype.kind in "US":
-        dimensions, data = (*dimensions, f"{variable.name}_length"), _characters(data)
+        dimensions, data = (*dimensions, f"{variable.name}_length"), characters([str(name) for name in data])
     elif np.iscomplexobj(data):
         dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
     if data.dtype.kind == "f":
         data = _known(variable, dimensions, data)
-    for name, size in zip(dimensions, data.shape, strict=True):
+    stored_names = [stored_name(name) for name in dimensions]
+    for name, size in zip(stored_names, data.shape, strict=True):
         if name not in file.dimensions:
             file.createDimension(name, size)
     kind = "c" if data.dtype.kind == "S" else "i4" if data.dtype.kind in "bi" else "f8"
-    stored = file.createVariable(variable.name, kind, dimensions)
+    stored = file.createVariable(stored_name(variable.name), kind, stored_names)
     stored[:] = data if kind == "c" else data.astype(kind)
-    stored.long_name = variable.meaning  # type: ignore[attr-defined]
-    attributes = dict(variable.attributes) | ({"_FillValue": EMPTY} if variable.may_be_empty else {})
-    for name, value in attributes.items():
-        setattr(stored, name, value)
+    fill = {"_FillValue": EMPTY} if variable.may_be_empty else {}
+    put_attributes(stored, {"long_name": variable.meaning, **variable.attributes, **fill})
 
 
 def _known(variable: Variable, dimensions: tuple[str, ...], data: NDArray[Any]) -> NDArray[Any]:
@@ -118,13 +113,6 @@ def _known(variable: Variable, dimensions: tuple[str, ...], data: NDArray[Any]) 
         value = data[tuple(faulty[0])]
         raise ArithmeticError(f"{variable.name}: {value} at {place} (counted from 0); it is not written")
     return data
-
-
-def _characters(names: NDArray[Any]) -> NDArray[Any]:
-    """Names as arrays of characters, the convention of netCDF 3 for strings."""
-    encoded = [str(name).encode() for name in names]
-    width = max(len(name) for name in encoded)
-    return np.array([list(name.ljust(width).decode("latin-1")) for name in encoded], dtype="S1")
 
 
 def to_xarray(dataset: Dataset, coordinates: Sequence[str] = ()) -> xarray.Dataset:
