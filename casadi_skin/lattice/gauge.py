@@ -24,7 +24,7 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
         ratios = trial.gains[:, 0] / trial.gains[:, 1]  # c_end / c_start
         if np.any(ratios[inner] <= 0) or not np.all(np.isfinite(ratios[inner])):
             return None, []
-        found = logs_of(equations, trial)
+        found = logs_of(equations, trial.gains)
         for k in inner:
             i, j = _ends(equations.links[k])
             if abs(found[j] - found[i] - np.log(ratios[k])) > SAME * size:
@@ -43,12 +43,12 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
     return values, expressions
 
 
-def logs_of(equations: Equations, trial: Trial) -> Array:
-    """Logarithms of the weights along a tree of bonds, 0 where it begins."""
+def logs_of(equations: Equations, gains: Array) -> Array:
+    """Logarithms of the weights along a tree of bonds, 0 where it begins, from the gains of all, shape (links, 2)."""
     logs = np.zeros(equations.y.numel())
     for k, forwards in _walk(equations, range(logs.size)):
         i, j = _ends(equations.links[k])
-        rate = float(np.log(trial.gains[k, 0] / trial.gains[k, 1]))
+        rate = float(np.log(gains[k, 0] / gains[k, 1]))
         logs[j if forwards else i] = logs[i] + rate if forwards else logs[j] - rate
     return logs
 
@@ -97,7 +97,7 @@ def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
     arguments = [equations.y, equations.parameters]
     derivative = ca.Function("J", arguments, [ca.jacobian(equations.accelerations, equations.y)])
     for trial in trials:
-        logs = logs_of(equations, trial)
+        logs = logs_of(equations, trial.gains)
         J = derivative(trial.y, trial.parameters).sparse()
         half = 0.5 * (logs + np.log(trial.masses))
         i, j = J.nonzero()

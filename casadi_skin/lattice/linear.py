@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.declaration import INDICES, Array
 from casadi_skin.lattice.expressions import expression
+from casadi_skin.lattice.gauge import logs_of
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.orbits.linear_modes import symmetrising_scale
 
@@ -164,7 +166,7 @@ def bands(
     differing = cells_differ_by(lattice)
     if differing:
         raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
-    beta = _beta(lattice) if open_ends else np.ones(len(declaration.cells))
+    beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(declaration.cells))
     waves = _wave_numbers(len(declaration.cells), points)
     squares = np.linalg.eigvals(cell_matrices(lattice, beta * np.exp(1j * waves), parameters)).astype(complex)
     return Bands(waves, np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), tuple(beta.tolist()))
@@ -227,15 +229,22 @@ def _bond_terms(
         yield numbers[bond.start], numbers[bond.end], bond.offset, slope * gains[0], slope * gains[1]
 
 
-def _beta(lattice: Lattice) -> Array:
+def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
     """What displacements lean by a cell along each direction: the ratio of gauge factors of neighbouring cells."""
-    declaration, logs = lattice.declaration, lattice.structure.log_weights
+    declaration, equations = lattice.declaration, lattice.equations
     found = np.ones(len(declaration.cells))
-    if logs is not None:
-        shaped = logs.reshape(*declaration.cells, len(declaration.sites))
-        for k, count in enumerate(declaration.cells):
-            if count > 1:
-                found[k] = np.exp(-0.5 * np.mean(np.diff(shaped, axis=k)))
+    if lattice.structure.log_weights is None:
+        return found
+    values = list(named_values(lattice, parameters).values())
+    gains = ca.Function("g", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *chain.from_iterable(equations.gains))])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = logs_of(equations, np.array(gains(values)).reshape(-1, 2))
+    if not np.all(np.isfinite(logs)):  # at these values opposite gains have different signs
+        return found
+    shaped = logs.reshape(*declaration.cells, len(declaration.sites))
+    for k, count in enumerate(declaration.cells):
+        if count > 1:
+            found[k] = np.exp(-0.5 * np.mean(np.diff(shaped, axis=k)))
     return found
 
 

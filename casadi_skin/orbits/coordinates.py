@@ -46,6 +46,11 @@ class Coordinates(ABC):
         """Equations of q: second order, one free parameter, a normalisation."""
 
     @property
+    def solved(self) -> OdeModel:
+        """The equations that an orbit is solved with: those of `scaled`, with what makes their solutions isolated."""
+        return self.scaled
+
+    @property
     @abstractmethod
     def log_scale(self) -> Array:
         """Logarithms of the factors D, shape (scaled positions,)."""

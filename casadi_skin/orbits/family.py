@@ -98,7 +98,7 @@ class Family:
     @cached_property
     def rhs(self) -> ca.Function:
         """Function (q, parameter) -> acceleration and its derivatives."""
-        return self.coordinates.scaled.rhs_and_jacobian()
+        return self.coordinates.solved.rhs_and_jacobian()
 
     @cached_property
     def symmetry(self) -> SymmetryClass:
@@ -123,7 +123,7 @@ class Family:
         own = self.coordinates.transcription(resolution)
         if own is not None:
             return own
-        scaled, transcription = self.coordinates.scaled, str(self.request.method.transcription)
+        scaled, transcription = self.coordinates.solved, str(self.request.method.transcription)
         if transcription == methods.TRIGONOMETRIC:
             return TrigonometricProblem(scaled, resolution)
         if transcription == methods.SHOOTING:

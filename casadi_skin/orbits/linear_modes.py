@@ -12,6 +12,7 @@ from casadi_skin.bvp.problem import Array
 
 SYMMETRIC = 1e-12  # relative difference of entries that are the same but for rounding
 REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
+NODE = 1e-12  # of the largest amplitude: what rounding leaves where a mode rests
 SMALL = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
 
 
@@ -73,12 +74,20 @@ def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array
     small = np.abs(mode) < SMALL * np.max(np.abs(mode))
     if not small.any():
         return mode
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
+    from scipy.linalg import solve
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
 
-    inside = stiffness[np.ix_(small, small)] - square * np.eye(int(small.sum()))
-    found = mode.copy()
-    found[small] = splu(csc_array(inside)).solve(-stiffness[np.ix_(small, ~small)] @ mode[~small])
+    found, indices = mode.copy(), np.flatnonzero(small)
+    inside = stiffness[np.ix_(small, small)] - square * np.eye(indices.size)
+    count, part = connected_components(csr_array(inside))
+    for k in range(count):
+        here = part == k
+        block = inside[np.ix_(here, here)]
+        if np.min(np.abs(np.linalg.eigvalsh(block))) > SMALL * np.max(np.abs(stiffness)):
+            found[indices[here]] = solve(block, -stiffness[indices[here]][:, ~small] @ mode[~small])
+        elif np.max(np.abs(mode[indices[here]])) < NODE * np.max(np.abs(mode)):  # sites of a node, which rest
+            found[indices[here]] = 0.0
     return found
 
 

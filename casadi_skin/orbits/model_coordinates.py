@@ -8,6 +8,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Problem
@@ -20,7 +21,10 @@ from casadi_skin.orbits.linear_modes import SYMMETRIC, LinearModes, linear_modes
 
 SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
 DEEPEST = -230.0  # of log D: its cube is still a double
+HIGHEST = 15  # harmonic whose resonance with another mode is looked for
 LARGEST = 1e3  # amplitude of a scaled mode
+TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
+RANDOM = 0.1  # amplitude of random positions
 TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
 FIRST, LAST = "first", "last"
 
@@ -54,6 +58,7 @@ class ModelCoordinates(Coordinates):
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
         self.mode_number = _mode_number(model, mode)
         self._check_mode()
+        self._check_drift()
         self._check_amplitude()
         excess = float(np.max(np.abs(self.mode)))
         if excess > LARGEST:  # where the mode lives at the end that displacements lean away from
@@ -65,7 +70,14 @@ class ModelCoordinates(Coordinates):
 
     def _check_mode(self) -> None:
         """Raises ValueError for a mode that has no family of its own."""
-        _check_mode(self.modes.squares, self.mode_number, self._model.name)
+        squares, number, name = self.modes.squares, self.mode_number, self._model.name
+        _check_mode(squares, number, name)
+        for m in range(2, HIGHEST + 1):
+            off = np.abs(squares - m**2 * squares[number - 1])
+            if (m % 2 or self._model.half_period is None) and np.min(off) <= SIMPLE * np.max(np.abs(squares)):
+                words = f"mode {int(np.argmin(off)) + 1} of {name} has {m} times the frequency of mode {number}"
+                accepted = "a mode without such a resonance, or other values of parameters"
+                raise ValueError(f"mode: {words}: its family does not start alone; accepted: {accepted}")
 
     def _check_amplitude(self) -> None:
         """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""
@@ -114,6 +126,47 @@ class ModelCoordinates(Coordinates):
             checked=False, output_scale=None if uniform else tuple(self.scale),
         )  # fmt: skip
 
+    @cached_property
+    def solved(self) -> OdeModel:
+        """The scaled equations; where nothing holds the centre of mass X, with a force that is zero at X = 0.
+
+        X'' = omega^2 X has X = 0 as its one periodic solution, so that orbits are isolated and are the same.
+        Orbits with half-period symmetry have X = 0 without it.
+        """
+        scaled, free = self.scaled, np.flatnonzero(self._at_rest())
+        if scaled.half_period is not None or not free.size:
+            return scaled
+        force = scaled.rhs
+        for k in free:
+            left = self.modes.left[k] / np.linalg.norm(self.modes.left[k])
+            one = ca.DM.zeros(scaled.size)
+            one[int(np.argmax(np.abs(left)))] = np.sign(left[np.argmax(np.abs(left))]) * self.frequency**2
+            force = force + one * ca.dot(ca.DM(left), scaled.state)
+        return replace(scaled, rhs=force, hamiltonian=None, checked=False)
+
+    def _at_rest(self) -> NDArray[np.bool_]:
+        """Which linear modes have frequency 0."""
+        return np.asarray(np.abs(self.modes.squares) <= SIMPLE * np.max(np.abs(self.modes.squares)))
+
+    def _check_drift(self) -> None:
+        """Raises ValueError for a mode of frequency 0 that is no free motion of a part, where the mean is unknown."""
+        free = np.flatnonzero(self._at_rest())
+        if self._model.half_period is not None or not free.size:
+            return
+        force = ca.Function("f", [self._model.state], [ca.densify(self._force)])
+        generator, scale = np.random.default_rng(0), self.scale
+        for _ in range(TRIALS):
+            y = self._unit * scale * generator.uniform(-RANDOM, RANDOM, scale.size)
+            there = np.array(force(y)).ravel() / scale
+            for k in free:
+                moved = np.array(force(y + self._unit * scale * self.modes.modes[:, k])).ravel() / scale
+                allowed = SYMMETRIC * scale.size * (np.linalg.norm(there) + self._unit * np.max(self.modes.squares))
+                if not max(abs(self.modes.left[k] @ there), np.max(np.abs(moved - there))) <= allowed:
+                    words = (
+                        f"omega^2 = 0 of mode {k + 1} of {self._model.name}, which is no free motion at all amplitudes"
+                    )
+                    raise ValueError(f"model: given {words}; accepted: forces that are odd, or omega^2 > 0")
+
     def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """D^-1 f(a D q) / a, with a^2 or a = p in its unit: for polynomials by homogeneous parts, regular at a = 0."""
         linear = -ca.sparsify(ca.SX(ca.DM(self.modes.stiffness))) @ q
@@ -145,7 +198,9 @@ class ModelCoordinates(Coordinates):
         if self.modes.symmetric and np.ptp(self.log_scale) > 0.0:
             q = with_small_amplitudes(q, self.modes.stiffness, self.modes.squares[self.mode_number - 1])
         q = q / self.amplitude(self.scale * q)
-        return np.asarray(q * np.sign(q[np.argmax(np.abs(self.scale * q))]))
+        sizes = np.abs(self.scale * q)
+        largest = int(np.argmax(sizes > (1.0 - TIE) * np.max(sizes)))  # the first of those that only rounding orders
+        return np.asarray(q * np.sign(q[largest]))
 
     def amplitude(self, positions: Array) -> float:
         return float(np.sqrt(self._amplitude.value(positions)))
