@@ -20,8 +20,8 @@ from casadi_skin.orbits.find_orbit import find_orbit
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
-from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.states import state_of
 from casadi_skin.scene.model_tables import SELECTED, EquilibriumTable
 
 SAMPLES = 801  # of the cycle that is the guess

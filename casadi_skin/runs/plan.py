@@ -11,20 +11,17 @@ from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.runs.binding import state_of
-from casadi_skin.runs.lattice_lines import lattice_lines, listed, long_lattice_lines, named
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.states import state_of
+from casadi_skin.runs.words import Lines, listed, named
 from casadi_skin.scene.model_tables import LEAVING, EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
-
-Lines = list[tuple[str, str]]
 
 
 def plan_lines(request: Request) -> Lines:
@@ -62,10 +59,11 @@ def _model_lines(request: Request) -> Lines:
     model = request.model
     if isinstance(model, Chain):
         return [("chain", f"N = {model.sites}, alpha = {model.alpha:g}, gamma = {model.gamma:g}, g = {model.g:g}")]
-    if isinstance(model, Lattice):
+    if request.scene.lattice is not None:
+        from casadi_skin.runs.lattice_lines import lattice_lines
+
         return lattice_lines(model, request.parameters)
-    if isinstance(model, LongLattice):
-        return long_lattice_lines(model)
+    assert isinstance(model, OdeModel)
     words = {
         "time reversal": model.reversal is not None,
         "half-period symmetry": model.half_period is not None,

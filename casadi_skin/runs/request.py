@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.method import Method, Targets
@@ -20,6 +19,7 @@ from casadi_skin.scene.model_tables import CONSERVED
 
 if TYPE_CHECKING:  # what a scene of a chain does not need is not loaded
     from casadi_skin.lattice.lattice import Lattice
+    from casadi_skin.lattice.long_lattice import LongLattice
     from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.orbits.guesses import Guess
 
@@ -54,7 +54,7 @@ class Request:
     @cached_property
     def equations(self) -> OdeModel:
         """The equations of motion in the coordinates of the model; always the same symbols."""
-        if isinstance(self.model, LongLattice):
+        if not isinstance(self.model, Chain | OdeModel):
             raise ValueError("[lattice]: given one with a linear tail, whose equations are not written down")
         return self.model.tunable_model() if isinstance(self.model, Chain) else self.model
 
@@ -142,6 +142,8 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
         if isinstance(value, UniformTable):
             values[name] = Uniform(value.low, value.high, value.seed)
     if table.long:
+        from casadi_skin.lattice.long_lattice import LongLattice
+
         cells = cells[0] if isinstance(cells, tuple) and len(cells) == 1 else cells
         boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
         return LongLattice(cells, sites, bonds, boundary, values, table.edge)

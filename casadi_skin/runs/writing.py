@@ -9,8 +9,9 @@ from pathlib import Path
 
 import casadi_skin.figures as figures
 from casadi_skin.figures.plane import plane_figure
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.method import TWO_PI
@@ -59,7 +60,7 @@ def origin(request: Request, scene_text: str, branch: Branch | None = None) -> d
         chain = request.scene.chain
         return {**known, "sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
     file = request.scene.model.file if request.scene.model is not None else ""
-    name = request.model.name if isinstance(request.model, LongLattice) else request.ode.name
+    name = request.ode.name if isinstance(request.model, Chain | OdeModel) else request.model.name
     return {**known, "model": name, "model_file": file, "model_source": request.source}
 
 
