@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
     from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.maps.read_map import read_map
     from casadi_skin.maps.run_map import run_map
     from casadi_skin.models.fmu import import_fmu
     from casadi_skin.models.ode import OdeModel
@@ -49,6 +50,7 @@ __all__ = [
     "find_orbit",
     "follow_family",
     "import_fmu",
+    "read_map",
     "read_model",
     "read_result",
     "run_map",
@@ -81,6 +83,7 @@ def __getattr__(name: str) -> Any:
         "find_orbit": "orbits.find_orbit",
         "follow_family": "orbits.follow",
         "import_fmu": "models.fmu",
+        "read_map": "maps.read_map",
         "read_model": "models.saved",
         "run_map": "maps.run_map",
         "read_result": "results.saving",

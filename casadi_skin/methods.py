@@ -83,6 +83,7 @@ TASKS = _registry(  # what an object's method does where the object stands below
     lines=("a result in a few lines", "results.describing:lines"),
     html=("a result as a table with its picture", "figures.notebook:html_table"),
     map_picture=("a quantity of a map drawn", "maps.pictures:picture"),
+    map_plot=("a quantity of a map drawn into axes", "maps.pictures:plot"),
     plot=("a result drawn into axes", "figures.drawing:plot"),
     save=("a result in a file", "results.saving:save_result"),
     chain_coordinates=("the coordinates of a chain's family", "lattice.chain_coordinates:chain_coordinates"),

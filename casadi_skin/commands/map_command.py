@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from casadi_skin.commands.json_output import add_output, print_results
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def add_map(commands: Commands) -> None:
     held.add_argument("--resume", action="store_true", help="compute what is missing of a map that was begun")
     held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
     parser.add_argument("--no-pictures", action="store_true", help="tables alone")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_output(parser)
     parser.set_defaults(act="map_command:run")
 
 
@@ -52,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     if scene.map is None:
         raise InputError(f"{arguments.scene}: [map]: missing; accepted: a table of parameters with ranges or lists")
     part = _part(arguments.part)
-    name_program(scene, arguments.scene, arguments.quiet)
+    name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
 
     from casadi_skin.maps.run_map import Mapped, Ways, check_ways, compute_map
     from casadi_skin.progress import Progress
@@ -95,19 +96,19 @@ def _part(words: str | None) -> tuple[int, int] | None:
 
 def _told(found: Map, arguments: argparse.Namespace) -> int:
     """Say what the map has and what it has not, and return the exit status."""
-    if found.waits and arguments.part is not None:
-        if not arguments.quiet:
-            print(f"the share {arguments.part} is computed; {found.directory} waits for the other shares")
-        return DONE
-    if not arguments.quiet:
-        print(f"{found.summary()}\nresults in {found.directory}")
-    failures = found.failures(MOST_REASONS + 1)
-    for cell, reason in failures[:MOST_REASONS]:
-        print(f"{arguments.scene}: {cell}: {reason}", file=sys.stderr)
+    waits = found.waits and arguments.part is not None
+    failures = [] if waits else [f"{cell}: {reason}" for cell, reason in found.failures(MOST_REASONS + 1)]
+    reasons = failures[:MOST_REASONS]
     if len(failures) > MOST_REASONS:
-        print(
-            f"{arguments.scene}: more cells failed or ended early; see {found.directory / 'map.csv'}", file=sys.stderr
-        )
-    if not found.complete:
-        print(f"{arguments.scene}: cells are missing; go on with --resume", file=sys.stderr)
-    return DONE if found.complete and not failures else FAILED
+        reasons.append(f"more cells failed or ended early; see {found.directory / 'map.csv'}")
+    if not found.complete and not waits:
+        reasons.append("cells are missing; go on with --resume")
+    if arguments.json:
+        print_results(found.directory, found.complete and not failures, reasons)
+    elif waits and not arguments.quiet:
+        print(f"the share {arguments.part} is computed; {found.directory} waits for the other shares")
+    elif not arguments.quiet:
+        print(f"{found.summary()}\nresults in {found.directory}")
+    for reason in reasons:
+        print(f"{arguments.scene}: {reason}", file=sys.stderr)
+    return FAILED if reasons else DONE

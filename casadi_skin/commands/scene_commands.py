@@ -13,6 +13,7 @@ from casadi_skin.runs.directory import Existing, check_same_source, prepare
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
 
 if TYPE_CHECKING:
+    from casadi_skin.progress import Progress
     from casadi_skin.runs.request import Request
 
 ASKED = ("family", "equilibrium", "orbit", "solution", "search", "export", "spectrum")
@@ -28,9 +29,20 @@ def run(arguments: argparse.Namespace) -> int:
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
+    from casadi_skin.progress import Progress
+    from casadi_skin.runs.locking import in_use
+
+    with Progress(arguments.quiet) as progress, in_use(directory, progress.tell):
+        return _run_in(directory, existing, request, text, arguments, progress)
+
+
+def _run_in(
+    directory: Path, existing: Existing, request: Request, text: str, arguments: argparse.Namespace, progress: Progress
+) -> int:
+    """Compute what a request asks for in a directory of this process, and return the exit status."""
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
-    if not prepare(directory, scene, text, existing):
+    if not prepare(directory, request.scene, text, existing):
         if arguments.json:
             print_results(directory, True, ())
         elif not arguments.quiet:
@@ -38,17 +50,16 @@ def run(arguments: argparse.Namespace) -> int:
         return DONE
 
     from casadi_skin.commands.summary import print_summary
-    from casadi_skin.progress import Progress
     from casadi_skin.runs.run import Run
 
-    with Progress(arguments.quiet) as progress:
-        run, stopped = Run(request, text, directory, progress), ""
-        try:
-            status = DONE if run.execute() else FAILED
-        except KeyboardInterrupt:
-            status, stopped = INTERRUPTED, "interrupted"
-        except OSError as error:
-            status, stopped = FAILED, f"casadi-skin: {error.filename or directory}: {error.strerror or error}"
+    run, stopped = Run(request, text, directory, progress), ""
+    try:
+        status = DONE if run.execute() else FAILED
+    except KeyboardInterrupt:
+        status, stopped = INTERRUPTED, "interrupted"
+    except OSError as error:
+        status, stopped = FAILED, f"casadi-skin: {error.filename or directory}: {error.strerror or error}"
+    progress.stop()
     if arguments.json:
         print_results(directory, status == DONE, [stopped] if stopped else run.reasons())
     elif not arguments.quiet:

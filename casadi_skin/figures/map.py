@@ -79,18 +79,34 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
             norm, colours, ticks = _scale(known)
             for place, panel in zip(grid, shown, strict=False):
                 _draw_plane(place, axes, panel, norm, colours, ticks is not None)
-            image = next(place.collections[0] for place in grid)
-            bar = figure.colorbar(image, ax=list(grid[: len(shown)]), label=plain(name), ticks=ticks)
-            bar.ax.minorticks_off()
-            words = FLAGS.get(tuple(ticks)) if ticks is not None else None
-            if words is not None:
-                bar.ax.set_yticklabels(list(words))
+            _draw_bar(list(grid[: len(shown)]), name, ticks)
         else:
             for place, panel in zip(grid, shown, strict=False):
                 _draw_line(place, axes[0], panel, name)
         more = f" (the first {MOST_PANELS} of {len(panels)})" if len(panels) > MOST_PANELS else ""
         figure.suptitle(f"{plain(title)}{more}")
         return finished(figure, grid[: len(shown)], 4)
+
+
+def draw_map(place: Axes, name: str, axes: Sequence[MapAxis], panel: Panel) -> None:
+    """One panel drawn into axes, a plane with its colour bar beside it; failed cells are crossed out."""
+    if len(axes) == 2:
+        norm, colours, ticks = _scale(panel.values[np.isfinite(panel.values)])
+        _draw_plane(place, axes, panel, norm, colours, ticks is not None)
+        _draw_bar([place], name, ticks)
+    else:
+        _draw_line(place, axes[0], panel, name)
+    if place.get_legend_handles_labels()[0]:
+        place.legend()
+
+
+def _draw_bar(places: list[Axes], name: str, ticks: list[float] | None) -> None:
+    """The bar of the colours of some axes, which share them."""
+    bar = places[0].figure.colorbar(places[0].collections[0], ax=places, label=plain(name), ticks=ticks)
+    bar.ax.minorticks_off()
+    words = FLAGS.get(tuple(ticks)) if ticks is not None else None
+    if words is not None:
+        bar.ax.set_yticklabels(list(words))
 
 
 def _scale(known: Values) -> tuple[Normalize, Any, list[float] | None]:

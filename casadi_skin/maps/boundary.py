@@ -8,6 +8,8 @@ same tongue opens are joined.
 
 from __future__ import annotations
 
+import csv
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -17,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.files import replacing
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.grid import Axis, Grid, Tables, scene_at
 from casadi_skin.maps.store import DONE, UNKNOWN
 from casadi_skin.orbits.special_points import FOLD, HOPF, SpecialPoint
+from casadi_skin.results.dataset import write_csv
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.scene import Scene, SceneError
@@ -29,6 +31,8 @@ from casadi_skin.scene import Scene, SceneError
 Points = NDArray[np.float64]  # shape (points, 2)
 Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
 OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that tell where it is
+BOUNDARY = "boundary.csv"
+LINE = "line"  # the column with the number of a line
 MOST_STARTS = 24  # of curves in a plane
 MARGIN = 0.05  # of the plane's extent, by which curves leave it before they end
 STEP = 0.05  # longest, of a curve
@@ -105,16 +109,31 @@ def boundaries(scene: Scene, path: Path, tables: Tables, columns: Columns) -> Li
 
 def write_boundary(lines: Lines, grid: Grid, path: Path) -> None:
     """boundary.csv: points of the lines in their order."""
-    names = [axis.name for axis in grid.axes if not axis.numeric]
-    ranges = [axis.name for axis in grid.axes if axis.numeric]
     others = [axis for axis in grid.axes if not axis.numeric]
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.write(",".join([*names, "line", *ranges]) + "\n")
-        for chosen, curves in lines.items():
-            values = [str(axis.values[k]) for axis, k in zip(others, chosen, strict=True)]
-            for number, curve in enumerate(curves, start=1):
-                for x, y in curve.tolist():
-                    file.write(",".join([*values, str(number), f"{x:.17g}", f"{y:.17g}"]) + "\n")
+    ranges = [axis.name for axis in grid.axes if axis.numeric]
+    rows = (
+        {**{axis.name: axis.values[k] for axis, k in zip(others, chosen, strict=True)}, LINE: number,
+         **dict(zip(ranges, point, strict=True))}
+        for chosen, curves in lines.items()
+        for number, curve in enumerate(curves, start=1)
+        for point in curve.tolist()
+    )  # fmt: skip
+    write_csv(path, [*(axis.name for axis in others), LINE, *ranges], rows)
+
+
+def read_boundary(grid: Grid, path: Path) -> Lines:
+    """The lines that `write_boundary` wrote; none where there is no file."""
+    if not path.is_file():
+        return {}
+    others = [axis for axis in grid.axes if not axis.numeric]
+    places = [{str(value): k for k, value in enumerate(axis.values)} for axis in others]
+    found = dict[tuple[int, ...], dict[str, list[list[float]]]]()
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.reader(itertools.islice(file, 1, None)):
+            words, line, point = row[: len(others)], row[len(others)], row[len(others) + 1 :]
+            chosen = tuple(place[word] for place, word in zip(places, words, strict=True))
+            found.setdefault(chosen, {}).setdefault(line, []).append([float(value) for value in point])
+    return {chosen: tuple(np.array(curve) for curve in curves.values()) for chosen, curves in found.items()}
 
 
 # Families ------------------------------------------------------------------------------------------------------------

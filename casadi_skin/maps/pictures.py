@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.figures.map import MapAxis, Panel, map_figure, panel_title
+from casadi_skin.arguments import check_name, cut, short_repr
+from casadi_skin.figures.map import MapAxis, Panel, draw_map, map_figure, panel_title
 from casadi_skin.figures.style import save
 from casadi_skin.maps.grid import Axis
 from casadi_skin.maps.store import ENDED, UNKNOWN
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from casadi_skin.maps.result import Map
@@ -44,27 +47,57 @@ def write_pictures(found: Map) -> None:
 
 
 def picture(found: Map, name: str) -> Figure:
-    """The picture of a quantity of a map."""
+    """The picture of a quantity of a map: a panel for each combination of values of axes that are lists."""
     axes = found.store.grid.axes
     along = _along(axes)
     others = [i for i in range(len(axes)) if i not in along]
-    values, status = found[name].astype(float), found.status
-    values = np.where(np.isfinite(values), values, np.nan)
-    panels = []
-    for chosen in product(*(range(len(axes[i].values)) for i in others)):
-        index: list[int | slice] = [slice(None)] * len(axes)
-        for i, k in zip(others, chosen, strict=True):
-            index[i] = k
-        words = panel_title(
-            [axes[i].name for i in others], [axes[i].values[k] for i, k in zip(others, chosen, strict=True)]
-        )
-        part, states = values[tuple(index)], status[tuple(index)]
-        strides = [axes[i].stride for i in along]
-        panels.append(
-            Panel(words, filled(part, states, strides), states >= ENDED, states != UNKNOWN, found.lines(chosen))
-        )
+    every = product(*(range(len(axes[i].values)) for i in others))
+    panels = [_panel(found, name, along, dict(zip(others, chosen, strict=True))) for chosen in every]
     drawn = [MapAxis(axes[i].name, numbers(axes[i]), axes[i].log) for i in along]
     return map_figure(name, found.store.meanings.get(name, name), drawn, panels)
+
+
+def plot(found: Map, name: str, place: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
+    """Draw one panel of a map into axes; see `Map.plot`."""
+    from matplotlib.axes import Axes
+
+    axes = found.store.grid.axes
+    along, given = _along(axes), dict(at or {})
+    others = {axes[i].name: i for i in range(len(axes)) if i not in along}
+    for key in given:
+        check_name("at", key, others)
+    chosen = {i: _place_of(axes[i], given) for i in others.values()}
+    if place is None:
+        from matplotlib import pyplot
+
+        place = pyplot.subplots(layout="constrained")[1]
+    if not isinstance(place, Axes):
+        raise TypeError(f"axes: given {short_repr(place)}; accepted: axes of matplotlib, or None")
+    drawn = [MapAxis(axes[i].name, numbers(axes[i]), axes[i].log) for i in along]
+    draw_map(place, name, drawn, _panel(found, name, along, chosen))
+    return place
+
+
+def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
+    """Which value of a list is drawn: the one that is asked for, or the only one; raises ValueError for no value."""
+    if axis.name not in given and len(axis.values) == 1:
+        return 0
+    value = given.get(axis.name)
+    if axis.name not in given or value not in axis.values:
+        words = f"given {short_repr(value)}" if axis.name in given else "missing"
+        raise ValueError(f"at: {axis.name}: {words}; accepted: {cut(', '.join(map(repr, axis.values)))}")
+    return axis.values.index(value)
+
+
+def _panel(found: Map, name: str, along: list[int], chosen: Mapping[int, int]) -> Panel:
+    """What is drawn of a quantity where the other axes have certain places."""
+    axes = found.store.grid.axes
+    index = tuple(chosen.get(i, slice(None)) for i in range(len(axes)))
+    values, states = found[name].astype(float)[index], found.status[index]
+    values = np.where(np.isfinite(values), values, np.nan)
+    words = panel_title([axes[i].name for i in chosen], [axes[i].values[k] for i, k in chosen.items()])
+    shown = filled(values, states, [axes[i].stride for i in along])
+    return Panel(words, shown, states >= ENDED, states != UNKNOWN, found.lines(tuple(chosen.values())))
 
 
 def _along(axes: tuple[Axis, ...]) -> list[int]:

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_name
-from casadi_skin.maps.columns import REASON, Columns
+from casadi_skin.maps.columns import REASON, STATUS, Columns
 from casadi_skin.maps.store import DONE, ENDED, FAILED, UNKNOWN, Store
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -100,11 +102,48 @@ class Map:
         """Lines of the boundary at places of the axes that are no ranges."""
         return self.boundary.get(chosen, ())
 
-    def plot(self, name: str) -> Figure:
-        """The picture of a quantity; raises ValueError for an unknown one, or one that is a text."""
-        check_name("quantity", name, [n for n in self.names if n in self.columns.numbers])
+    def figure(self, name: str) -> Figure:
+        """The picture of a quantity with all its panels; raises ValueError for an unknown one, or a text."""
+        self._check_number(name)
         figure: Figure = methods.TASKS["map_picture"].load()(self, name)
         return figure
+
+    def plot(self, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
+        """Draw a quantity over the ranges of the map into matplotlib axes.
+
+        Arguments:
+            name: the quantity.
+            axes: where it is drawn; new ones of pyplot by default.
+            at: values of the axes that are lists, by name; one of a single value may be left out.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ValueError: there is no such quantity, it is a text, or there is no such value of an axis.
+        """
+        self._check_number(name)
+        drawn: Axes = methods.TASKS["map_plot"].load()(self, name, axes, at)
+        return drawn
+
+    def _check_number(self, name: str) -> None:
+        check_name("quantity", name, [n for n in self.names if n in self.columns.numbers])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """A pandas DataFrame with a row a computed cell, as in map.csv; raises ImportError, naming the extra."""
+        try:
+            import pandas
+        except ImportError as error:
+            extra = 'it comes with the extra: pip install "casadi-skin[pandas]"'
+            raise ImportError(f"pandas is not installed; {extra}") from error
+        cells = np.flatnonzero(self.store.states != UNKNOWN)
+        columns: dict[str, Any] = {}
+        for axis, places in zip(self.store.grid.axes, self.store.grid.places(cells).T, strict=True):
+            columns[axis.name] = np.array(axis.values)[places]
+        columns["status"] = [STATUS[state] for state in self.store.states[cells]]
+        columns |= {name: self[name].ravel()[cells] for name in self.names}
+        columns[REASON] = [self.columns.text(REASON, cell) for cell in cells.tolist()]
+        return pandas.DataFrame(columns)
 
     def to_xarray(self) -> xarray.Dataset:
         """The map as an xarray Dataset, as in map.nc; raises ImportError, naming the extra, without xarray."""

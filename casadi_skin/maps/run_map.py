@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 from casadi_skin.arguments import file_path, short_repr, truth
 from casadi_skin.files import replacing
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.maps.boundary import OF_BOUNDARY, boundaries, check_boundary, write_boundary
+from casadi_skin.maps.boundary import BOUNDARY, OF_BOUNDARY, boundaries, check_boundary, write_boundary
 from casadi_skin.maps.cell import Job
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.drive import Drive, Part
@@ -21,20 +21,27 @@ from casadi_skin.maps.engines import Engine, check_workers, dask_engine, given_e
 from casadi_skin.maps.grid import Grid, plain, scene_at
 from casadi_skin.maps.names import check_quantities
 from casadi_skin.maps.pictures import write_pictures
-from casadi_skin.maps.refine import needed
 from casadi_skin.maps.result import Map
 from casadi_skin.maps.store import UNKNOWN, Store
 from casadi_skin.maps.watch import Watch
 from casadi_skin.maps.writing import CSV, NETCDF, write_map, write_table
 from casadi_skin.progress import Progress
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, Existing, check_same_source, prepare, prepare_part
+from casadi_skin.runs.directory import (
+    JOURNAL,
+    SCENE,
+    SCENE_MODEL,
+    DirectoryError,
+    Existing,
+    check_same_source,
+    prepare,
+    prepare_part,
+)
+from casadi_skin.runs.locking import in_use
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import origin
 from casadi_skin.scene import MapTable, Scene, SceneError, parse_scene, read_text
 from casadi_skin.threads import one_thread
-
-BOUNDARY = "boundary.csv"
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,11 @@ class Ways:
     collect: bool = False
     existing: Existing = Existing.REFUSE
     pictures: bool = True
+
+    @property
+    def shared(self) -> bool:
+        """Whether other processes may compute other shares in the directory at the same time."""
+        return self.part is not None or self.collect
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,31 +177,53 @@ def check_ways(ways: Ways) -> None:
             raise ValueError(f"part: given {short_repr(ways.part)}; accepted: K/N with 1 <= K <= N <= 32767")
         if ways.collect:
             raise ValueError("collect: given beside part; accepted: one of them")
+    if ways.shared and ways.existing is Existing.OVERWRITE:
+        word = "collect" if ways.collect else "part"
+        raise ValueError(f"overwrite: given beside {word}, whose directory holds other shares; accepted: one of them")
 
 
 def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
     """Compute what is missing of a map and write what there is; see `run_map`."""
-    _prepare(mapped, directory, ways)
-    own = JOURNAL if ways.part is None else f"journal_{ways.part[0]}_of_{ways.part[1]}.msgpack"
-    store = Store(directory, mapped.grid, own, Watch(mapped.grid, mapped.table.watch), progress.tell)
-    with store:
-        if ways.existing is Existing.RESUME:
-            store.forget_outside()
-        waits = True
+    own = None if ways.collect else journal_name(ways.part)
+    if ways.collect and not (directory / SCENE).is_file():
+        raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
+    with ExitStack() as held:
+        held.enter_context(in_use(directory, progress.tell, ways.shared))
+        if ways.part is not None:
+            held.enter_context(in_use(directory, progress.tell, part=str(ways.part[0])))
+        engine = None if ways.collect else _engine(ways)
         try:
-            waits = not ways.collect and not _driven(mapped, store, ways, progress)
-        finally:
-            with interrupts_deferred():  # all files are written before an interruption ends the map
-                found = _written(mapped, store, waits, ways, progress)
-        return found
+            _prepare(mapped, directory, ways)
+            store = Store(directory, mapped.grid, own, Watch(mapped.grid, mapped.table.watch), progress.tell)
+        except BaseException:
+            _closed(engine)
+            raise
+        with store:
+            return _computed(mapped, store, engine, ways, progress)
+
+
+def journal_name(part: Part | None) -> str:
+    """The journal of a map, or of a share of it."""
+    return JOURNAL if part is None else f"journal_{part[0]}_of_{part[1]}.msgpack"
+
+
+def _computed(mapped: Mapped, store: Store, engine: Engine | None, ways: Ways, progress: Progress) -> Map:
+    if ways.existing is Existing.RESUME:
+        store.forget_outside(mine=ways.part is not None)
+    waits = True
+    try:
+        waits = engine is None or not _driven(mapped, store, engine, ways, progress)
+    finally:
+        with interrupts_deferred():  # all files are written before an interruption ends the map
+            found = _written(mapped, store, waits, ways, progress)
+    return found
 
 
 def _prepare(mapped: Mapped, directory: Path, ways: Ways) -> None:
     request = mapped.request
-    shared = ways.part is not None or ways.collect
-    if request.path is not None and (shared or ways.existing is Existing.RESUME):
+    if request.path is not None and (ways.shared or ways.existing is Existing.RESUME):
         check_same_source(directory, request.path, request.source)
-    if shared and ways.existing is not Existing.OVERWRITE:
+    if ways.shared:
         prepare_part(directory, mapped.scene, mapped.text)
     else:
         prepare(directory, mapped.scene, mapped.text, ways.existing)
@@ -204,29 +238,31 @@ def _engine(ways: Ways) -> Engine:
     return local_engine(ways.workers) if ways.scheduler is None else dask_engine(ways.scheduler)
 
 
-def _driven(mapped: Mapped, store: Store, ways: Ways, progress: Progress) -> bool:
+def _closed(engine: Engine | None) -> None:
+    if engine is not None:
+        with interrupts_deferred(), suppress(Exception):  # of an engine that is gone already
+            engine.close()
+
+
+def _driven(mapped: Mapped, store: Store, engine: Engine, ways: Ways, progress: Progress) -> bool:
     """Compute what is missing; False where other shares are waited for."""
-    if not mapped.grid.refined and bool(np.all(store.final(mapped.grid.coarsest))):
-        return True
     drive = Drive(
-        mapped.grid, store, _engine(ways), msgspec.msgpack.encode(mapped.job), progress, mapped.table.cell_limit,
+        mapped.grid, store, engine, msgspec.msgpack.encode(mapped.job), progress, mapped.table.cell_limit,
         ways.part, ways.workers,
     )  # fmt: skip
     try:
         return drive.run()
     finally:
-        with interrupts_deferred(), suppress(Exception):
-            drive.engine.close()
+        _closed(drive.engine)
 
 
 def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Progress) -> Map:
     """The map with its tables and pictures written, but for a share whose other shares are waited for."""
     store.refresh()
-    complete = not waits and not needed(mapped.grid, store.watch.labels).size if mapped.grid.refined else bool(
-        np.all(store.final(mapped.grid.coarsest)))  # fmt: skip
+    complete = store.complete
     columns = Columns(store, mapped.table.quantities)
-    found = Map(store.directory, columns, complete, waits)
-    if not np.any(store.states != UNKNOWN) or (waits and ways.part is not None):
+    found = Map(store.directory, columns, complete, waits and not complete)
+    if not np.any(store.states != UNKNOWN) or (found.waits and ways.part is not None):
         return found
     if mapped.table.boundary and complete:
         progress.say("following the boundary")

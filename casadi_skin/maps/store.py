@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.maps.grid import Cells, Grid, Task
 from casadi_skin.maps.records import OUTSIDE, MapRecord, MeaningsRecord, Result, Row, TaskRecord
+from casadi_skin.maps.refine import needed
 from casadi_skin.maps.watch import Watch
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
 
@@ -27,7 +28,7 @@ ATTEMPTS = 2  # at a cell
 
 
 class Store:
-    """The journals of a map in a directory; use as a context manager.
+    """The journals of a map in a directory, its own to be written, without one all to be read; a context manager.
 
     Attributes:
         states: of cells, shape (cells,): UNKNOWN, DONE, ENDED where its branch ended early, or FAILED.
@@ -36,7 +37,7 @@ class Store:
         seconds, finished: time that tasks took, and number of cells that they gave, in all journals.
     """
 
-    def __init__(self, directory: Path, grid: Grid, own: str, watch: Watch, tell: Callable[[str], None]) -> None:
+    def __init__(self, directory: Path, grid: Grid, own: str | None, watch: Watch, tell: Callable[[str], None]) -> None:
         self.directory, self.grid, self.watch = directory, grid, watch
         self.states = np.zeros(grid.size, dtype=np.int8)
         self.attempts = np.zeros(grid.size, dtype=np.int8)
@@ -44,34 +45,52 @@ class Store:
         self._sources = np.zeros(grid.size, dtype=np.int16)
         self._outside = np.zeros(grid.size, dtype=bool)
         self.meanings, self.seconds, self.finished = dict[str, str](), 0.0, 0
-        self._paths, self._ends = [directory / own], [0]
-        self._journal: Journal[MapRecord] = Journal(directory / own, DECODER, partial(self._index, 0))
-        if self._journal.fault:
-            tell(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
-        self.refresh()
+        self._paths, self._ends = list[Path](), list[int]()
+        self._journal: Journal[MapRecord] | None = None
+        if own is not None:
+            self._paths, self._ends = [directory / own], [0]
+            self._journal = Journal(directory / own, DECODER, partial(self._index, 0))
+            if self._journal.fault:
+                tell(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
+        for path, fault in self.refresh().items():
+            tell(f"{path}: {fault}; what follows it is not read")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._journal.__exit__()
+        if self._journal is not None:
+            self._journal.__exit__()
 
-    def refresh(self) -> None:
-        """Read what other parts have written since."""
+    def refresh(self) -> dict[Path, str]:
+        """Read what other parts have written since; returns where that ends before the end of a journal, and why."""
+        faults = dict[Path, str]()
         for path in sorted(self.directory.glob(JOURNALS)):
             if path not in self._paths:
                 self._paths.append(path)
                 self._ends.append(0)
-        for number, path in enumerate(self._paths[1:], start=1):
+        first = 0 if self._journal is None else 1
+        for number, path in enumerate(self._paths[first:], start=first):
             with mapped(path) as data:  # one that is being written may end in a part of a record
-                self._ends[number], _ = scan(data, DECODER, partial(self._index, number), self._ends[number])
+                self._ends[number], fault = scan(data, DECODER, partial(self._index, number), self._ends[number])
+            if fault:
+                faults[path] = fault
+        return faults
 
-    def forget_outside(self) -> None:
-        """Take cells that failed for reasons outside of their computation as not computed."""
-        self.states[self._outside] = UNKNOWN
-        self.attempts[self._outside] = 0
-        self.watch.forget(np.flatnonzero(self._outside))
-        self._outside[:] = False
+    @property
+    def complete(self) -> bool:
+        """Whether no cell is left to compute."""
+        if self.grid.refined:
+            return not needed(self.grid, self.watch.labels).size
+        return bool(np.all(self.final(self.grid.coarsest)))
+
+    def forget_outside(self, mine: bool = False) -> None:
+        """Take cells that failed for reasons outside of their computation as not computed; of a share its own alone."""
+        chosen = self._outside & (self._sources == 0) if mine else self._outside
+        self.states[chosen] = UNKNOWN
+        self.attempts[chosen] = 0
+        self.watch.forget(np.flatnonzero(chosen))
+        self._outside[chosen] = False
 
     def add(self, task: Task, attempt: int, result: Result) -> None:
         """Keep the result of a task; raises OSError where it cannot be written."""
@@ -83,6 +102,7 @@ class Store:
         self._append(record)
 
     def _append(self, record: MapRecord) -> None:
+        assert self._journal is not None
         place = self._journal.end
         self._journal.append(record)
         self._index(0, place, record)

@@ -15,6 +15,7 @@ from casadi_skin.scene import Scene, SceneError, parse_scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"
+LOCK = ".casadi_skin.lock"  # first letters of the files by which processes keep each other out
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
            "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
@@ -48,7 +49,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
     names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in FORMATS), "*.fmu")
-    _check_writable(directory)
+    check_writable(directory)
     left = leftovers(directory, names) if directory.is_dir() else []
     held = _check_free(
         directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite", left
@@ -72,7 +73,7 @@ def prepare_part(directory: Path, scene: Scene, scene_text: str) -> None:
 
     Raises DirectoryError where the directory may not be used.
     """
-    _check_writable(directory)
+    check_writable(directory)
     make_directory(directory)
     path = directory / SCENE
     held = sorted(p.name for p in directory.iterdir() if not p.name.startswith("."))
@@ -150,21 +151,22 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    _check_writable(directory)
+    check_writable(directory)
     _check_free(directory, overwrite, "an empty or new directory, or --overwrite")
     make_directory(directory)
 
 
 def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
     """Whether a directory holds anything but what is `left`; raises DirectoryError where it may not."""
-    held = sorted(path.name for path in directory.iterdir() if path not in left) if directory.exists() else []
+    paths = [path for path in directory.iterdir() if path not in left] if directory.exists() else []
+    held = sorted(path.name for path in paths if not path.name.startswith(LOCK))
     if held and not may_hold:
         more = " and more" if len(held) > 1 else ""
         raise DirectoryError(f"{directory}: holds {held[0]}{more}; accepted: {accepted}")
     return bool(held)
 
 
-def _check_writable(directory: Path) -> None:
+def check_writable(directory: Path) -> None:
     """Raises DirectoryError for a path that is not a directory, or where nothing can be written."""
     try:
         exists = directory.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 from maps import TINY, tasks, write
+from matplotlib.collections import QuadMesh
 from outputs import drawn, read_rows
 from scipy.io import netcdf_file
 
-from casadi_skin import Chain, follow_family, run_map
+from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.cli import main
 from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
+from casadi_skin.maps.boundary import read_boundary, write_boundary
 from casadi_skin.maps.cell import Computer, Job
 from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
@@ -118,8 +121,48 @@ def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFix
         assert (variable.long_name, variable.units) == (b"frequency", b"1")
         assert variable[1, :, 0].tolist() == truth
     assert main(["map", str(scene), "--out", str(out)]) == 2
-    assert main(["map", str(scene), "--out", str(out), "--resume", "--quiet", "--no-pictures"]) == 0
+    capsys.readouterr()
+    assert main(["map", str(scene), "--out", str(out), "--resume", "--json", "--no-pictures"]) == 0
     assert len(tasks(out / "journal.msgpack")) == 2
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["complete"], printed["reasons"]) == (True, [])
+    assert [row["Omega"] for row in printed["tables"]["map"] if row["gamma"] == 0.3] == truth
+    read = read_map(out)
+    assert (read.complete, read.status.tolist()) == (True, [[[1], [1]], [[1], [1]]])
+    assert read["Omega"][1, :, 0].tolist() == truth
+    assert read.to_dataframe()["Omega"].tolist() == read["Omega"].ravel().tolist()
+    axes = read.plot("Omega")
+    (mesh,) = [c for c in axes.collections if isinstance(c, QuadMesh)]
+    assert np.asarray(mesh.get_array()).T.tolist() == read["Omega"][:, :, 0].tolist()
+    with pytest.raises(ValueError, match="at: mode: given 1; accepted: 2"):
+        read.plot("Omega", axes, {"mode": 1})
+    with pytest.raises(ValueError, match=r"quantity: given 'Omga'; did you mean Omega\?"):
+        read.plot("Omga")
+
+
+def test_a_map_that_is_none_is_not_read(tmp_path: Path) -> None:
+    for text, told in (("", "holds no scene.toml"), (BASE, "its scene.toml has no .map."), ("[", "scene.toml: ")):
+        if text:
+            (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=told) as caught:
+            read_map(tmp_path)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "scene.toml").write_text(TINY, encoding="utf-8")
+    read = read_map(tmp_path)  # one that was begun, without a cell
+    assert (read.complete, read.names, np.any(read.status)) == (False, [], False)
+
+
+def test_lines_of_a_boundary_are_read_as_they_were_written(tmp_path: Path) -> None:
+    """Bit for bit, beside an axis with commas in its name and its values."""
+    grid = Grid.of(parse_scene(LATTICE.replace("S = [0.01, 0.05]", "S = { from = 0.01, to = 0.05, points = 2 }")))
+    rng = np.random.default_rng(1)
+    lines = {(0,): (rng.random((3, 2)), rng.random((1, 2))), (1,): (1e-300 * rng.random((2, 2)),)}
+    write_boundary(lines, grid, tmp_path / "boundary.csv")
+    assert [len(row) for row in read_rows(tmp_path / "boundary.csv")] == [4] * 6
+    read = read_boundary(grid, tmp_path / "boundary.csv")
+    assert {k: [c.tolist() for c in v] for k, v in read.items()} == {
+        k: [c.tolist() for c in v] for k, v in lines.items()
+    }
 
 
 @pytest.mark.slow
@@ -297,7 +340,6 @@ def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
 
 def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     from matplotlib import colormaps
-    from matplotlib.collections import QuadMesh
 
     shades = colormaps[COLOURS](np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(shades) > 0)
