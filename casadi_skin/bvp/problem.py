@@ -117,6 +117,10 @@ class Problem(ABC):
         Places are phases Omega t of an orbit, or the independent variable.
         """
 
+    def samples(self, z: Array, theta: Array) -> Array:
+        """The same of several solutions (any, size), shape (any, len(theta), components)."""
+        return np.stack([self.sample(one, theta) for one in z])
+
     @abstractmethod
     def frequency(self, z: Array) -> float:
         """Omega of z; 1 where there is none."""

@@ -174,5 +174,9 @@ class TrigonometricProblem(OrbitProblem):
         return error + ALIASED * float(ratio)
 
     def sample(self, z: Array, theta: Array) -> Array:
-        basis = np.cos(np.outer(theta, 2 * np.arange(self.resolution) + 1))
-        return np.asarray(basis @ self.coefficients(z).T)
+        return np.asarray(self.samples(z[None], theta)[0])
+
+    def samples(self, z: Array, theta: Array) -> Array:
+        weights = self._to_coefficients @ np.cos(np.outer(2 * np.arange(self.resolution) + 1, theta))
+        values = z[:, : self.states].reshape(-1, self.resolution) @ weights
+        return np.asarray(values.reshape(len(z), self.model.size, theta.size).swapaxes(1, 2))

@@ -18,7 +18,7 @@ FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error
 def couplings(systems: Eigensystems, errors: Array) -> Array:
     """|W| for errors of the matrices, shape (points, m, m); not finite at a defective eigenvalue."""
     with np.errstate(invalid="ignore", over="ignore"):
-        return np.abs(systems.left @ errors @ systems.right)
+        return systems.couplings(errors)
 
 
 def eigenvalue_errors(systems: Eigensystems, W: Array, norms: Array, round_off: Array) -> Array:

@@ -2,20 +2,41 @@
 
 For X'' = J(t) X with J = df/dq along the orbit, kicks V += b h J X and drifts X += a h V alternate; time moves with the
 drifts. The map is symplectic to round-off at every step number, so that stable orbits do not acquire instabilities.
-Several orbits go through the stages together: their J are the blocks of one sparse matrix.
+Several orbits go through the stages together, whatever their numbers of steps: their J are the blocks of one sparse
+matrix, and those that are done are left behind. Columns go by themselves where all together would leave the cache.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.stepping import StepMap, SteppedFlow
+from casadi_skin.stability.stepping import SteppedFlow
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+CACHED = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
+
+
+@dataclass(frozen=True, eq=False)
+class SplittingRun:
+    """Some orbits in one number of steps: J's non-zeros at all kicks times h^2 and the kick, and the steps h.
+
+    `stages` has shape (kicks, points, non-zeros), `steps` (points,).
+    """
+
+    stages: Array
+    steps: Array
 
 
 class SplittingMap:
@@ -23,35 +44,61 @@ class SplittingMap:
 
     def __init__(self, jacobian: JacobianAlong, steps: int) -> None:
         self.jacobian, self.steps = jacobian, steps
-        self._sequence = KicksAndDrifts.of(steps)
-        self.fractions = self._sequence.times / steps
+        self.sequence = KicksAndDrifts.of(steps)
+        self.fractions = self.sequence.times / steps
+
+    def run(self, nonzeros: Array, durations: Array) -> SplittingRun:
+        """What `propagated` needs, from J's non-zeros (points, len(fractions), non-zeros)."""
+        h = durations / self.steps
+        weights = self.sequence.kicks[:, None, None] * (h * h)[:, None]
+        return SplittingRun(np.multiply(nonzeros.swapaxes(0, 1), weights, order="C"), h)
 
     def __call__(self, nonzeros: Array, durations: Array) -> Array:
         """Transition matrices, shape (points, 2n, 2n), from J's non-zeros (points, len(fractions), non-zeros)."""
-        from scipy.linalg.blas import daxpy
+        return propagated(self.jacobian, self.sequence.drifts, [self.run(nonzeros, durations)])[0]
 
-        points, n, h = durations.size, self.jacobian.size, durations / self.steps
-        weights = self._sequence.kicks
-        stages = np.multiply(nonzeros.swapaxes(0, 1), weights[:, None, None] * (h * h)[:, None], order="C")
-        stages = stages.reshape(weights.size, -1)
-        matrix = self.jacobian.block_matrix(points)
-        # Positions X and velocities times the step h V, so that no orbit's step is in the drifts.
-        start = np.zeros((2, points, n, 2 * n))
-        start[0][:, range(n), range(n)] = 1.0
-        start[1][:, range(n), range(n, 2 * n)] = h[:, None]
-        rows, shape = (points * n, 2 * n), (points, n, 2 * n)
 
-        def kick(i: int, x: Array, v: Array) -> Array:
-            matrix.data = stages[i]
-            moved: Array = daxpy((matrix @ x.reshape(rows)).ravel(), v)
-            return moved
+def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> list[Array]:
+    """Transition matrices of several runs, each (points, 2n, 2n), by the drifts of the one with most steps."""
+    n = jacobian.size
+    order = sorted(range(len(runs)), key=lambda i: -len(runs[i].stages))
+    ordered = [runs[i] for i in order]
+    h = np.repeat(np.concatenate([run.steps for run in ordered]), n)
+    last, kicks = 0, []  # (matrix, its data) of each kick: of the runs that are not done before it
+    for active in range(len(ordered), 0, -1):
+        first, last = last, len(ordered[active - 1].stages)
+        if last > first:
+            parts = [run.stages[first:last].reshape(last - first, -1) for run in ordered[:active]]
+            matrix = jacobian.block_matrix(sum(run.steps.size for run in ordered[:active]))
+            kicks += [(matrix, data) for data in np.concatenate(parts, axis=1)]
+    result, width = np.empty((h.size // n, 2, n, 2 * n)), max(1, CACHED // h.size)
+    for start in range(0, 2 * n, width):
+        result[..., start : start + width] = _columns(kicks, drifts, h, n, start, min(width, 2 * n - start))
+    ends = np.cumsum([run.steps.size for run in ordered])
+    parts = np.split(result.reshape(-1, 2 * n, 2 * n), ends[:-1])
+    found = dict(zip(order, parts, strict=True))
+    return [found[i] for i in range(len(runs))]
 
-        def drift(a: float, x: Array, v: Array) -> Array:
-            moved: Array = daxpy(v, x, a=a)
-            return moved
 
-        x, v = self._sequence.apply(start[0].ravel(), start[1].ravel(), kick, drift)
-        return np.concatenate([x.reshape(shape), v.reshape(shape) / h[:, None, None]], axis=1)
+def _columns(
+    kicks: Sequence[tuple[csr_array, Array]], drifts: Array, h: Array, n: int, first: int, count: int
+) -> Array:
+    """Some columns of all transition matrices, shape (points, 2, n, count); h is that of each row."""
+    from scipy.linalg.blas import daxpy
+
+    # Velocities are multiplied by the step h, so that no orbit's step is in the drifts.
+    state = np.zeros((2, h.size, count))
+    for k in range(first, first + count):
+        part, component = divmod(k, n)
+        state[part, component::n, k - first] = h[component::n] if part else 1.0
+    x, v = state
+    for i, (matrix, data) in enumerate(kicks):
+        matrix.data, rows = data, matrix.shape[0]
+        if i > 0:
+            daxpy(v[:rows].ravel(), x[:rows].ravel(), a=drifts[i - 1])
+        daxpy((matrix @ x[:rows]).ravel(), v[:rows].ravel())
+    v /= h[:, None]
+    return state.reshape(2, -1, n, count).swapaxes(0, 1)
 
 
 class SplittingFlow(SteppedFlow):
@@ -68,5 +115,17 @@ class SplittingFlow(SteppedFlow):
             raise ValueError(f"{model.name}: the splitting needs a model of second order; use gauss, rk4 or cvodes")
         super().__init__(model, tolerance)
 
-    def _build(self, steps: int) -> StepMap:
+    def _build(self, steps: int) -> SplittingMap:
         return SplittingMap(self.jacobian, steps)
+
+    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+        """As that of other flows, all at once where they fit into the cache."""
+        maps = [self._build(steps) for steps, _ in wanted]
+        runs = [
+            step_map.run(self._linearised(orbits, step_map.fractions), self._durations(orbits))
+            for step_map, (_, orbits) in zip(maps, wanted, strict=True)
+        ]
+        most = max(maps, key=lambda step_map: step_map.steps).sequence.drifts
+        if sum(run.steps.size for run in runs) * 2 * self.model.size**2 <= CACHED:
+            return propagated(self.jacobian, most, runs)
+        return [propagated(self.jacobian, most, [run])[0] for run in runs]

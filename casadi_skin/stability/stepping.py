@@ -5,10 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.symmetry import symmetry_class
@@ -83,12 +83,27 @@ class SteppedFlow(ABC):
 
     def matrices(self, steps: int, orbits: Sequence[OrbitState]) -> Array:
         """Transition matrices in a fixed number of steps, not extrapolated, shape (orbits, m, m)."""
-        step_map = self.step_map(steps)
-        theta = 2.0 * np.pi * self.fraction * step_map.fractions
-        states = np.concatenate([o.problem.sample(o.z, theta) for o in orbits])
-        parameters = np.repeat([o.parameter for o in orbits], theta.size)
-        nonzeros = self.jacobian(states, parameters).reshape(len(orbits), theta.size, -1)
-        return step_map(nonzeros, np.array([duration(o, self.fraction) for o in orbits]))
+        return self.several([(steps, orbits)])[0]
+
+    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+        """Transition matrices in several numbers of steps, each along orbits of its own, as `matrices`."""
+        return [
+            self.step_map(steps)(self._linearised(orbits, self.step_map(steps).fractions), self._durations(orbits))
+            for steps, orbits in wanted
+        ]
+
+    def _durations(self, orbits: Sequence[OrbitState]) -> Array:
+        """Times that the fraction of the period takes, shape (orbits,)."""
+        return np.array([duration(orbit, self.fraction) for orbit in orbits])
+
+    def _linearised(self, orbits: Sequence[OrbitState], fractions: Array) -> Array:
+        """J's non-zeros at fractions of the duration, shape (orbits, fractions, non-zeros)."""
+        theta, states = 2.0 * np.pi * self.fraction * fractions, []
+        for problem, those in groupby(orbits, key=lambda orbit: orbit.problem):
+            states.append(problem.samples(np.stack([orbit.z for orbit in those]), theta))
+        parameters = np.repeat([orbit.parameter for orbit in orbits], theta.size)
+        nonzeros = self.jacobian(np.concatenate(states).reshape(parameters.size, -1), parameters)
+        return nonzeros.reshape(len(orbits), theta.size, -1)
 
     def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
@@ -110,15 +125,18 @@ class SteppedFlow(ABC):
         while True:
             waiting = [orbits[i] for i in places.tolist()]
             levels = range(level - len(self.orders), level + 1)
-            for r in levels:
-                if r not in maps:
-                    maps[r] = self.matrices(self.step_numbers[r], waiting)
+            missing = [r for r in levels if r not in maps]
+            better = {k: orbit.better for k, orbit in enumerate(waiting) if orbit.better is not None}
+            wanted = [(self.step_numbers[r], waiting) for r in missing]
+            wanted += [(self.step_numbers[levels[0]], list(better.values()))] if better else []
+            found = self.several(wanted)
+            maps |= dict(zip(missing, found, strict=False))
+            pairs = {k: (maps[levels[0]][k], m) for k, m in zip(better, found[-1], strict=True)} if better else {}
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation = np.linalg.norm(errors, axis=(1, 2))
                 round_off = ROUND_OFF * np.linalg.norm(matrices, axis=(1, 2))
             met = truncation <= np.maximum(tolerance, round_off)
-            pairs = self._pairs(levels[0], maps[levels[0]], waiting, met)
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 done[int(places[k])] = Transition(matrices[k], self.fraction, total, errors[k], pairs.get(k))
@@ -138,16 +156,6 @@ class SteppedFlow(ABC):
         result = sum(weight * maps[r] for weight, r in zip(few, levels[1:], strict=True))
         better = sum(weight * maps[r] for weight, r in zip(all_, levels, strict=True))
         return np.asarray(result), SAFETY * (better - result)
-
-    def _pairs(
-        self, level: int, along: Array, orbits: Sequence[OrbitState], met: NDArray[np.bool_]
-    ) -> dict[int, tuple[Array, Array]]:
-        """By place, matrices along the orbit and along the better one, where there is one, in the steps of a level."""
-        states = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
-        if not states:
-            return {}
-        matrices = self.matrices(self.step_numbers[level], list(states.values()))
-        return {k: (along[k], matrix) for k, matrix in zip(states, matrices, strict=True)}
 
     def _lower(self, level: int, truncation: float, tolerance: float) -> int:
         """The level to start from next time: one lower where that would have done."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -21,6 +21,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.stability import splitting
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
@@ -79,23 +80,57 @@ class Given:
     def sample(self, z: Array, theta: Array) -> Array:
         return np.asarray(self.path(theta / z[0]).T)
 
+    def samples(self, z: Array, theta: Array) -> Array:
+        return np.stack([self.sample(one, theta) for one in z])
+
 
 # Pieces -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_jacobian_along_states_is_the_models() -> None:
-    model = Chain(5, 1.0, 0.3, -1.0).gauge_model()
+def restored(force: Callable[[ca.SX], ca.SX]) -> OdeModel:
+    """Five sites, each held by a force of its position and by p times that of its distance to the next."""
+    q, v, p = ca.SX.sym("q", 5), ca.SX.sym("v", 5), ca.SX.sym("p")
+    bonds = force(ca.vertcat(q[1:], 0) - q)
+    return OdeModel("five", q, -force(q) + p * (bonds - ca.vertcat(0, bonds[:-1])), p, order=2, velocity=v)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Chain(5, 1.0, 0.3, -1.0).gauge_model(),
+        restored(lambda y: y - y**2 + 0.3 * y**3),  # several terms an entry
+        restored(lambda y: ca.sin(y)),  # no polynomial
+        restored(lambda y: (1.0 + y) ** 9),  # one of more terms than pay
+        restored(lambda y: 2.0 * y),  # nothing moves with the state
+    ],
+    ids=lambda model: str(model.rhs[0])[:20],
+)
+def test_the_jacobian_along_states_is_the_models(model: OdeModel) -> None:
     along, exact = JacobianAlong(model), model.rhs_and_jacobian()
     generator = np.random.default_rng(1)
     states, parameters = generator.normal(size=(150, 5)), generator.normal(size=150)
     nonzeros = along(states, parameters)
     dense = along.dense(nonzeros)
     for k in (0, 63, 64, 149):
-        np.testing.assert_allclose(dense[k], np.array(ca.DM(exact(states[k], parameters[k])[1])), rtol=1e-15)
+        expected = np.array(ca.DM(exact(states[k], parameters[k])[1]))
+        np.testing.assert_allclose(dense[k], expected, rtol=1e-13, atol=1e-14)
     blocks = along.block_matrix(150)
     blocks.data = nonzeros.ravel()
     vectors = generator.normal(size=(150, 5, 2))
-    np.testing.assert_allclose((blocks @ vectors.reshape(750, 2)).reshape(150, 5, 2), dense @ vectors, rtol=1e-13)
+    np.testing.assert_allclose(
+        (blocks @ vectors.reshape(750, 2)).reshape(150, 5, 2), dense @ vectors, rtol=1e-13, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("cached", [10**6, 200, 7])
+def test_orbits_together_and_columns_by_themselves_change_nothing(cached: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    branch = followed(*ORBITS[1])
+    first, *others = [state(orbit) for orbit in branch.orbits[1:5]]
+    flow = SplittingFlow(branch.space.coordinates.scaled, 1e-8)
+    alone = [[flow.matrices(steps, [orbit])[0] for orbit in orbits] for steps, orbits in ((4, [first]), (9, others))]
+    monkeypatch.setattr(splitting, "CACHED", cached)  # 432 numbers of four orbits: all, or each by itself, in columns
+    for found, expected in zip(flow.several([(4, [first]), (9, others)]), alone, strict=True):
+        np.testing.assert_allclose(found, np.stack(expected), rtol=1e-13, atol=1e-14)
 
 
 def test_extrapolation_cancels_the_errors_it_is_told() -> None:
@@ -253,13 +288,13 @@ def test_steps_go_up_and_down_with_the_orbits(kind: type[SteppedFlow], monkeypat
     slow[easy.problem.Omega_index] *= 0.3  # no orbit, which is not the flow's business
     hard = replace(easy, z=slow)
     used: list[int] = []
-    original = SteppedFlow.matrices
+    original = kind.several
 
-    def counted(self: SteppedFlow, steps: int, orbits: Sequence[OrbitState]) -> Array:
-        used.append(steps)
-        return original(self, steps, orbits)
+    def counted(self: SteppedFlow, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+        used.extend(steps for steps, _ in wanted)
+        return original(self, wanted)
 
-    monkeypatch.setattr(SteppedFlow, "matrices", counted)
+    monkeypatch.setattr(kind, "several", counted)
     flow, most = kind(branch.space.coordinates.scaled, 1e-8), []
     for orbit in (easy, hard, easy, easy, easy, easy):
         used.clear()
@@ -363,6 +398,9 @@ def test_left_and_right_vectors_belong_together_and_are_infinite_at_a_jordan_blo
     systems = eigensystems(matrices)
     np.testing.assert_allclose(systems.left[0] @ systems.right[0], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(matrices[0] @ systems.right[0], systems.right[0] * systems.values[0], atol=1e-12)
+    assert np.count_nonzero(systems.values[0].imag) == 2  # a pair of conjugate ones
+    coupled = np.abs(systems.left[0] @ matrices[1] @ systems.right[0])
+    np.testing.assert_allclose(couplings(systems, matrices[[1, 1]])[0], coupled, atol=1e-12)
     assert np.linalg.norm(systems.left[1, 0]) < 10
     assert np.linalg.norm(systems.left[1, 1]) > 1e12
     errors = np.full((2, 3, 3), 1e-10)
