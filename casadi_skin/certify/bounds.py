@@ -1,7 +1,7 @@
 """The bounds Y, Z and W of the theorem for one set of coefficients, and the radius that they prove.
 
 The names are those of the page "Orbits that are proved", which derives each bound. Rows and columns of the finite part
-are lambda (as a residual: the amplitude), then the harmonics 1, 3, ..., 2H - 1 of each position in turn.
+are lambda (as a residual: the amplitude), then the first H harmonics, 1, 3, ... or 0, 1, ..., of each position in turn.
 """
 
 from __future__ import annotations
@@ -13,28 +13,35 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
-from casadi_skin.certify.odd_system import OddSeries
+from casadi_skin.certify.cosine_system import CosineSeries
+from casadi_skin.certify.lipschitz import OperatorSize, curvature, series_norms
 from casadi_skin.orbits.certificate import Constants
 
 if TYPE_CHECKING:
     from flint import arb
 
+LARGEST_WEIGHT = 2.0**100  # or what is lost below the smallest double might count
 LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the second derivative is bounded
 
 
 class FiniteInverse:
-    """The matrix A_f, any matrix of doubles, with what bounds of it cost once; and the exact numbers of the tail."""
+    """The matrix A_f, any matrix of doubles, with what bounds of it cost once; and the numbers c_n of the tail.
 
-    def __init__(self, series: OddSeries, nu: arb, matrix: Array | None = None) -> None:
+    `doubt` are upper bounds of the weighted norms of what the columns of the matrix may be off by, 0 by default.
+    """
+
+    def __init__(self, series: CosineSeries, nu: arb, matrix: Array | None = None, doubt: Array | None = None) -> None:
         from flint import arb
 
-        H, n = series.harmonics, series.system.positions
+        H, n, harmonic = series.harmonics, series.system.positions, series.system.harmonic
         self.series, self.nu = series, nu
-        self.odd = 2.0 * np.arange(H) + 1.0
-        self.tail = 2 * H + 1  # the first harmonic beyond the finite part
-        powers = [nu ** int(k) for k in range(1, 2 * series.system.degree * H + 2, 2)]
+        self.numbers = np.array([float(harmonic(i)) for i in range(H)])
+        self.tail = harmonic(H)  # the first harmonic beyond the finite part
+        powers = [nu ** harmonic(i) for i in range(series.system.degree * H + 1)]
         self.weights_above = np.array([above(p) for p in powers])
         self.weights_below = np.nextafter(np.array([float(p.lower()) for p in powers]), 0.0)
+        if not self.weights_above[H - 1] < LARGEST_WEIGHT:
+            raise ValueError(f"weights of {self.weights_above[H - 1]:.3g}, accepted: nu^k up to {LARGEST_WEIGHT:.3g}")
         self.rows_above = np.concatenate([[1.0], np.tile(self.weights_above[:H], n)])
         self.columns_below = np.concatenate([[1.0], np.tile(self.weights_below[:H], n)])
         self.slope = Enclosed.of(series.amplitude_slope())
@@ -42,6 +49,7 @@ class FiniteInverse:
             {m: Enclosed.of(g) for m, g in series.derivatives(row).items()} for row in range(n)
         ]  # blocks[row][column]
         self.matrix: Array = np.asarray(np.linalg.inv(self._jacobian()), dtype=float) if matrix is None else matrix
+        self.doubt = np.zeros(self.inner) if doubt is None else doubt
         # the numbers c_n of the amplitude's row in A, exact
         self.exact_slope = [arb(c) for c in self.slope.middle.tolist()]
 
@@ -53,21 +61,25 @@ class FiniteInverse:
     # Columns of the derivative ----------------------------------------------------------------------------------------
 
     def _toeplitz(self, values: Array, columns: int) -> Array:
-        """Entries g_|k-j| + g_(k+j) for k = 1, 3, ..., 2H - 1 and j = 1, 3, ... (columns of them); g = 0 beyond."""
-        k, j = np.arange(self.odd.size)[:, None], np.arange(columns)[None, :]
-        padded = np.concatenate([values, np.zeros(columns + self.odd.size + 1)])
-        return np.asarray(padded[np.abs(k - j)] + padded[k + j + 1])
+        """Entries g_|k-j| + g_(k+j), half of that for k = 0, of H harmonics k and `columns` of j; g = 0 beyond."""
+        H, step = self.numbers.size, self.series.system.step
+        k, j = np.arange(H)[:, None], np.arange(columns)[None, :]
+        padded = np.concatenate([values, np.zeros(columns + H + 1)])
+        entries = padded[np.abs(k - j)] + padded[k + j + step - 1]
+        if step == 1:
+            entries[0] *= 0.5
+        return np.asarray(entries)
 
     def _column(self, n: int, columns: int) -> tuple[Indices, Enclosed]:
-        """Rows of the finite part and their entries in the columns of q_n's harmonics 1, 3, ...; others are 0."""
-        H = self.odd.size
+        """Rows of the finite part and their entries in the columns of q_n's first harmonics; others are 0."""
+        H = self.numbers.size
         rows, middle, radius = [np.array([0])], [], []
         amplitude = np.zeros((2, 1, columns))
         amplitude[0, 0, :H] = self.slope.middle[n]  # beyond, A's own row of the amplitude takes it away
         amplitude[1] = self.slope.radius[n]
         middle.append(amplitude[0])
         radius.append(amplitude[1])
-        square = Enclosed.of([self.series.square * int(k) ** 2 for k in self.odd])
+        square = Enclosed.of([self.series.square * int(k) ** 2 for k in self.numbers.tolist()])
         for m in sorted({m for m, row in enumerate(self.blocks) if n in row} | {n}):
             g = self.blocks[m].get(n, Enclosed(np.zeros(1), np.zeros(1)))
             block = self._toeplitz(g.middle, columns)
@@ -85,12 +97,13 @@ class FiniteInverse:
         """Derivative of the equations with respect to lambda: k^2 a_nk; the amplitude's is 0."""
         from flint import arb
 
-        entries = [(2 * i + 1) ** 2 * a for row in self.series.coefficients for i, a in enumerate(row)]
+        harmonic = self.series.system.harmonic
+        entries = [harmonic(i) ** 2 * a for row in self.series.coefficients for i, a in enumerate(row)]
         return Enclosed.of([arb(0), *entries])
 
     def _jacobian(self) -> Array:
         """Midpoints of the finite part of DF."""
-        H, n = self.odd.size, self.series.system.positions
+        H, n = self.numbers.size, self.series.system.positions
         J = np.zeros((1 + n * H, 1 + n * H))
         J[:, 0] = self._frequency_column().middle
         for q in range(n):
@@ -103,7 +116,8 @@ class FiniteInverse:
     @cached_property
     def norms(self) -> Array:
         """Upper bounds of the weighted norms of the columns of A_f."""
-        return rounded_up(self.rows_above @ np.abs(self.matrix), self.inner)
+        norms = rounded_up(self.rows_above @ np.abs(self.matrix) + self.doubt, self.inner)
+        return np.where(norms < LARGEST_WEIGHT, norms, np.inf)
 
     def _image(self, rows: Indices, block: Enclosed, identity: Array | None = None) -> Array:
         """Upper bounds of the weighted norms of the columns of (identity -) A_f times a block given by its rows."""
@@ -112,18 +126,19 @@ class FiniteInverse:
             product = identity - product
         count = rows.size + 2
         lost = self.norms[rows] @ (count * ROUNDING * np.abs(block.middle) + block.radius)
+        lost += self.doubt[rows] @ np.abs(block.middle)
         exact = self.rows_above @ (np.abs(product) * (1.0 + ROUNDING))
         return rounded_up(exact + rounded_up(lost, count), self.inner)
 
-    def _derivative_norm(self, n: int) -> arb:
-        """Upper bound of the sum over m of the norms of d force_m / d q_n, which are even cosine series."""
+    def derivative_norm(self, n: int) -> arb:
+        """Upper bound of the sum over m of the norms of d force_m/d q_n, which are cosine series."""
         from flint import arb
 
-        total = arb(0)
+        total, step = arb(0), self.series.system.step
         for row in self.blocks:
             if n in row:
                 for i, g in enumerate(row[n].largest.tolist()):
-                    total += (1 if i == 0 else 2) * arb(g) * self.nu ** (2 * i)
+                    total += (1 if i == 0 else 2) * arb(g) * self.nu ** (step * i)
         return total
 
     @cached_property
@@ -136,24 +151,24 @@ class FiniteInverse:
 
     @cached_property
     def tail_factor(self) -> arb:
-        """1 / (lambda (2H + 1)^2): what A makes of the tail's rows at most."""
+        """1/(lambda k^2) for the first harmonic k beyond the finite part: what A makes of the tail's rows at most."""
         return 1 / (self.series.square * self.tail**2)
 
     # The bounds -------------------------------------------------------------------------------------------------------
 
-    def residual(self, series: OddSeries) -> tuple[list[arb], arb]:
+    def residual(self, series: CosineSeries) -> tuple[list[arb], arb]:
         """Finite residual with the amplitude's row as A sees it, and the norm of what A makes of the tail's."""
         from flint import arb
 
-        H = self.odd.size
+        H, harmonic = self.numbers.size, series.system.harmonic
         finite, first, norm = list[arb](), series.amplitude_residual(), arb(0)
         for n in range(series.system.positions):
             values = series.residual(n)
             finite += values[:H]
             for i in range(H, len(values)):
-                scaled = values[i] / (self.series.square * (2 * i + 1) ** 2)
+                scaled = values[i] / (self.series.square * harmonic(i) ** 2)
                 first -= self.exact_slope[n] * scaled
-                norm += abs(scaled) * self.nu ** (2 * i + 1)
+                norm += abs(scaled) * self.nu ** harmonic(i)
         return [first, *finite], norm
 
     def Y(self) -> float:
@@ -165,7 +180,7 @@ class FiniteInverse:
 
     def finite_columns(self) -> float:
         """Upper bound of the finite rows of I - A_f DF, over the columns that reach them."""
-        H, series = self.odd.size, self.series
+        H, series = self.numbers.size, self.series
         columns = series.system.degree * H
         unit = np.zeros((self.inner, 1))
         unit[0] = 1.0
@@ -186,58 +201,21 @@ class FiniteInverse:
 
         tail = arb(0)
         for n in range(self.series.system.positions):
-            tail = tail.max(self._derivative_norm(n))
+            tail = tail.max(self.derivative_norm(n))
         slope = arb(float(self.norms[0])) * arb(float(np.max(self.slope.radius))) / self.nu**self.tail
         return above(arb(self.finite_columns()) + tail * self.tail_factor * self.beyond + slope)
 
     def W(self, reach: float) -> float:
         """Lipschitz constant of A DF within `reach` of the coefficients."""
-        from flint import arb
-
-        series = self.series
-        n = series.system.positions
-        columns = self.norms / self.columns_below * (1.0 + ROUNDING)
-        whole = arb(float(np.max(columns[1:]))).max(self.tail_factor * self.beyond)
-        squares = np.concatenate([[0.0], np.tile(self.odd**2, n)])
-        through_square = arb(float(np.max(columns * squares) * (1.0 + ROUNDING))).max(self.beyond / series.square)
-        amplitude = arb(0)
-        second = dict[tuple[int, int], arb]()
-        for (i, j), coefficient in series.system.scaled(None):
-            for pair in ((i, j), (j, i)):
-                second[pair] = second.get(pair, arb(0)) + coefficient
-        for value in second.values():
-            amplitude = amplitude.max(abs(value))
-        through_amplitude = arb(float(self.norms[0])) * amplitude / self.nu**2
-        return above(through_square + through_amplitude + whole * curvature(series, self.nu, reach))
+        system = self.series.system
+        operator = OperatorSize(self.norms, self.columns_below, self.beyond, 1 / self.series.square)
+        return operator.lipschitz(system, self.nu, curvature(system, series_norms(self.series, self.nu), reach))
 
     def constants(self) -> Constants:
         """The three bounds."""
         largest = max(sum(size(a) for a in row) for row in self.series.coefficients)
         reach = LARGEST_RADIUS * largest
         return Constants(self.Y(), self.Z(), self.W(reach), reach)
-
-
-def curvature(series: OddSeries, nu: arb, reach: float) -> arb:
-    """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
-    from flint import arb
-
-    norms = [sum((abs(a) * nu ** (2 * i + 1) for i, a in enumerate(row)), arb(reach)) for row in series.coefficients]
-    second = dict[tuple[int, int], arb]()
-    for row in range(series.system.positions):
-        for factors, coefficient in series.system.scaled(row):
-            for a in range(len(factors)):
-                for b in range(len(factors)):
-                    if a == b:
-                        continue
-                    value = abs(coefficient)
-                    for place, n in enumerate(factors):
-                        value = value * norms[n] if place not in (a, b) else value
-                    pair = factors[a], factors[b]
-                    second[pair] = second.get(pair, arb(0)) + value
-    largest = arb(0)
-    for value in second.values():
-        largest = largest.max(value)
-    return largest
 
 
 def proved_radius(constants: Constants) -> float | None:

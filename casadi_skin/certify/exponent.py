@@ -1,8 +1,8 @@
 """One Floquet exponent and its vector, enclosed by the theorem of the orbits: off the real axis there is no stability.
 
-Unknowns x = (sigma, w) complex, F = (c w - 1, lambda (sigma + m)^2 w_m + sum over p of G_p w_(m-p)), m even, in the
-norm |sigma| + sum of |w_nm|. The operator A is an approximate inverse of the finite part |m| <= M, and beyond it
-1/(lambda (sigma + m)^2).
+Unknowns x = (sigma, w) complex, F = (c w - 1, lambda (sigma + m)^2 w_m + sum over p of G_p w_(m-p)), m a multiple of
+the step, in the norm |sigma| + sum of |w_nm|. The operator A is an approximate inverse of the finite part |m| <= M, and
+beyond it 1/(lambda (sigma + m)^2).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ REACH = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the E
 def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, float] | None:
     """An exponent near `sigma` with a proved radius; None where no finite part of up to LARGEST rows proves one."""
     highest, last = FIRST, np.inf
-    while (highest + 1) * problem.positions <= LARGEST:
+    while problem.harmonics(highest).size * problem.positions <= LARGEST:
         pair = _Pair.near(problem, sigma, highest)
         if pair is not None:
             constants = pair.constants()
@@ -39,7 +39,7 @@ def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, flo
             if constants.Z < 0.5 and 0.5 * last < constants.Y:  # it is rounding, or another exponent is too near
                 return None
             last = constants.Y
-        highest = 2 * int(np.ceil(0.5 * GROWTH * highest))
+        highest = problem.grown(highest, GROWTH)
     return None
 
 
@@ -56,17 +56,18 @@ class _Pair:
     @classmethod
     def near(cls, problem: Linearised, sigma: complex, highest: int) -> _Pair | None:
         """Newton's method from the null vector of the finite part; None where its matrices are singular."""
-        G, square = _toeplitz(problem.blocks, highest, highest), float(problem.square.mid())
+        G, square = _toeplitz(problem, highest, highest), float(problem.square.mid())
+        m = problem.harmonics(highest)
         try:
-            L = G + np.diag(np.repeat(square * (sigma + _harmonics(highest)) ** 2, problem.positions))
+            L = G + np.diag(np.repeat(square * (sigma + m) ** 2, problem.positions))
             w = np.asarray(np.linalg.svd(L)[2][-1].conj(), dtype=complex)
             for _ in range(STEPS):
-                J, residual = _bordered(G, square, sigma, w, highest, w.conj())
+                J, residual = _bordered(G, square, sigma, w, m, w.conj())
                 step = np.linalg.solve(J, residual)
                 sigma, w = complex(sigma - step[0]), w - step[1:]
                 if np.sum(np.abs(step)) < 1e-15:
                     break
-            inverse = np.linalg.inv(_bordered(G, square, sigma, w, highest, w.conj())[0])
+            inverse = np.linalg.inv(_bordered(G, square, sigma, w, m, w.conj())[0])
         except np.linalg.LinAlgError:
             return None
         if not (np.isfinite(sigma) and np.all(np.isfinite(inverse))):
@@ -76,7 +77,7 @@ class _Pair:
     @cached_property
     def shifts(self) -> ComplexArray:
         """sigma + m for each finite unknown of w."""
-        return np.repeat(self.sigma + _harmonics(self.highest), self.problem.positions)
+        return np.repeat(self.sigma + self.problem.harmonics(self.highest), self.problem.positions)
 
     @cached_property
     def norms(self) -> Array:
@@ -86,7 +87,7 @@ class _Pair:
     @cached_property
     def tail(self) -> float:
         """Upper bound of 1/|lambda (sigma + m)^2| beyond the finite part."""
-        nearest = self.highest + 2 - abs(self.sigma)
+        nearest = self.highest + self.problem.step - abs(self.sigma)
         return float("inf") if nearest <= 0 else (1.0 + 16 * ROUNDING) / (below(self.problem.square) * nearest**2)
 
     @cached_property
@@ -101,6 +102,15 @@ class _Pair:
         lost = self.norms[rows] @ (count * ROUNDING * np.abs(block) + radius)
         return rounded_up(np.abs(product).sum(axis=0) + rounded_up(lost, count), len(self.inverse))
 
+    def finite_part(self, G: Array, square: float) -> tuple[ComplexArray, Array]:
+        """The finite part of DF in doubles, and bounds of its rounding."""
+        w = self.w.ravel()
+        J, _ = _bordered(G, square, self.sigma, w, self.problem.harmonics(self.highest), w.conj())
+        unsure = 16 * ROUNDING * np.abs(J)
+        places = np.arange(1, len(J))  # of sums of G_0 and of what may be much larger than they are
+        unsure[places, places] += 32 * ROUNDING * square * np.abs(self.shifts**2)
+        return J, unsure
+
     def constants(self) -> Constants:
         """The three bounds about the true linearised equations."""
         if not np.isfinite(self.tail):
@@ -110,11 +120,11 @@ class _Pair:
     def _Y(self) -> float:
         """Upper bound of |A F|."""
         problem, n = self.problem, self.problem.positions
-        wide = self.highest + 2 * (len(problem.blocks) - 1)
-        G = _toeplitz(problem.blocks, wide, self.highest)
+        wide = self.highest + problem.step * (len(problem.blocks) - 1)
+        G = _toeplitz(problem, wide, self.highest)
         w = self.w.ravel()
         values, moduli = G @ w, np.abs(G) @ np.abs(w)
-        beyond = (wide - self.highest) // 2 * n
+        beyond = (wide - self.highest) // problem.step * n
         finite = slice(beyond, beyond + w.size)
         square = float(problem.square.mid())
         kinetic = square * self.shifts**2 * w
@@ -141,17 +151,16 @@ class _Pair:
         """Upper bound of |I - A DF|."""
         problem, n, w = self.problem, self.problem.positions, self.w.ravel()
         square = float(problem.square.mid())
-        reach = 2 * (len(problem.blocks) - 1)
-        G = _toeplitz(problem.blocks, self.highest, self.highest)
-        J, _ = _bordered(G, square, self.sigma, w, self.highest, w.conj())
-        unsure = 16 * ROUNDING * np.abs(J)
+        reach = problem.step * (len(problem.blocks) - 1)
+        G = _toeplitz(problem, self.highest, self.highest)
+        J, unsure = self.finite_part(G, square)
         identity = np.eye(len(J))
         product = self.inverse @ J
         count = 2 * len(J) + 4
         lost = self.norms @ (count * ROUNDING * np.abs(J) + unsure)
         inside = rounded_up(np.abs(identity - product).sum(axis=0) + rounded_up(lost, count), len(J))
-        outer = _toeplitz(problem.blocks, self.highest, self.highest + reach)
-        edge = reach // 2 * n
+        outer = _toeplitz(problem, self.highest, self.highest + reach)
+        edge = reach // problem.step * n
         outer = np.delete(outer, np.arange(edge, outer.shape[1] - edge), axis=1)
         across = self._image(slice(1, None), outer, np.zeros(outer.shape)) if outer.size else np.zeros(1)
         sizes = problem.sizes
@@ -170,25 +179,21 @@ class _Pair:
         return float(rounded_up(np.asarray(total), 32))
 
 
-def _harmonics(highest: int) -> Array:
-    return np.arange(-highest, highest + 1, 2, dtype=float)
-
-
-def _toeplitz(blocks: Array, highest_row: int, highest_column: int) -> Array:
-    """The blocks G_(m - j) for |m| and |j| up to two even numbers."""
-    n = blocks.shape[1]
-    rows, columns = _harmonics(highest_row), _harmonics(highest_column)
-    distance = np.abs(rows[:, None] - columns).astype(int) // 2
+def _toeplitz(problem: Linearised, highest_row: int, highest_column: int) -> Array:
+    """The blocks G_(m - j) for |m| and |j| up to two numbers."""
+    blocks, n = problem.blocks, problem.positions
+    rows, columns = problem.harmonics(highest_row), problem.harmonics(highest_column)
+    distance = np.abs(rows[:, None] - columns).astype(int) // problem.step
     padded = np.concatenate([blocks, np.zeros((1, n, n))])
     matrix = padded[np.minimum(distance, len(blocks))]
     return np.asarray(matrix.transpose(0, 2, 1, 3).reshape(rows.size * n, columns.size * n))
 
 
 def _bordered(
-    G: Array, square: float, sigma: complex, w: ComplexArray, highest: int, c: ComplexArray
+    G: Array, square: float, sigma: complex, w: ComplexArray, harmonics: Array, c: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """The finite part of DF and of F at (sigma, w)."""
-    shifts = np.repeat(sigma + _harmonics(highest), w.size // (highest + 1))
+    shifts = np.repeat(sigma + harmonics, w.size // harmonics.size)
     J = np.zeros((w.size + 1, w.size + 1), dtype=complex)
     J[0, 1:], J[1:, 0] = c, 2.0 * square * shifts * w
     J[1:, 1:] = G + np.diag(square * shifts**2)

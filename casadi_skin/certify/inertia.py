@@ -1,15 +1,15 @@
 """Numbers of negative eigenvalues of L(sigma), proved; each change of them between two sigma is an exponent.
 
-L(sigma) w = lambda (sigma + m)^2 w_m + sum over p of G_p w_(m-p), m even, is selfadjoint for real sigma, bounded from
-below, and has a kernel where exp(i pi sigma) is a multiplier of the half-period map. Its number of negative eigenvalues
-changes at such sigma alone.
+L(sigma) w = lambda (sigma + m)^2 w_m + sum over p of G_p w_(m-p), m a multiple of the step, is selfadjoint for real
+sigma, bounded from below, and has a kernel where exp(i sigma theta) is a multiplier, over theta = pi for even m and
+over 2 pi for all. Its number of negative eigenvalues changes at such sigma alone.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, Enclosed, below, rounded_up
 from casadi_skin.certify.linearised import Linearised
 
@@ -21,37 +21,37 @@ FIRST = 4  # highest harmonic of the smallest finite part
 def negative_eigenvalues(problem: Linearised, sigma: float) -> int | None:
     """How many eigenvalues of L(sigma) are negative; None where no finite part of up to LARGEST rows decides."""
     highest = FIRST
-    while (highest + 1) * problem.positions <= LARGEST:
+    while problem.harmonics(highest).size * problem.positions <= LARGEST:
         found, helps = _count(problem, sigma, highest)
         if found is not None or not helps:
             return found
-        highest = 2 * int(np.ceil(0.5 * GROWTH * highest))
+        highest = problem.grown(highest, GROWTH)
     return None
 
 
 def _count(problem: Linearised, sigma: float, highest: int) -> tuple[int | None, bool]:
-    """The same from the harmonics |m| <= highest, an even number, and whether more of them may help where it is None.
+    """The same from the harmonics |m| <= highest, and whether more of them may help where it is None.
 
     By Schur's complement L has the inertia of M - B T^-1 B^T where the tail's T >= t > 0, and 0 <= B T^-1 B^T <=
     B B^T/t <= diag(beta)/t, beta being sums of norms along the rows of B B^T.
     """
     from flint import arb
 
-    harmonics = np.arange(-highest, highest + 1, 2)
+    harmonics = problem.harmonics(highest)
     sizes, n = problem.sizes, problem.positions
     total = float(sizes[0] + 2.0 * sizes[1:].sum()) * (1.0 + sizes.size * ROUNDING)
-    nearest = arb(highest + 2) - abs(arb(sigma))
+    nearest = arb(highest + problem.step) - abs(arb(sigma))
     floor = below(problem.square * nearest**2 - arb(total) - arb(problem.radius))
     if not floor > 0.0:
         return None, True
-    kinetic = Enclosed.of([problem.square * (arb(sigma) + int(m)) ** 2 for m in harmonics])
+    kinetic = Enclosed.of([problem.square * (arb(sigma) + int(m)) ** 2 for m in harmonics.tolist()])
     matrix, unsure = _finite_part(problem.blocks, harmonics, kinetic)
-    through_tail = np.repeat(_coupling(sizes, harmonics, highest) / floor, n)
+    through_tail = np.repeat(_coupling(problem, highest) / floor, n)
     slack = np.repeat(kinetic.radius + problem.radius + unsure, n)
     return _inertia(matrix, slack, through_tail)
 
 
-def _finite_part(blocks: Array, harmonics: Indices, kinetic: Enclosed) -> tuple[Array, Array]:
+def _finite_part(blocks: Array, harmonics: Array, kinetic: Enclosed) -> tuple[Array, Array]:
     """The finite part of L in doubles, and the rounding of its diagonal."""
     n, count = blocks.shape[1], harmonics.size
     matrix = np.zeros((count, n, count, n))
@@ -67,14 +67,14 @@ def _finite_part(blocks: Array, harmonics: Indices, kinetic: Enclosed) -> tuple[
     return matrix.reshape(count * n, count * n), rounding
 
 
-def _coupling(sizes: Array, harmonics: Indices, highest: int) -> Array:
+def _coupling(problem: Linearised, highest: int) -> Array:
     """Bounds of the sums of norms along the rows of B B^T, shape (harmonics,)."""
-    bandwidth = 2 * (sizes.size - 1)
-    tail = np.arange(highest + 2, highest + bandwidth + 1, 2)
+    sizes, step, harmonics = problem.sizes, problem.step, problem.harmonics(highest)
+    tail = np.arange(highest + step, highest + step * (sizes.size - 1) + 1, step)
     outside = np.concatenate([-tail[::-1], tail])
     if not outside.size:
         return np.zeros(harmonics.size)
-    distance = np.abs(harmonics[:, None] - outside) // 2
+    distance = np.abs(harmonics[:, None] - outside).astype(int) // step
     norms = np.where(distance < sizes.size, sizes[np.minimum(distance, sizes.size - 1)], 0.0)
     return rounded_up(norms @ rounded_up(norms.sum(axis=0), harmonics.size), outside.size)
 

@@ -1,7 +1,8 @@
 """The equations linearised about a proved orbit: an enclosure of their coefficients, symmetric where forces are.
 
-lambda v'' = G(theta) v with G = Dphi(q) = sum over even p of G_p exp(i p theta), G_-p = G_p real. The orbit itself is
-known within a radius of the centre, which moves every G_p and lambda: `radius` and `square` hold that too.
+lambda v'' = G(theta) v with G = Dphi(q) = sum over p of G_p exp(i p theta), p even where the orbit's harmonics are odd,
+G_-p = G_p real. The orbit itself is known within a radius of the centre, which moves every G_p and lambda: `radius` and
+`square` hold that too.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import Enclosed, above, below, rounded_up
-from casadi_skin.certify.bounds import curvature
+from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
+from casadi_skin.certify.lipschitz import curvature, series_norms
 from casadi_skin.certify.model_terms import potential, weights_of
-from casadi_skin.certify.odd_system import OddSeries, OddSystem
 
 if TYPE_CHECKING:
     from flint import arb
@@ -26,17 +27,27 @@ class Linearised:
     """Enclosures of the coefficients about the true orbit.
 
     Attributes:
-        blocks: doubles near G_0, G_2, ..., shape (number, positions, positions).
+        blocks: doubles near G_0, G_step, ..., shape (number, positions, positions).
         radius: bound of the norm of the difference of G and the true one: largest sum over rows and p of moduli in a
             column; where symmetric, of the norm in the Euclidean sense at every theta as well.
         square: ball of lambda.
         symmetric: whether blocks and truth are symmetric matrices.
+        step: of p and of the harmonics of solutions, 2 or 1.
     """
 
     blocks: Array
     radius: float
     square: arb
     symmetric: bool
+    step: int = 2
+
+    def harmonics(self, highest: int) -> Array:
+        """m from -highest to highest, multiples of the step as `highest` is."""
+        return np.arange(-highest, highest + 1, self.step, dtype=float)
+
+    def grown(self, highest: int, factor: float) -> int:
+        """A multiple of the step near `factor` times another."""
+        return self.step * int(np.ceil(factor * highest / self.step))
 
     @property
     def positions(self) -> int:
@@ -48,7 +59,7 @@ class Linearised:
         return _norms(np.abs(self.blocks))
 
 
-def linearised(series: OddSeries, nu: arb, radius: float, reach: float) -> Linearised:
+def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Linearised:
     """The coefficients at the true orbit, which lies within `radius` of a series.
 
     In positions in which the matrices are symmetric where the linear couplings have such; `reach` is at least `radius`.
@@ -68,14 +79,18 @@ def linearised(series: OddSeries, nu: arb, radius: float, reach: float) -> Linea
     if symmetric:  # the true matrices are, so that the other triangle encloses an entry as well
         lower = np.tril(blocks) + np.tril(blocks, -1).swapaxes(1, 2)
         radii, blocks = radii + 2.0 * np.abs(lower - blocks), lower
-    own = np.concatenate([radii[:1], 2.0 * radii[1:]]).sum(axis=0)
-    moved = curvature(series, nu, reach) * arb(radius) * arb(max(map(above, scale))) / arb(min(map(below, scale)))
-    return Linearised(
-        blocks, above(arb(float(_norms(own[None])[0])) + moved), series.square + arb(0, radius), symmetric
+    own = rounded_up(np.concatenate([radii[:1], 2.0 * radii[1:]]).sum(axis=0), count + 2)
+    moved = (
+        curvature(series.system, series_norms(series, nu), reach)
+        * arb(radius)
+        * arb(max(map(above, scale)))
+        / arb(min(map(below, scale)))
     )
+    doubt = above(arb(float(_norms(own[None])[0])) + moved)
+    return Linearised(blocks, doubt, series.square + arb(0, radius), symmetric, series.system.step)
 
 
-def _symmetric_scale(system: OddSystem) -> list[arb] | None:
+def _symmetric_scale(system: CosineSystem) -> list[arb] | None:
     """Factors s_n with s_n phi_n(q) the negative gradient of a potential of s_n q_n; None where there is none."""
     from flint import arb, fmpq
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from fractions import Fraction
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from casadi_skin.certify.odd_system import OddSystem, Terms
+from casadi_skin.certify.cosine_system import CosineSystem, Terms
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, exact_terms
 from casadi_skin.orbits.amplitude import amplitude_square
@@ -20,38 +21,59 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-def system_of(coordinates: Coordinates, S: float) -> OddSystem:
-    """The equations of odd cosines of a family's model; raises ValueError where the forces are no odd polynomials.
+def exact(value: float, decimals: bool) -> Fraction:
+    """What a double stands for: itself, or the shortest decimal that it is the double of."""
+    return Fraction(repr(value)) if decimals else Fraction(value)
 
-    Positions are scaled by the factors of the coordinates and by a power of 2 near sqrt(S), both as exact numbers.
+
+def ball(number: Fraction) -> arb:
+    """A ball around a fraction."""
+    from flint import arb, fmpq
+
+    return arb(fmpq(number.numerator, number.denominator))
+
+
+def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool = False) -> CosineSystem:
+    """The equations of cosines of a family's model; raises ValueError where its forces are no polynomials for them.
+
+    Positions are scaled by doubles near the factors of the coordinates and by a power of 2 near sqrt(S), all exact;
+    with `decimals` parameters and S are the decimals that their doubles are printed as.
     """
     from flint import arb
 
-    model, values = coordinates.model, _values(coordinates)
-    accepted = f"certify: given {model.name}; accepted: forces that are odd polynomials of the positions"
+    model, values = coordinates.model, fixed_values(coordinates, decimals)
+    kind = "odd polynomials" if step == 2 else "polynomials"
+    accepted = f"certify: given {model.name}; accepted: forces that are {kind} of the positions"
     try:
-        forces = exact_terms(model.rhs, model.state, _fixed(model), [0.0] * model.size + values)
+        forces = exact_terms(model.rhs, model.state, _fixed(model), values)
     except NotPolynomialError as error:
         raise ValueError(f"{accepted} ({error})") from None
     even = next((factors for terms in forces for factors in terms if len(factors) % 2 == 0), None)
-    if even is not None:
+    if step == 2 and even is not None:
         raise ValueError(f"{accepted} (a term of degree {len(even)} is even)")
-    form = exact_terms(amplitude_square(model).form, model.state, _fixed(model), [0.0] * model.size + values)
-    unit = arb(2) ** round(0.5 * float(np.log2(S)))
-    scale = [(arb(log).exp() * unit).mid() for log in coordinates.log_scale.tolist()]
-    return OddSystem(forces, form[0], scale, arb(S))
+    form = exact_terms(amplitude_square(model).form, model.state, _fixed(model), values)
+    power = round(0.5 * float(np.log2(S)))
+    scale = [_near(log) * arb(2) ** power for log in coordinates.log_scale.tolist()]
+    return CosineSystem(forces, form[0], scale, ball(exact(S, decimals)), step)
 
 
-def energy_terms(coordinates: Coordinates, forces: Sequence[Terms]) -> Terms | None:
+def _near(log: float) -> arb:
+    """A number with the digits of a double near exp(log), of any size."""
+    from flint import arb
+
+    power = round(log / math.log(2.0))
+    return arb(math.exp(log - power * math.log(2.0))) * arb(2) ** power
+
+
+def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bool = False) -> Terms | None:
     """Terms of the conserved quantity at rest, above its value at 0, in the model's positions; None without one.
 
     What the model declares, or for coordinates that declare one the potential of its forces.
     """
     model = coordinates.model
     if model.hamiltonian is not None:
-        fixed = [0.0] * model.size + _values(coordinates)
         try:
-            terms = exact_terms(model.hamiltonian, model.state, _fixed(model), fixed)[0]
+            terms = exact_terms(model.hamiltonian, model.state, _fixed(model), fixed_values(coordinates, decimals))[0]
         except NotPolynomialError:
             return None
         return {factors: coefficient for factors, coefficient in terms.items() if factors}
@@ -63,7 +85,7 @@ def energy_terms(coordinates: Coordinates, forces: Sequence[Terms]) -> Terms | N
 def potential(forces: Sequence[Terms], first: int) -> Terms | None:
     """The potential V with M_n force_n = -dV/dy_n for weights M > 0, M = 1 at position `first`; None without one.
 
-    A walk over the linear couplings finds the weights, and every derivative is compared, all in fractions.
+    A walk over the couplings finds the weights, and every derivative is compared, all in fractions.
     """
     weights = weights_of(forces, first)
     if weights is None:
@@ -72,9 +94,8 @@ def potential(forces: Sequence[Terms], first: int) -> Terms | None:
     for n, terms in enumerate(forces):
         for factors, coefficient in terms.items():
             key = tuple(sorted((*factors, n)))
-            V[key] = V.get(key, Fraction(0)) - weights[n] * coefficient / len(
-                key
-            )  # Euler: sum of y_n dV/dy_n = degree V
+            # Euler: the sum of y_n dV/dy_n is V times its degree
+            V[key] = V.get(key, Fraction(0)) - weights[n] * coefficient / len(key)
     slopes: list[dict[tuple[int, ...], Fraction]] = [{} for _ in forces]
     for factors, coefficient in V.items():
         for n in set(factors):
@@ -89,11 +110,11 @@ def potential(forces: Sequence[Terms], first: int) -> Terms | None:
 
 def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
     """A polynomial at balls."""
-    from flint import arb, fmpq
+    from flint import arb
 
     total = arb(0)
     for factors, coefficient in terms.items():
-        product = arb(fmpq(coefficient.numerator, coefficient.denominator))
+        product = ball(coefficient)
         for n in factors:
             product *= values[n]
         total += product
@@ -101,18 +122,19 @@ def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
 
 
 def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
-    """M_n with M_m dforce_m/dy_n = M_n dforce_n/dy_m at rest, along a walk; None where a part is not reached."""
+    """M_n with M_m dforce_m/dy_n = M_n dforce_n/dy_m, from terms along a walk; None where a part is not reached."""
     weights: dict[int, Fraction] = {first: Fraction(1)}
     queue = deque([first])
     while queue:
         m = queue.popleft()
         for factors, coefficient in forces[m].items():
-            n = factors[0]
-            if len(factors) == 1 and n not in weights:
-                back = forces[n].get((m,), Fraction(0))
+            for n in set(factors) - set(weights):
+                place = factors.index(n)
+                other = tuple(sorted((*factors[:place], *factors[place + 1 :], m)))
+                back = forces[n].get(other, Fraction(0)) * other.count(m)
                 if not back * coefficient > 0:
                     return None
-                weights[n] = weights[m] * coefficient / back
+                weights[n] = weights[m] * coefficient * factors.count(n) / back
                 queue.append(n)
     return [weights[n] for n in range(len(forces))] if len(weights) == len(forces) else None
 
@@ -121,6 +143,8 @@ def _fixed(model: OdeModel) -> ca.SX:
     return ca.vertcat(model.velocity, model.parameters)
 
 
-def _values(coordinates: Coordinates) -> list[float]:
-    """Values of the model's parameters in its order; 0 for the one that stands for S in its normalisation."""
-    return [float(coordinates.parameters.get(name, 0.0)) for name in coordinates.model.parameter_names]
+def fixed_values(coordinates: Coordinates, decimals: bool) -> list[Fraction]:
+    """Velocities at rest, and values of the model's parameters in its order; 0 for the one that stands for S."""
+    model = coordinates.model
+    values = [exact(float(coordinates.parameters.get(name, 0.0)), decimals) for name in model.parameter_names]
+    return [Fraction(0)] * model.size + values

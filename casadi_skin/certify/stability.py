@@ -20,6 +20,7 @@ from casadi_skin.threads import one_thread
 
 NEAREST = 1e-8  # relative distance from a change at which proofs are tried first
 WIDER = 10.0
+TWO_PI = 2.0 * np.pi
 TRIED = 3  # exponents farthest from the axis
 
 
@@ -47,7 +48,8 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
         if not isinstance(floquet, ReversibleFloquet) or family.coordinates.mode.size != floquet.mu.size + 1:
             return _undecided(orbit, "its multipliers were not computed from the whole lattice's reversal")
         if floquet.stable:
-            return _stable(orbit, problem, np.sort(np.arccos(np.clip(1.0 + 2.0 * floquet.mu.real, -1.0, 1.0)) / np.pi))
+            angles = np.arccos(np.clip(1.0 + 2.0 * floquet.mu.real, -1.0, 1.0))
+            return _stable(orbit, problem, np.sort(angles) * problem.step / TWO_PI)
         return _unstable(orbit, problem, floquet)
 
 
@@ -84,7 +86,7 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
     """Numbers of negative eigenvalues between exponents: as many changes as there are pairs leave none elsewhere."""
     if not problem.symmetric:
         return _undecided(orbit, "the equations are reversible only: no signatures hold multipliers on the circle")
-    ends = np.concatenate([[0.0], sigma, [1.0]])
+    ends = np.concatenate([[0.0], sigma, [0.5 * problem.step]])
     between = 0.5 * (ends[:-1] + ends[1:])
     counts = []
     for place, low, high in zip(between.tolist(), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
@@ -98,22 +100,23 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
         return _undecided(orbit, f"no exponent is proved between sigma = {low:.9g} and {high:.9g}")
     brackets = np.stack([between[:-1], between[1:]], axis=1)
     nothing = complex(np.nan, np.nan)
-    return ProvedStability(STABLE, brackets, -np.sign(changes).astype(np.int64), nothing, np.nan, orbit.S)
+    signatures = -np.sign(changes).astype(np.int64)
+    return ProvedStability(STABLE, brackets, signatures, nothing, np.nan, orbit.S, "", problem.step)
 
 
 def _unstable(orbit: Orbit, problem: Linearised, floquet: ReversibleFloquet) -> ProvedStability:
     """An enclosure off the real axis of one of the exponents that are farthest from it."""
-    sigma = _exponents(floquet)
+    sigma = _exponents(floquet, problem.step)
     order = np.argsort(-np.abs(sigma.imag))[:TRIED]
     for start in sigma[order].tolist():
         found = enclosed_exponent(problem, start)
         if found is not None and abs(found[0].imag) > found[1]:
             none = np.zeros((0, 2)), np.zeros(0, np.int64)
-            return ProvedStability(UNSTABLE, *none, *found, orbit.S)
+            return ProvedStability(UNSTABLE, *none, *found, orbit.S, "", problem.step)
     farthest = complex(sigma[order[0]])
     return _undecided(orbit, f"no enclosure of the exponent near sigma = {farthest:.6g} is off the real axis")
 
 
-def _exponents(floquet: ReversibleFloquet) -> ComplexArray:
-    """sigma of the multipliers exp(i pi sigma) over half a period, one of each pair."""
-    return np.asarray(np.log(floquet.root**2) / (1j * np.pi))
+def _exponents(floquet: ReversibleFloquet, step: int) -> ComplexArray:
+    """sigma of the multipliers exp(i sigma theta) over theta = 2 pi/step, one of each pair."""
+    return np.asarray(np.log(floquet.root**2) * step / (1j * TWO_PI))

@@ -1,55 +1,120 @@
 """`certify_branch`: a stretch of a family proved to be one smooth curve of orbits, one for each S, without fold.
 
-The theorem holds for all S of an interval at once when S in the amplitude's equation is the ball around it: one orbit
-for each S within a radius of a centre, a smooth function of S because the derivative is invertible there. Neighbouring
-pieces are parts of one curve where at an S of both the orbit of one lies where that of the other is the only one.
+The stretch is divided into pieces, on each of which the theorem holds for every S about one polynomial curve. Two
+pieces are parts of one curve where at the S they share the orbit of one lies where that of the other is the only one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import count
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.fft import dct
 
 from casadi_skin.arguments import number
+from casadi_skin.bvp.problem import Array
 from casadi_skin.certify import balls
-from casadi_skin.certify.bounds import holds, proved_radius
-from casadi_skin.certify.certify import WEIGHT, Attempt, attempt_near, best_attempt, reason_of
+from casadi_skin.certify.attempt import LARGEST, attempt_near, cosine_coefficients, distance, refined
+from casadi_skin.certify.bounds import FiniteInverse, holds, proved_radius
+from casadi_skin.certify.certify import WEIGHT, best_attempt, provable, reason_of, step_of
+from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
 from casadi_skin.certify.model_terms import system_of
-from casadi_skin.certify.odd_system import OddSeries
+from casadi_skin.certify.polynomial_piece import Curve, piece_constants
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import Constants, ProvedStretch
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.threads import one_thread
 
 if TYPE_CHECKING:
     from flint import arb
 
-PART = 0.9  # of the widest interval of S that the bounds allow
-STEP = 0.8  # of the sum of the half-widths of neighbours: how far apart their centres are tried
-SHORTER = 0.7
-RICH = 0.25  # Z above which more harmonics are taken
-GROWTH = 1.2
-TRIALS = 12
+DEGREE = 10  # of the polynomials of a piece
+WIDER, SHORTER = 1.6, 0.6  # widths of pieces after one that is proved, and after one that is not
+SHORTEST = 1e-4  # of the end: pieces below are given up
+FEWEST = 3  # harmonics
+GROWTH = 1.25
+ENOUGH_Z, ENOUGH_Y = 0.15, 0.02  # Z and Y W at the far end of a piece, by which harmonics are chosen
+SLACK = 1e-9  # of the computed frequency of the linear mode
 ACCEPTED = "a family that is followed in S and passes each S once"
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """The theorem about one centre for every S within `half` of S."""
+    """A curve with the bounds about it, and a radius within which there is an orbit for each parameter."""
 
-    S: float
-    attempt: Attempt
-    slope: float  # what Y grows by per unit of S
-    half: float
+    curve: Curve
+    nu: arb
+    constants: Constants
+    radius: float
 
-    def constants(self, distance: float) -> Constants:
-        """The bounds for every S within a distance."""
-        known = self.attempt.constants
-        Y = balls.above(_ball(known.Y) + _ball(self.slope) * _ball(distance))
-        return Constants(Y, known.Z, known.W, known.reach)
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """What all pieces share: the family, its equations for positions of amplitude 1, and the norm."""
+
+    branch: Branch
+    family: Family
+    system: CosineSystem
+    nu: arb
+    end: float  # of the parameter: S for odd cosines, sqrt(S) for all
+
+    def parameter(self, S: float) -> arb:
+        """The parameter of an S."""
+        from flint import arb
+
+        return arb(S) if self.system.step == 2 else arb(S).sqrt()
+
+    def orbit_near(self, parameter: float, harmonics: int) -> CosineSeries:
+        """Coefficients of the branch's orbit at a parameter, for positions of amplitude 1."""
+        from flint import arb
+
+        size = float(np.sqrt(parameter)) if self.system.step == 2 else parameter
+        orbit = self.branch.at(S=size**2)
+        size *= _sign(orbit)
+        columns = cosine_coefficients(orbit, self.system, harmonics).T.tolist()
+        rows = [[arb(c) / d / size for c in column] for column, d in zip(columns, self.system.scale, strict=True)]
+        middles = [[a.mid() for a in row] for row in rows]
+        return CosineSeries(replace(self.system, parameter=arb(parameter)), arb(orbit.Omega**2), middles)
+
+    def harmonics(self, parameter: float, fewest: int) -> int | None:
+        """How many harmonics a piece needs that ends at a parameter; None where there are not enough."""
+        H = fewest
+        while 1 + self.system.positions * H <= LARGEST:
+            c = attempt_near(self.orbit_near(parameter, H), self.nu).constants
+            if c.Z < ENOUGH_Z and c.Y * c.W < ENOUGH_Y:
+                return H
+            H = int(np.ceil(GROWTH * H))
+        return None
+
+    def curve(self, start: float, end: float, harmonics: int) -> Curve:
+        """Polynomials through orbits and inverses at Chebyshev nodes of an interval."""
+        m = DEGREE + 1
+        nodes = np.cos(np.pi * (np.arange(m) + 0.5) / m)
+        found = [self._at_node(0.5 * (start + end) + 0.5 * (end - start) * x, harmonics) for x in nodes.tolist()]
+        values, inverses = np.array([v for v, _ in found]), np.array([A for _, A in found])
+        return Curve(self.system, start, end, _chebyshev(values), _chebyshev(inverses), _chebyshev(1.0 / values[:, 0]))
+
+    def _at_node(self, parameter: float, harmonics: int) -> tuple[Array, Array]:
+        inverse = FiniteInverse(self.orbit_near(parameter, harmonics), self.nu)
+        series = refined(inverse)
+        values = [float(series.square), *(float(a) for row in series.coefficients for a in row)]
+        return np.array(values), FiniteInverse(series, self.nu).matrix
+
+
+def _sign(orbit: Orbit) -> float:
+    """The sign by which an orbit differs from what is continuous along its family: its largest site is positive."""
+    assert isinstance(orbit.space, Family)
+    shown, solved = orbit.evaluate(0.0)[0], orbit.space.positions(orbit.point, np.zeros(1))[0]
+    return float(np.sign(shown @ solved))
+
+
+def _chebyshev(values: Array) -> Array:
+    """Chebyshev coefficients along the first axis from values at the nodes."""
+    coefficients = dct(values, axis=0) / len(values)
+    coefficients[0] *= 0.5
+    return np.asarray(coefficients)
 
 
 def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
@@ -57,7 +122,7 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
 
     Arguments:
         branch: a family of a model that `certify` accepts, which passes each S of the stretch once.
-        start, end: values of S, start < end, on the family.
+        start, end: values of S, start < end, on the family; from 0 it starts at the linear mode.
 
     Returns:
         How far it is proved from `start`, and why no farther.
@@ -69,120 +134,106 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
     flint = balls.flint()
     if not isinstance(branch.space, Family):
         raise ValueError(f"certify: given a branch of {branch.parameter}; accepted: {ACCEPTED}")
-    if not 0.0 < number("start", start) < number("end", end):
-        raise ValueError(f"start, end: given {start!r}, {end!r}; accepted: 0 < start < end")
+    if not 0.0 <= number("start", start) < number("end", end) <= branch.S[-1]:
+        accepted = f"0 <= start < end <= {float(branch.S[-1])!r}, where the branch ends"
+        raise ValueError(f"start, end: given {start!r}, {end!r}; accepted: {accepted}")
     if np.any(np.diff(branch.S) * np.diff(branch.S)[:1] <= 0.0):
         raise ValueError(f"certify: given a branch that turns back in S; accepted: {ACCEPTED}")
+    family = provable(branch.space)
     with flint.ctx.workprec(balls.PRECISION), one_thread():
-        _, first = best_attempt(branch.at(S=start))
-        if not first.proved:
-            return ProvedStretch(start, start, 0, reason_of(first))
-        return _walk(branch, start, end, first)
+        system = system_of(family.coordinates, 1.0, step_of(family), family.request.decimals)
+        if any(() in terms for terms in system.forces):
+            raise ValueError(f"certify: given {family.coordinates.model.name}; accepted: forces that vanish at rest")
+        low, high = (float(x) for x in (start, end)) if system.step == 2 else _roots(start, end)
+        return _proved(_Stretch(branch, family, system, flint.arb(WEIGHT), high), start, end, low)
 
 
-def _walk(branch: Branch, start: float, end: float, first: Attempt) -> ProvedStretch:
+def _roots(start: float, end: float) -> tuple[float, float]:
+    """Doubles below and above the square roots."""
+    low, high = np.nextafter(np.sqrt(start), 0.0), np.nextafter(np.sqrt(end), np.inf)
+    return float(low), float(high)
+
+
+def _proved(stretch: _Stretch, start: float, end: float, low: float) -> ProvedStretch:
     """Pieces one after the other until the end, or until none can be joined to the last."""
-    piece: _Piece | None = _piece(start, first)
-    for pieces in count(1):
-        assert piece is not None
-        if piece.S + piece.half >= end:
-            _, last = best_attempt(branch.at(S=end))
-            if not last.proved or not _holds_there(piece, end - piece.S, _distance(last, piece.attempt, last.radius)):
-                return ProvedStretch(start, end, pieces, "the curve is not proved to end at the orbit of the branch")
-            return ProvedStretch(start, end, pieces)
-        reached = piece.S + piece.half
-        piece = _next(branch, piece, end)
-        if piece is None:
-            return ProvedStretch(start, reached, pieces, f"no piece beyond S = {reached:.9g} can be joined to the last")
-    raise AssertionError
+    pieces = list[_Piece]()
+    reached, width, harmonics, reason = low, stretch.end - low, FEWEST, ""
+    while reached < stretch.end and not reason:
+        far = min(reached + width, stretch.end)
+        needed = stretch.harmonics(far, harmonics if far > reached + 0.5 * width else FEWEST)
+        piece = None if needed is None else _piece(stretch, reached, far, needed)
+        if piece is not None and (_joined(pieces[-1], piece) if pieces else not _fault(stretch, piece, start)):
+            pieces.append(piece)
+            reached, width = far, WIDER * width
+        else:
+            width *= SHORTER
+            if width < SHORTEST * stretch.end:
+                reason = f"no piece beyond S = {_S(stretch, reached):.9g} is proved and joined to the last"
+                if needed is None:
+                    reason += f": more than {LARGEST} unknowns would be needed"
+                elif not pieces:
+                    reason = _fault(stretch, piece, start) or reason
+    if not reason:
+        reason = _fault(stretch, pieces[-1], end)
+    breaks = tuple(_S(stretch, piece.curve.end) for piece in pieces[:-1])
+    last = end if reached == stretch.end else _S(stretch, reached) if pieces else start
+    radius = max((piece.radius for piece in pieces), default=float("nan"))
+    return ProvedStretch(start, last, len(pieces), reason, breaks, radius)
 
 
-def _next(branch: Branch, piece: _Piece, end: float) -> _Piece | None:
-    """The piece beyond one, joined to it; None where none is found."""
-    harmonics, step = piece.attempt.series.harmonics, 2.0 * STEP * piece.half
-    for _ in range(TRIALS):
-        S = min(piece.S + step, end)
-        attempt = _continued(branch, piece, S, harmonics)
-        if not attempt.constants.Z <= RICH:
-            harmonics = int(np.ceil(GROWTH * harmonics))
-            continue
-        following = _piece(S, attempt)
-        if attempt.proved and _joined(piece, following):
-            return following
-        step *= SHORTER
-    return None
+def _S(stretch: _Stretch, parameter: float) -> float:
+    return parameter if stretch.system.step == 2 else parameter**2
 
 
-def _continued(branch: Branch, piece: _Piece, S: float, harmonics: int) -> Attempt:
-    """The bounds at another S, from a piece's centre moved along the family's tangent."""
-    from flint import arb
-
-    assert isinstance(branch.space, Family)
-    known, tangent = piece.attempt.series, piece.attempt.tangent
-    assert tangent is not None
-    system = system_of(branch.space.whole.coordinates, S)
-    change = (S - piece.S) * tangent
-    rows = change[1:].reshape(known.system.positions, -1).tolist()
-    coefficients = []
-    for row, moved, d, e in zip(known.coefficients, rows, known.system.scale, system.scale, strict=True):
-        series = [((a + arb(c)) * d / e).mid() for a, c in zip(row, moved, strict=True)]
-        coefficients.append(series + [arb(0)] * (harmonics - len(series)))
-    return attempt_near(OddSeries(system, (known.square + arb(float(change[0]))).mid(), coefficients), WEIGHT)
-
-
-def _piece(S: float, attempt: Attempt) -> _Piece:
-    """The widest interval of S about a proved orbit, or nearly."""
-    c = attempt.constants
-    if not attempt.proved:
-        return _Piece(S, attempt, float("nan"), 0.0)
-    slope = attempt.per_amplitude
-    half = PART * (0.5 * (1.0 - c.Z) ** 2 / c.W - c.Y) / slope
-    piece = _Piece(S, attempt, slope, half)
-    while half > 0.0 and proved_radius(piece.constants(half)) is None:
-        half *= SHORTER
-        piece = _Piece(S, attempt, slope, half if half > 1e-12 * S else 0.0)
-    return piece
+def _piece(stretch: _Stretch, start: float, end: float, harmonics: int) -> _Piece | None:
+    """The theorem on an interval of the parameter; None where it does not hold."""
+    try:
+        curve = stretch.curve(start, end, harmonics)
+    except np.linalg.LinAlgError:  # an orbit at which the equations are singular
+        return None
+    constants = piece_constants(curve, stretch.nu)
+    radius = None if constants is None else proved_radius(constants)
+    return None if constants is None or radius is None else _Piece(curve, stretch.nu, constants, radius)
 
 
 def _joined(one: _Piece, other: _Piece) -> bool:
-    """Whether at an S of both intervals the orbit near one centre is the only one near the other."""
-    gap = other.S - one.S
-    if not one.half + other.half > gap:
-        return False
-    shared = gap * one.half / (one.half + other.half)  # beyond the first centre
-    radius = proved_radius(one.constants(shared * (1.0 + 1e-9)))
-    if radius is None:
-        return False
-    return _holds_there(other, gap - shared, _distance(one.attempt, other.attempt, radius))
-
-
-def _holds_there(piece: _Piece, away: float, distance: float) -> bool:
-    """Whether the only orbit within a distance of a centre, at an S away from it, is the one that is proved."""
-    constants = piece.constants(away * (1.0 + 1e-9))
-    smallest = proved_radius(constants)
-    if smallest is None:
-        return False
-    radii = (smallest, distance, 1.01 * distance, 1.2 * distance)
-    return any(distance <= r and holds(constants, r) for r in radii)
-
-
-def _distance(one: Attempt, other: Attempt, radius: float) -> float:
-    """Upper bound, in the other's norm, of the distance of its centre from what lies within a radius of one's."""
+    """Whether the orbit near the end of one curve is the only one near the start of the other."""
     from flint import arb
 
-    a, b, nu = one.series, other.series, arb(WEIGHT)
-    ratios = [d / e for d, e in zip(a.system.scale, b.system.scale, strict=True)]
-    total = abs(a.square - b.square)
-    for row, line, ratio in zip(a.coefficients, b.coefficients, ratios, strict=True):
-        for i in range(max(len(row), len(line))):
-            here = row[i] * ratio if i < len(row) else arb(0)
-            there = line[i] if i < len(line) else arb(0)
-            total += abs(here - there) * nu ** (2 * i + 1)
-    largest = max((ratio for ratio in ratios), key=float).max(arb(1))
-    return balls.above(total + _ball(radius) * largest)
+    here, there = one.curve.at(arb(1)), other.curve.at(arb(-1))
+    return _only_one(other, balls.above(arb(distance(here, there, other.nu)) + arb(one.radius)))
 
 
-def _ball(value: float) -> arb:
+def _only_one(piece: _Piece, away: float) -> bool:
+    """Whether an orbit that lies within a distance of a curve is the one that is proved."""
+    return any(away <= r and holds(piece.constants, r) for r in (piece.radius, away, 1.01 * away, 1.2 * away))
+
+
+def _fault(stretch: _Stretch, piece: _Piece | None, S: float) -> str:
+    """Why a piece does not hold the branch's orbit at an S, the linear mode at S = 0; empty where it does."""
     from flint import arb
 
-    return arb(value)
+    if piece is None:
+        return ""
+    centre = piece.curve.at(piece.curve.place(stretch.parameter(S)))
+    if S == 0.0:
+        first = centre.system.harmonic(0)
+        moves = any(bool(abs(a) > piece.radius) for row in centre.coefficients for a in row[1 - first : 2 - first])
+        square = (centre.square + arb(0, piece.radius)) * arb(1, SLACK)
+        near = square.overlaps(arb(stretch.family.coordinates.frequency) ** 2)
+        return "" if moves and near else "the curve is not proved to start at the linear mode"
+    orbit = stretch.branch.at(S=S)
+    _, attempt = best_attempt(orbit)
+    if not attempt.proved:
+        return f"the orbit at S = {S!r} is not proved: {reason_of(attempt)}"
+    size = stretch.parameter(S) if stretch.system.step == 1 else stretch.parameter(S).sqrt()
+    known = attempt.series
+    sign = int(_sign(orbit))
+    ratios = [d / (e * size) for d, e in zip(known.system.scale, stretch.system.scale, strict=True)]
+    rows = [[sign * a * ratio for a in row] for row, ratio in zip(known.coefficients, ratios, strict=True)]
+    moved = CosineSeries(stretch.system, known.square, rows)
+    largest = arb(1)
+    for ratio in ratios:
+        largest = largest.max(ratio)
+    away = balls.above(arb(distance(moved, centre, stretch.nu)) + arb(attempt.radius) * largest)
+    return "" if _only_one(piece, away) else f"the curve is not proved to hold the branch's orbit at S = {S!r}"

@@ -64,7 +64,7 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
 
 
 def exact_terms(
-    expression: ca.SX, variables: ca.SX, fixed: ca.SX, values: Sequence[float]
+    expression: ca.SX, variables: ca.SX, fixed: ca.SX, values: Sequence[float | Fraction]
 ) -> list[dict[tuple[int, ...], Fraction]]:
     """Terms of a column of polynomials with exact coefficients: a double is a fraction, and nothing is rounded.
 

@@ -12,7 +12,7 @@ from casadi_skin.bvp.problem import Array
 
 Interval = tuple[float, float]
 
-NORM = "|Omega^2| + sum over positions n and odd k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
+NORM = "|Omega^2| + sum over positions n and harmonics k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
 STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "not decided"
 NO_ABSENCE = "this is no proof that there is no orbit"
 
@@ -32,7 +32,8 @@ class Certificate:
     """A proof that an orbit exists near a computed one, or why there is none; dimensionless, or in the model's units.
 
     Every pair is (lower, upper) in doubles rounded outwards, and holds the value of the true orbit, whose S is exactly
-    the double `S`. Without a proof the pairs are empty intervals of (nan, nan).
+    the double `S`, or with `decimals` the decimal that it is printed as. Without a proof the pairs are empty intervals
+    of (nan, nan).
 
     Attributes:
         proved: whether the orbit is proved to exist.
@@ -46,11 +47,13 @@ class Certificate:
         least_period: whether the period is proved to be the least one.
         S: the amplitude.
         constants: Y, Z and W of the theorem.
-        harmonics: odd harmonics of the finite part.
+        harmonics: how many of the finite part.
         weight: nu of the norm.
         scale: the factors d_n of the norm, shape (positions,).
         reason: why there is no proof and what would help; empty with a proof.
         versions: what computed it.
+        step: of the harmonics: 2 for odd cosines, 1 for all.
+        decimals: whether parameters and S are the decimals that Python prints for their doubles.
     """
 
     proved: bool
@@ -71,36 +74,41 @@ class Certificate:
     scale: Array
     reason: str
     versions: Mapping[str, str]
+    step: int = 2
+    decimals: bool = False
 
     norm = NORM
 
     def __repr__(self) -> str:
         if not self.proved:
             return f"not proved: {self.reason}"
-        c = self.constants
+        c, odd = self.constants, "odd " if self.step == 2 else ""
         return "\n".join(
             [
                 f"proved: one orbit with S = {self.S!r} within {self.radius:.2g} of the computed one (of norm "
                 f"{self.size:.3g}), and no other within {self.uniqueness:.2g}",
                 f"Omega = {self.Omega_digits}; the computed one is off by {self.Omega_error:.2g} at most",
-                f"Y = {c.Y:.3g}, Z = {c.Z:.3g}, W = {c.W:.3g}; {self.harmonics} odd harmonics, nu = {self.weight!r}",
+                f"Y = {c.Y:.3g}, Z = {c.Z:.3g}, W = {c.W:.3g}; {self.harmonics} {odd}harmonics, nu = {self.weight!r}",
             ]
         )
 
 
 @dataclass(frozen=True, eq=False)
 class ProvedStability:
-    """What is proved of the Floquet multipliers exp(i pi sigma) over half a period, those of q' left out.
+    """What is proved of the Floquet multipliers exp(2 pi i sigma/step), those of q' left out.
+
+    They are those over half a period for orbits of odd cosines (step 2), over the period for the others (step 1).
 
     Attributes:
         verdict: "stable": all are on the unit circle and simple, each with its conjugate alone between two numbers;
             "unstable": one is off the circle; or "not decided".
-        brackets: intervals of sigma in (0, 1) with an exponent in each, shape (exponents, 2).
+        brackets: intervals of sigma in (0, step/2) with an exponent in each, shape (exponents, 2).
         signatures: their Krein signatures, +1 or -1, shape (exponents,).
         exponent: one off the real axis, known within `radius`; nan where none is proved.
         radius: see exponent.
         S: the amplitude.
         reason: why it is not decided; empty where it is.
+        step: 2 or 1, see above.
     """
 
     verdict: str
@@ -110,6 +118,7 @@ class ProvedStability:
     radius: float
     S: float
     reason: str = ""
+    step: int = 2
 
     def __repr__(self) -> str:
         where = f"at S = {self.S!r}"
@@ -130,12 +139,16 @@ class ProvedStretch:
         S_start, S_end: where it starts, and how far it is proved.
         pieces: intervals of S that it was proved on.
         reason: why it ends before what was asked; empty where it does not.
+        breaks: values of S between the pieces.
+        radius: largest distance of an orbit from the polynomial of its piece, in the norm for positions over sqrt(S).
     """
 
     S_start: float
     S_end: float
     pieces: int
     reason: str = ""
+    breaks: tuple[float, ...] = ()
+    radius: float = float("nan")
 
     @property
     def complete(self) -> bool:

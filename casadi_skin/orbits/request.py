@@ -45,6 +45,7 @@ class FamilyRequest:
         method: how; what it leaves open is chosen for the model.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
         certify: whose existence tables prove: True for orbits asked for, "all" for every one.
+        decimals: whether proofs take parameters and S for the decimals that Python prints for their doubles.
 
     Raises ValueError and TypeError, naming the argument, what was given and what is accepted.
     """
@@ -57,6 +58,7 @@ class FamilyRequest:
     method: Method = field(default_factory=Method)
     parameters: Mapping[str, float] | None = None
     certify: bool | str = False
+    decimals: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, FamilyModel | OdeModel):

@@ -84,7 +84,7 @@ class Request:
         for mode in self.scene.modes():
             request = FamilyRequest(
                 self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
-                self.scene.accuracy.certify,
+                self.scene.accuracy.certify, decimals=bool(self.scene.accuracy.certify),
             )  # fmt: skip
             found.append(request.for_stability(self.scene.method.walker) if whole else request)
         return tuple(found)

@@ -4,6 +4,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +67,25 @@ def read_text(path: str | Path) -> str:
 def parse_scene(text: str, source: str = "scene") -> Scene:
     """Read a scene from TOML text; raises SceneError whose message begins with the source."""
     try:
-        return scene_of(_parse_toml(text))
+        scene = scene_of(_parse_toml(text))
+        if scene.accuracy.certify:
+            _check_decimals(text)
+        return scene
     except SceneError as fault:
         raise SceneError(f"{source}: {fault}") from None
+
+
+def _check_decimals(text: str) -> None:
+    """Refuse numbers of the model and of S with more digits than doubles have: proofs are about the decimals given."""
+    raw = tomllib.loads(text, parse_float=Decimal)
+    for table in (*MODELS, "family"):
+        for key, value in raw.get(table, {}).items():
+            for number in _leaves(value):
+                if not isinstance(number, int | Decimal) or not Decimal(number).is_finite():
+                    continue
+                if Decimal(number) != Decimal(repr(float(number))):
+                    accepted = f"with [accuracy] certify a number that a double is printed as, here {float(number)!r}"
+                    raise refusal(f"[{table}] {key}", str(number), accepted)
 
 
 def scene_of(raw: dict[str, Any]) -> Scene:

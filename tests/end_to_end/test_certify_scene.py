@@ -66,6 +66,16 @@ def test_proofs_that_nobody_can_give_are_refused_before_anything_is_written(tmp_
     assert not out.exists()
 
 
+def test_numbers_with_more_digits_than_doubles_are_refused_and_decimals_are_proved(tmp_path, capsys):
+    path = scene(tmp_path, gamma="0.2500000000000000000001")
+    assert main(["check", str(path)]) == 2
+    message = capsys.readouterr().err
+    assert "[chain] gamma: given 0.2500000000000000000001; accepted: with [accuracy] certify" in message
+    assert message.count("\n") == 1
+    path.write_text(path.read_text().replace("certify = true", "certify = false"))
+    assert main(["check", str(path)]) == 0
+
+
 def test_missing_library_is_refused_with_the_extra_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "flint", None)
     assert main(["run", str(scene(tmp_path)), "--out", str(tmp_path / "out")]) == 2
@@ -75,9 +85,9 @@ def test_missing_library_is_refused_with_the_extra_to_install(tmp_path, capsys, 
 
 
 def test_orbits_that_are_not_proved_are_told_with_exit_status_1(tmp_path, capsys, monkeypatch):
-    from casadi_skin.certify import certify
+    from casadi_skin.certify import attempt
 
-    monkeypatch.setattr(certify, "LARGEST", 5)
+    monkeypatch.setattr(attempt, "LARGEST", 5)
     out = tmp_path / "out"
     assert main(["run", str(scene(tmp_path)), "--out", str(out)]) == 1
     captured = capsys.readouterr()

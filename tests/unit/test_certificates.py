@@ -7,17 +7,17 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
-from small_models import fput, limit_cycle, pendulums, two_wells
+from small_models import fput, limit_cycle, pendulums
 
 from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls  # noqa: E402
+from casadi_skin.certify.attempt import attempt_of, distance  # noqa: E402
 from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius  # noqa: E402
-from casadi_skin.certify.certify import _attempt, _distance  # noqa: E402
+from casadi_skin.certify.cosine_system import CosineSeries  # noqa: E402
 from casadi_skin.certify.model_terms import system_of  # noqa: E402
-from casadi_skin.certify.odd_system import OddSeries  # noqa: E402
 
 
 def orbit_of(model, S, mode=1, tolerance=1e-10, **options):
@@ -157,6 +157,76 @@ def test_amplitude_with_products_of_positions_is_that_of_the_model():
     assert certificate.energy is None
 
 
+def soft(sites):
+    """FPUT-alpha with fixed ends, forces d + d^2/4 of extensions, and y + y^2 at one site; no half-period symmetry."""
+    q, v = ca.SX.sym("q", sites), ca.SX.sym("v", sites)
+    if sites == 1:
+        force, potential = -q - q**2, q**2 / 2 + q**3 / 3
+    else:
+        d = ca.vertcat(q, 0) - ca.vertcat(0, q)
+        pull = d + d**2 / 4
+        force, potential = pull[1:] - pull[:-1], ca.sum1(d**2 / 2 + d**3 / 12)
+    return OdeModel(
+        "soft", q, force, order=2, velocity=v, reversal=(1,) * sites + (-1,) * sites,
+        hamiltonian=ca.dot(v, v) / 2 + potential,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("S", [1e-6, 0.01, 0.1])
+def test_period_of_a_quadratic_force_is_inside(S):
+    """y'' = -y - y^2 from y(0) = sqrt(S): the period by elliptic integrals of the three turning points."""
+    certificate = orbit_of(soft(1), S).certify()
+    with mp.workdps(40):
+        a = mp.sqrt(mp.mpf(S))
+        energy = a**2 / 2 + a**3 / 3
+        b, c = ((-(a + 1.5) + s * mp.sqrt((a + 1.5) ** 2 - 4 * a**2 - 6 * a)) / 2 for s in (1, -1))
+        period = 4 * mp.sqrt(mp.mpf(3) / 2) / mp.sqrt(a - c) * mp.ellipk((a - b) / (a - c))
+        assert certificate.step == 1
+        assert certificate.least_period
+        assert inside(period, certificate.period)
+        assert inside(2 * mp.pi / period, certificate.Omega)
+        assert inside(energy, certificate.energy)
+        assert inside(a, certificate.profile[:, 0])
+
+
+def test_sums_of_all_cosines_are_proved_at_any_number_of_harmonics():
+    orbit = orbit_of(soft(5), 0.3, mode=2)
+    one, other = orbit.certify(), orbit.certify(harmonics=25, weight=1.1)
+    assert one.proved
+    assert other.proved
+    assert max(one.Omega[0], other.Omega[0]) <= min(one.Omega[1], other.Omega[1])
+    assert np.all(np.maximum(one.profile[0], other.profile[0]) <= np.minimum(one.profile[1], other.profile[1]))
+    assert abs(orbit.energy - one.energy[0]) < 1e-9 * orbit.energy
+    assert abs(orbit.Omega - one.Omega[0]) <= orbit.Omega_error + 1e-15
+
+
+def test_decimals_are_fractions():
+    """alpha = 0.1, g = 0.3 and S = 0.7 as decimals: Omega differs from that of the doubles, and each is inside."""
+    orbit = orbit_of(Chain(1, 0.1, 0.0, 0.3), 0.7, tolerance=1e-13)
+    enclosed = []
+    for decimals in (False, True):
+        certificate = orbit.certify(decimals=decimals)
+        with mp.workdps(40):
+            alpha, g, S = (mp.mpf(str(x)) if decimals else mp.mpf(x) for x in (0.1, 0.3, 0.7))
+            square = 2 + alpha + g * S
+            Omega = mp.pi * mp.sqrt(square) / (2 * mp.ellipk(g * S / (2 * square)))
+            middle, radius = (mp.mpf(x) for x in certificate.Omega_digits.strip("[]").split("+/-"))
+            assert abs(middle - Omega) <= radius < 1e-19
+            enclosed.append(middle)
+            assert certificate.decimals is decimals
+            lam = mp.mpf(orbit.Omega) ** 2  # the computed one, not its square rounded
+            assert abs(lam - Omega**2) <= certificate.radius
+    assert 1e-18 < abs(enclosed[0] - enclosed[1]) < 1e-15
+
+
+def test_harmonics_that_are_left_out_count_in_the_radius():
+    orbit = orbit_of(Chain(2, 1.0, 0.25, -1.0), 1.5)
+    certificate = orbit.certify(harmonics=4)
+    assert certificate.proved
+    beyond = np.abs(orbit.coefficients(12)[4:] / certificate.scale) * 1.02 ** (2.0 * np.arange(4, 12) + 1.0)[:, None]
+    assert certificate.radius >= np.sum(beyond) > 1e-7
+
+
 @pytest.mark.parametrize("size", [1e-6, 1e-3])
 def test_disturbed_orbit_is_not_certified_to_less_than_the_disturbance(size):
     orbit = orbit_of(Chain(6, 1.0, 0.25, -1.0), 1.0)
@@ -166,9 +236,9 @@ def test_disturbed_orbit_is_not_certified_to_less_than_the_disturbance(size):
     right, certificate = orbit.certify(), wrong.certify()
     assert right.radius < 1e-9
     scaled = (wrong.coefficients(12) - orbit.coefficients(12)) / right.scale
-    distance = np.sum(np.abs(scaled) * 1.02 ** (2.0 * np.arange(12) + 1.0)[:, None])
-    assert distance > size
-    assert not certificate.proved or certificate.radius >= 0.999 * distance
+    away = np.sum(np.abs(scaled) * 1.02 ** (2.0 * np.arange(12) + 1.0)[:, None])
+    assert away > size
+    assert not certificate.proved or certificate.radius >= 0.999 * away
     if certificate.proved:  # then the true orbit is inside
         assert max(right.Omega[0], certificate.Omega[0]) <= min(right.Omega[1], certificate.Omega[1])
 
@@ -182,13 +252,13 @@ def unrefined(orbit, harmonics, weight=1.02):
     sites = np.arange(1, system.positions + 1)
     columns = orbit.coefficients(40, sites)[:harmonics].T.tolist()
     exact = [[(flint.arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
-    series = OddSeries(system, flint.arb(orbit.Omega**2), exact)
+    series = CosineSeries(system, flint.arb(orbit.Omega**2), exact)
     return FiniteInverse(series, flint.arb(weight))
 
 
 def padded(series, harmonics):
     rows = [[*row, *[flint.arb(0)] * (harmonics - len(row))] for row in series.coefficients]
-    return OddSeries(series.system, series.square, rows)
+    return CosineSeries(series.system, series.square, rows)
 
 
 def test_radius_is_the_distance_of_the_true_orbit_but_for_a_little():
@@ -198,11 +268,11 @@ def test_radius_is_the_distance_of_the_true_orbit_but_for_a_little():
         bounds = unrefined(orbit, 6)
         constants = bounds.constants()
         radius = proved_radius(constants)
-        true = _attempt(orbit, bounds.series.system, 24, 1.02).series
-        distance = _distance(padded(bounds.series, 24), true, bounds.nu)
-    assert 0.9 * constants.Y <= distance <= radius
-    assert distance > 0.55 * radius
-    assert proved_radius(replace(constants, Y=constants.Y / 2)) < distance
+        true = attempt_of(orbit, bounds.series.system, 24, 1.02).series
+        away = distance(padded(bounds.series, 24), true, bounds.nu)
+    assert 0.9 * constants.Y <= away <= radius
+    assert away > 0.55 * radius
+    assert proved_radius(replace(constants, Y=constants.Y / 2)) < away
 
 
 def explicit(bounds, harmonics, shift=None):
@@ -368,9 +438,8 @@ def test_forces_that_are_no_polynomials_are_refused():
     assert "odd polynomials" in refusal(orbit_of(pendulums(3), 0.1))
 
 
-def test_orbits_without_half_period_symmetry_are_refused():
-    assert "odd cosines" in refusal(orbit_of(two_wells(), 0.01))
-    assert "odd cosines" in refusal(limit_cycle())
+def test_orbits_that_are_no_sums_of_cosines_are_refused():
+    assert "sums of cosines" in refusal(limit_cycle())
 
 
 def test_chains_that_act_one_way_or_have_no_end_are_refused():

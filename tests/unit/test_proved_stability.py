@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from small_models import two_wells
 
 from casadi_skin import Chain, follow_family
 
@@ -15,7 +16,6 @@ from casadi_skin.certify.certify import best_attempt  # noqa: E402
 from casadi_skin.certify.exponent import _bordered, _Pair, _toeplitz, enclosed_exponent  # noqa: E402
 from casadi_skin.certify.inertia import _count, negative_eigenvalues  # noqa: E402
 from casadi_skin.certify.linearised import Linearised, linearised  # noqa: E402
-from casadi_skin.certify.stretch import _distance, _joined, _piece  # noqa: E402
 
 
 def hill(blocks):
@@ -23,7 +23,7 @@ def hill(blocks):
 
 
 def dense(problem, sigma, highest):
-    G = _toeplitz(problem.blocks, highest, highest)
+    G = _toeplitz(problem, highest, highest)
     shifts = np.repeat(sigma + np.arange(-highest, highest + 1, 2), problem.positions)
     return G + np.diag(float(problem.square.mid()) * shifts**2)
 
@@ -99,6 +99,50 @@ def test_a_change_of_stability_is_proved_and_the_unstable_side_agrees_with_an_in
     assert np.min(np.abs(multipliers - expected)) < 1e-6 + 10.0 * proof.radius
 
 
+def test_stability_of_sums_of_all_cosines_agrees_with_an_integration_over_the_period():
+    """Henon-Heiles, detuned: the family of y is a sum of all cosines; the exponent is that over the whole period."""
+    branch = follow_family(two_wells(), mode=2, amplitude_max=0.45, tolerance=1e-10)
+    for S in (0.02, 0.3, 0.45):
+        orbit = branch.at(S=S)
+        proof = orbit.proved_stability
+        assert proof.step == 1
+
+        def rhs(t, s):
+            x, y, u, w = s[:4]
+            K = np.array([[1.0 + 2.0 * y, 2.0 * x], [2.0 * x, 1.44 - 2.0 * y]])
+            V = s[4:].reshape(4, 4)
+            return np.concatenate(
+                [[u, w, -x - 2 * x * y, -1.44 * y - x**2 + y**2], np.vstack([V[2:], -K @ V[:2]]).ravel()]
+            )
+
+        start = np.concatenate([orbit.evaluate(0.0)[0].ravel()[:2], np.zeros(2), np.eye(4).ravel()])
+        end = solve_ivp(rhs, (0.0, orbit.period), start, rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
+        multipliers = np.linalg.eigvals(end[4:].reshape(4, 4))
+        others = multipliers[np.argsort(np.abs(multipliers - 1.0))[2:]]
+        if proof.verdict == "stable":
+            (low, high), turns = proof.brackets[0], np.angle(others) / (2.0 * np.pi)
+            assert np.allclose(np.abs(others), 1.0, atol=1e-6)
+            assert low < np.max(turns) < high
+        else:
+            assert proof.verdict == "unstable"
+            assert np.min(np.abs(others - np.exp(2j * np.pi * proof.exponent))) < 1e-6 + 10.0 * proof.radius
+    assert {branch.at(S=S).proved_stability.verdict for S in (0.02, 0.45)} == {"stable", "unstable"}
+
+
+def test_rounding_of_sums_that_cancel_is_enclosed():
+    """G_0 is nearly -lambda sigma^2: the rounding of the large terms counts, not that of their small sum."""
+    with flint.ctx.workprec(balls.PRECISION):
+        sigma, square = 0.123456789, 1.7
+        problem = replace(hill([[[-square * sigma**2]], [[1e-9]]]), square=flint.arb(square))
+        pair = _Pair.near(problem, complex(sigma), 4)
+        J, unsure = pair.finite_part(_toeplitz(problem, 4, 4), square)
+        for i, m in enumerate((-4, -2, 0, 2, 4)):
+            exact = flint.arb(problem.blocks[0, 0, 0]) + square * (flint.acb(pair.sigma.real, pair.sigma.imag) + m) ** 2
+            off = abs(exact - flint.acb(J[1 + i, 1 + i].real, J[1 + i, 1 + i].imag))
+            assert off <= unsure[1 + i, 1 + i]
+        assert unsure[3, 3] > 1e-18
+
+
 # The bounds -----------------------------------------------------------------------------------------------------------
 
 
@@ -147,12 +191,12 @@ def test_enclosed_exponents_are_bounded_by_dense_operators_and_disturbances():
         pair = _Pair.near(problem, start, 12)
         constants, n = pair.constants(), problem.positions
         wide = 40  # the whole operator, nearly
-        G = _toeplitz(problem.blocks, wide, wide)
+        G = _toeplitz(problem, wide, wide)
         square = float(problem.square.mid())
         inner = (wide - 12) // 2 * n
         w = np.zeros(G.shape[0], complex)
         w[inner : inner + pair.w.size] = pair.w.ravel()
-        DF, F = _bordered(G, square, pair.sigma, w, wide, w.conj())
+        DF, F = _bordered(G, square, pair.sigma, w, problem.harmonics(wide), w.conj())
         shifts = np.repeat(pair.sigma + np.arange(-wide, wide + 1, 2), n)
         A = np.diag(np.concatenate([[1.0], 1.0 / (square * shifts**2)])).astype(complex)
         place = np.concatenate([[0], 1 + inner + np.arange(pair.w.size)])
@@ -167,24 +211,3 @@ def test_enclosed_exponents_are_bounded_by_dense_operators_and_disturbances():
             moved = disturbed.constants()
             assert factor * 1e-6 * (1.0 - moved.Z) < moved.Y
         assert abs(sigma - pair.sigma) < 1e-6 + radius
-
-
-# Stretches ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_stretch_of_a_family_is_proved_and_pieces_of_two_families_are_not_joined():
-    branch, other = (
-        follow_family(Chain(2, 1.0, 0.25, 1.0), mode=m, amplitude_max=0.6, tolerance=1e-10) for m in (1, 2)
-    )
-    stretch = branch.certify(0.5, 0.51)
-    assert stretch.complete
-    assert stretch.pieces > 1
-    with flint.ctx.workprec(balls.PRECISION):
-        pieces = [_piece(S, best_attempt(b.at(S=S))[1]) for b, S in ((branch, 0.5), (branch, 0.5005), (other, 0.5005))]
-        assert _joined(pieces[0], pieces[1])
-        assert not _joined(pieces[0], pieces[2])
-        squares = [float(p.attempt.series.square.mid()) for p in pieces]
-        assert _distance(pieces[0].attempt, pieces[2].attempt, 0.0) > abs(squares[0] - squares[2]) > 0.1
-        assert not _joined(replace(pieces[0], half=1e-9), replace(pieces[1], half=1e-9))
-    with pytest.raises(ValueError, match=r"start, end: given 0\.5, 0\.4; accepted: 0 < start < end"):
-        branch.certify(0.5, 0.4)

@@ -1,8 +1,8 @@
-"""Equations of odd cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls.
+"""Equations of cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls.
 
-Positions are y_n = d_n q_n with fixed numbers d_n, q_n = sum over odd k of a_nk cos(k theta), theta = Omega t, and
-lambda = Omega^2. Products of cosine series are products of polynomials: with z = exp(i theta) each series is z^-K times
-a polynomial in z^2.
+Positions are y_n = d_n q_n with fixed numbers d_n, q_n = sum over k of a_nk cos(k theta), theta = Omega t, and lambda =
+Omega^2. The harmonics are k = 1, 3, 5, ... (step 2) or 0, 1, 2, ... (step 1). Products of cosine series are products of
+polynomials: with z = exp(i theta) each series is z^-K times a polynomial in z^step, K its highest harmonic.
 """
 
 from __future__ import annotations
@@ -20,20 +20,24 @@ Terms = Mapping[Factors, Fraction]
 
 
 @dataclass(frozen=True, eq=False)
-class OddSystem:
+class CosineSystem:
     """Polynomial forces and amplitude of one model at fixed parameters, in scaled positions.
 
     Attributes:
-        forces: of each position the terms of its acceleration in the model's positions, of odd degrees.
+        forces: of each position the terms of its acceleration in the model's positions, of odd degrees for step 2.
         amplitude: terms of the quadratic form h that S is the value of.
         scale: the factors d_n, each an exact number.
-        S: value of the amplitude, exact.
+        S: value of the amplitude.
+        step: of the harmonics, 2 or 1.
+        parameter: s, with which a term of degree p has the factor s^((p - 1)/step); 1 but along a family.
     """
 
     forces: Sequence[Terms]
     amplitude: Terms
     scale: Sequence[arb]
     S: arb
+    step: int = 2
+    parameter: arb | None = None
 
     @property
     def positions(self) -> int:
@@ -41,8 +45,12 @@ class OddSystem:
 
     @property
     def degree(self) -> int:
-        """Highest degree of the forces, odd."""
+        """Highest degree of the forces."""
         return max((len(factors) for terms in self.forces for factors in terms), default=1)
+
+    def harmonic(self, index: int) -> int:
+        """The harmonic k with an index, 1, 3, 5, ... or 0, 1, 2, ..."""
+        return self.step * (index + 1) - 1
 
     def scaled(self, row: int | None) -> list[tuple[Factors, arb]]:
         """Terms of the acceleration of q_row, or of the amplitude, with coefficients for scaled positions."""
@@ -54,43 +62,50 @@ class OddSystem:
             value = arb(fmpq(coefficient.numerator, coefficient.denominator))
             for n in factors:
                 value *= self.scale[n]
-            result.append((factors, value if row is None else value / self.scale[row]))
+            if row is not None:
+                value /= self.scale[row]
+                if self.parameter is not None:
+                    value *= self.parameter ** ((len(factors) - 1) // self.step)
+            result.append((factors, value))
         return result
 
 
-class OddSeries:
-    """The equations and their derivatives at one lambda and one set of coefficients a_nk, k = 1, 3, ..., 2H - 1."""
+class CosineSeries:
+    """The equations and their derivatives at one lambda and one set of coefficients a_nk, H harmonics of each n."""
 
-    def __init__(self, system: OddSystem, square: arb, coefficients: Sequence[Sequence[arb]]) -> None:
+    def __init__(self, system: CosineSystem, square: arb, coefficients: Sequence[Sequence[arb]]) -> None:
         from flint import arb_poly
 
         self.system, self.square, self.coefficients = system, square, coefficients
         self.harmonics = len(coefficients[0])
-        self.highest = 2 * self.harmonics - 1
-        halves = [[a / 2 for a in series] for series in coefficients]
+        self.highest = system.harmonic(self.harmonics - 1)
         self._products: dict[Factors, arb_poly] = {(): arb_poly([1])}
-        for n, half in enumerate(halves):
-            self._products[n,] = arb_poly([*reversed(half), *half])
+        for n, series in enumerate(coefficients):
+            half = [a / 2 for a in series]
+            middle = [] if system.step == 2 else [series[0]]
+            outer = half[len(middle) :]
+            self._products[n,] = arb_poly([*reversed(outer), *middle, *outer])
         self._terms = [system.scaled(n) for n in range(system.positions)]
 
     def _product(self, factors: Factors) -> arb_poly:
-        """z^(pK) times a product of p series, a polynomial in z^2."""
+        """z^(pK) times a product of p series, a polynomial in z^step."""
         if factors not in self._products:
             self._products[factors] = self._product(factors[:-1]) * self._products[factors[-1:]]
         return self._products[factors]
 
     def _sum(self, terms: Sequence[tuple[Factors, arb]], last: int) -> list[arb]:
-        """Coefficients of z^k of a sum of products, k = last, last - 2, ... down to 0 or 1, in ascending order."""
+        """Coefficients of z^k of a sum of products, k = last, last - step, ... down to 0 or 1, in ascending order."""
         from flint import arb, arb_poly
 
         by_degree: dict[int, arb_poly] = {}
+        step = self.system.step
         for factors, coefficient in terms:
             part = self._product(factors) * coefficient
             by_degree[len(factors)] = by_degree.get(len(factors), arb_poly()) + part
-        total = [arb(0) for _ in range(last // 2 + 1)]
+        total = [arb(0) for _ in range(last // step + 1)]
         for degree, part in by_degree.items():
-            for i, k in enumerate(range(last % 2, min(last, degree * self.highest) + 1, 2)):
-                total[i] += part[(degree * self.highest + k) // 2]
+            for i, k in enumerate(range(last % step, min(last, degree * self.highest) + 1, step)):
+                total[i] += part[(degree * self.highest + k) // step]
         return total
 
     # The equations ----------------------------------------------------------------------------------------------------
@@ -122,14 +137,15 @@ class OddSeries:
         return slope
 
     def residual(self, n: int) -> list[arb]:
-        """Coefficients of cos(k theta) in the equation of q_n, for every odd k that occurs."""
-        values = [2 * value for value in self._sum(self._terms[n], self.system.degree * self.highest)]
+        """Coefficients of cos(k theta) in the equation of q_n, for every k that occurs."""
+        values = self._sum(self._terms[n], self.system.degree * self.highest)
+        values = [2 * value if self.system.harmonic(i) else value for i, value in enumerate(values)]
         for i, a in enumerate(self.coefficients[n]):
-            values[i] += self.square * (2 * i + 1) ** 2 * a
+            values[i] += self.square * self.system.harmonic(i) ** 2 * a
         return values
 
     def derivatives(self, m: int) -> dict[int, list[arb]]:
-        """For each q_n that force m depends on, the coefficients g_p of z^p, p = 0, 2, ..., of d force_m / d q_n."""
+        """For each q_n that force m depends on, the coefficients g_p of z^p, p = 0, step, ..., of d force_m/d q_n."""
         parts: dict[int, list[tuple[Factors, arb]]] = {}
         for factors, coefficient in self._terms[m]:
             for place, n in enumerate(factors):
