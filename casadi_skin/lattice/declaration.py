@@ -91,6 +91,11 @@ class Link:
     start: int | None
     end: int | None
 
+    @property
+    def inner(self) -> bool:
+        """Whether it joins two sites."""
+        return self.start is not None and self.end is not None
+
 
 @dataclass(frozen=True)
 class Declaration:
@@ -212,6 +217,12 @@ class Declaration:
         """Parameters that are one number for all cells."""
         plain = {k: v for k, v in self.parameters.items() if not isinstance(v, str | Uniform | Sequence | np.ndarray)}
         return {name: number(f"parameters {name}", value) for name, value in plain.items()}
+
+    @property
+    def differing(self) -> list[str]:
+        """Names of indices and parameters in the formulas that have another value in another cell."""
+        used = {name for formula in self.formulas.values() for name in formula.names}
+        return sorted({*INDICES, *self.by_cell} & used)
 
     def _array(self, place: str, value: object) -> Array:
         try:

@@ -63,6 +63,11 @@ class Equations:
             found[s::count] = self.at("site", s, field, self.cells, y=self.y[s::count], v=self.v[s::count], t=self.t)
         return found
 
+    @cached_property
+    def inner(self) -> list[int]:
+        """Indices of the links between two sites."""
+        return [k for k, link in enumerate(self.links) if link.inner]
+
     def links_of(self, bond: int) -> list[Link]:
         """The links of a bond, in the order of cells."""
         return [link for link in self.links if link.bond == bond]

@@ -19,10 +19,14 @@ from casadi_skin.theory.linear import standing_wave
 
 
 class ChainCoordinates(Coordinates):
-    """What all coordinates of a chain share: the gauge of a `core`, whose equations are solved, and kappa = g S."""
+    """What all coordinates of a chain share: the gauge of a `core`, whose equations are solved, and kappa = g S.
+
+    `declared` is the lattice that declares the chain, with values of its parameters, where there is one.
+    """
 
     def __init__(self, chain: Chain, core: Chain, mode: int) -> None:
         self.chain, self.core, self.mode_number = chain, core, mode
+        self.declared: tuple[OdeModel, Mapping[str, float]] | None = None
 
     @cached_property
     def scaled(self) -> OdeModel:
@@ -40,11 +44,12 @@ class ChainCoordinates(Coordinates):
 
     @cached_property
     def model(self) -> OdeModel:
-        return self.chain.tunable_model()
+        return self.chain.tunable_model() if self.declared is None else self.declared[0]
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        return {"alpha": self.chain.alpha, "gamma": self.chain.gamma, "g": self.chain.g}
+        chain = self.chain
+        return {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g} if self.declared is None else self.declared[1]
 
     @property
     def description(self) -> str:
@@ -52,7 +57,7 @@ class ChainCoordinates(Coordinates):
 
     @property
     def attributes(self) -> Mapping[str, float]:
-        return {"sites": self.chain.sites, **self.parameters}
+        return {"sites": self.chain.sites, **self.parameters} if self.declared is None else self.parameters
 
     def band(self) -> tuple[float, float]:
         return self.chain.band()

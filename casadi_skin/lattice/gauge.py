@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -11,50 +12,48 @@ import numpy as np
 from casadi_skin.lattice.declaration import Array, Link
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.expressions import antiderivative
-from casadi_skin.lattice.trials import SAME, Trial, trials_of
+from casadi_skin.lattice.trials import SAME, Trial
 
 LARGEST = 600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
 
 
 def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | None, list[ca.SX]]:
     """Logarithms of the weights at the declared values, and the weights as expressions; None where loops disagree."""
-    size, inner = equations.y.numel(), [k for k, link in enumerate(equations.links) if _inner(link)]
+    size, inner = equations.y.numel(), equations.inner
+    start, end = (np.array([_ends(equations.links[k])[side] for k in inner], dtype=int) for side in (0, 1))
     logs = []
     for trial in trials:
-        ratios = trial.gains[:, 0] / trial.gains[:, 1]  # c_end / c_start
-        if np.any(ratios[inner] <= 0) or not np.all(np.isfinite(ratios[inner])):
+        ratios = (trial.gains[:, 0] / trial.gains[:, 1])[inner]  # c_end / c_start
+        if np.any(ratios <= 0) or not np.all(np.isfinite(ratios)):
             return None, []
         found = logs_of(equations, trial.gains)
-        for k in inner:
-            i, j = _ends(equations.links[k])
-            if abs(found[j] - found[i] - np.log(ratios[k])) > SAME * size:
-                return None, []
+        if np.any(np.abs(found[end] - found[start] - np.log(ratios)) > SAME * size):
+            return None, []
         logs.append(found)
-    firsts, expressions = _least_of_parts(equations, logs[0]), [ca.SX(1)] * size
-    for k, forwards in _walk(equations, firsts):
+    firsts, expressions = np.argsort(logs[0], kind="stable"), [ca.SX(1)] * size  # of each part the first has the least
+    alike = np.all([trial.gains[:, 0] == trial.gains[:, 1] for trial in trials], axis=0)
+    for k, forwards in _walk(equations, firsts.tolist()):
         i, j = _ends(equations.links[k])
         first, second = equations.gains[k]
-        ratio = ca.SX(1) if ca.is_equal(first, second, 4) else first / second
-        if forwards:
-            expressions[j] = expressions[i] * ratio
-        else:
-            expressions[i] = expressions[j] / ratio
+        here, there = (i, j) if forwards else (j, i)
+        ratio = 1 if alike[k] else first / second if forwards else second / first
+        expressions[there] = expressions[here] * ratio
     (values,) = equations.at_nominal(ca.log(ca.vertcat(*expressions)))
     return values, expressions
 
 
 def logs_of(equations: Equations, gains: Array) -> Array:
     """Logarithms of the weights along a tree of bonds, 0 where it begins, from the gains of all, shape (links, 2)."""
-    logs = np.zeros(equations.y.numel())
-    for k, forwards in _walk(equations, range(logs.size)):
+    logs, rates = [0.0] * equations.y.numel(), np.zeros(len(equations.links))
+    inner = equations.inner
+    rates[inner] = np.log(gains[inner, 0] / gains[inner, 1])
+    for k, forwards in _tree(equations):
         i, j = _ends(equations.links[k])
-        rate = float(np.log(gains[k, 0] / gains[k, 1]))
-        logs[j if forwards else i] = logs[i] + rate if forwards else logs[j] - rate
-    return logs
-
-
-def _inner(link: Link) -> bool:
-    return link.start is not None and link.end is not None
+        if forwards:
+            logs[j] = logs[i] + rates[k]
+        else:
+            logs[i] = logs[j] - rates[k]
+    return np.array(logs)
 
 
 def _ends(link: Link) -> tuple[int, int]:
@@ -63,13 +62,19 @@ def _ends(link: Link) -> tuple[int, int]:
     return link.start, link.end
 
 
+@lru_cache(maxsize=2)
+def _tree(equations: Equations) -> list[tuple[int, bool]]:
+    """The bonds of a tree from the first site of each connected part."""
+    return list(_walk(equations, range(equations.y.numel())))
+
+
 def _walk(equations: Equations, firsts: Iterable[int]) -> Iterator[tuple[int, bool]]:
     """Bonds of a tree through each connected part, and whether they are gone along from start to end."""
-    touching: dict[int, list[int]] = {}
-    for k, link in enumerate(equations.links):
-        if _inner(link):
-            for i in _ends(link):
-                touching.setdefault(i, []).append(k)
+    touching: dict[int, list[tuple[int, int, bool]]] = {}
+    for k in equations.inner:
+        i, j = _ends(equations.links[k])
+        touching.setdefault(i, []).append((k, j, True))
+        touching.setdefault(j, []).append((k, i, False))
     seen: set[int] = set()
     for first in firsts:
         if first in seen:
@@ -77,19 +82,11 @@ def _walk(equations: Equations, firsts: Iterable[int]) -> Iterator[tuple[int, bo
         queue = deque([first])
         seen.add(first)
         while queue:
-            here = queue.popleft()
-            for k in touching.get(here, ()):
-                i, j = _ends(equations.links[k])
-                there = j if i == here else i
+            for k, there, forwards in touching.get(queue.popleft(), ()):
                 if there not in seen:
                     seen.add(there)
                     queue.append(there)
-                    yield k, i == here
-
-
-def _least_of_parts(equations: Equations, logs: Array) -> list[int]:
-    """Sites in the order of their weights, so that the first of each connected part has the least."""
-    return [int(i) for i in np.argsort(logs, kind="stable")]
+                    yield k, forwards
 
 
 def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
@@ -141,7 +138,7 @@ def site_energies(equations: Equations, log_weights: Array | None, weights: list
         for chosen, ends, share in (
             ([k for k, link in enumerate(links) if link.end is None], (0,), 1.0),
             ([k for k, link in enumerate(links) if link.start is None], (1,), 1.0),
-            ([k for k, link in enumerate(links) if _inner(link)], (0, 1), 0.5),
+            ([k for k, link in enumerate(links) if link.inner], (0, 1), 0.5),
         ):
             at = [[(links[k].start, links[k].end)[side] for k in chosen] for side in ends]
             strengths = [c[at[n]] * ca.vertcat(*(gains[k][side] for k in chosen)) for n, side in enumerate(ends)]
@@ -151,12 +148,12 @@ def site_energies(equations: Equations, log_weights: Array | None, weights: list
     return energies
 
 
-def is_conserved(equations: Equations, energy: ca.SX, log_weights: Array) -> bool:
+def is_conserved(equations: Equations, energy: ca.SX, log_weights: Array, trials: list[Trial]) -> bool:
     """Whether the energy keeps its value, at random states of the gauge, to rounding of its own terms."""
-    slope_y, slope_v = (ca.densify(ca.gradient(energy, x)) for x in (equations.y, equations.v))
-    change = ca.vertcat(slope_y * equations.v, slope_v * equations.accelerations)
+    slope = ca.densify(ca.gradient(energy, ca.vertcat(equations.y, equations.v)))
+    change = slope * ca.vertcat(equations.v, equations.accelerations)
     rate = ca.Function("rate", [equations.y, equations.v, equations.parameters], [change])
-    for trial in trials_of(equations):
+    for trial in trials:
         scale = np.exp(-0.5 * log_weights)
         terms = np.array(rate(scale * trial.y, scale * trial.v, trial.parameters))
         if not abs(terms.sum()) <= SAME * terms.size * np.sum(np.abs(terms)):

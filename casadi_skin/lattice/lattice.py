@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_skin import methods
 from casadi_skin.arguments import short_repr
+from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
+from casadi_skin.lattice.declared_chain import declared_chain
 from casadi_skin.lattice.driving import forcing_period_of
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.structure import Structure, structure_of
 from casadi_skin.models.ode import OdeModel
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.coordinates import Coordinates
+    from casadi_skin.orbits.method import Method
 
 __all__ = ["Bond", "Lattice", "Site", "Uniform"]
 
@@ -86,6 +93,24 @@ class Lattice(OdeModel):
             state, rhs = ca.vertcat(equations.y, equations.v), ca.vertcat(equations.v, equations.accelerations)
             time = None if period is None else equations.t
             super().__init__(state=state, rhs=rhs, time=time, forcing_period=period, **common)
+
+    def own_coordinates(
+        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float]
+    ) -> Coordinates | None:
+        """Those of the chain where the lattice declares one with such a family, else None; see `follow_family`."""
+        values = named_values(self, parameters)
+        chain = declared_chain(self, values)
+        if chain is None:
+            return None
+        try:
+            found = methods.TASKS["chain_coordinates"].load()(chain, mode, amplitude_max, method)
+        except ValueError:
+            if method.tail is not None:
+                raise
+            return None
+        found.declared = self, values
+        coordinates: Coordinates = found
+        return coordinates
 
     def __repr__(self) -> str:
         return f"Lattice({self.name}, cells = {list(self.declaration.cells)}, {self.declaration.size} sites)"

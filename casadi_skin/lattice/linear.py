@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.statement import named_values
-from casadi_skin.lattice.declaration import INDICES, Array
+from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.expressions import expression
 from casadi_skin.lattice.gauge import logs_of
 from casadi_skin.lattice.lattice import Lattice
@@ -163,7 +163,7 @@ def bands(
         ValueError: the cells differ.
     """
     declaration = lattice.declaration
-    differing = cells_differ_by(lattice)
+    differing = declaration.differing
     if differing:
         raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
     beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(declaration.cells))
@@ -192,13 +192,6 @@ def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str
         K[:, i, j] -= first * factor
         K[:, j, i] -= second / factor
     return np.asarray(K / masses[:, None])
-
-
-def cells_differ_by(lattice: Lattice) -> list[str]:
-    """Names of indices and parameters in the formulas that have another value in another cell."""
-    declaration = lattice.declaration
-    used = {name for formula in declaration.formulas.values() for name in formula.names}
-    return sorted({*INDICES, *declaration.by_cell} & used)
 
 
 def _values(lattice: Lattice, parameters: Mapping[str, float]) -> dict[str, ca.SX]:

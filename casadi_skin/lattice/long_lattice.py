@@ -17,7 +17,6 @@ from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import cells_differ_by
 from casadi_skin.orbits.linear_modes import symmetrising_scale
 from casadi_skin.orbits.spectrum import LinearSpectrum
 
@@ -80,7 +79,7 @@ class LongLattice:
             raise ValueError(f"boundary: given {PERIODIC}, which has no edge; accepted: fixed, free")
         if self.edge is not None:
             check_name("edge", self.edge, (FIRST, LAST))
-        if differing := cells_differ_by(lattice):
+        if differing := lattice.declaration.differing:
             words = f"cells that differ by {', '.join(differing)}"
             raise ValueError(f"lattice: given {words}; accepted with a linear tail: cells alike")
         if not lattice.structure.reversible or not lattice.structure.odd:

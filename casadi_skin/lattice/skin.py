@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import ComplexArray, cell_matrices, cells_differ_by
+from casadi_skin.lattice.linear import ComplexArray, cell_matrices
 
 FEWEST, MOST = 512, 32768  # wave numbers
 RESOLVED = 0.25 * np.pi  # change of a phase from one wave number to the next
@@ -88,5 +88,5 @@ def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str
 def _check(lattice: Lattice) -> None:
     if len(lattice.declaration.cells) != 1:
         raise ValueError(f"lattice: given {len(lattice.declaration.cells)} dimensions; accepted: one")
-    if differing := cells_differ_by(lattice):
+    if differing := lattice.declaration.differing:
         raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")

@@ -94,7 +94,9 @@ def structure_of(equations: Equations) -> Structure:
     energies, energy = site_energies(equations, log_weights, scale), None
     if energies is not None and log_weights is not None and equations.autonomous:
         total = ca.sum1(energies)
-        energy = total if np.max(log_weights) <= LARGEST and is_conserved(equations, total, log_weights) else None
+        energy = (
+            total if np.max(log_weights) <= LARGEST and is_conserved(equations, total, log_weights, trials) else None
+        )
     return Structure(
         log_weights, energy, energies, is_odd(equations, trials), is_polynomial(equations),
         log_weights is not None and equations.autonomous and keeps_momentum(equations, trials),

@@ -32,6 +32,17 @@ class FamilyModel(Protocol):
         ...
 
 
+@runtime_checkable
+class DeclaredModel(Protocol):
+    """An `OdeModel` that may have coordinates of its own, as a `Lattice` that is a chain."""
+
+    def own_coordinates(
+        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float]
+    ) -> Coordinates | None:
+        """Coordinates of the family that grows from a linear mode; None where they are those of any model."""
+        ...
+
+
 @dataclass(frozen=True)
 class FamilyRequest:
     """One family of a model, from a linear mode at S = 0 to S = `amplitude_max`.
@@ -95,6 +106,10 @@ class FamilyRequest:
     @cached_property
     def coordinates(self) -> Coordinates:
         """The coordinates that the family is solved in."""
+        if isinstance(self.model, DeclaredModel):
+            own = self.model.own_coordinates(self.mode, self.amplitude_max, self.method, self.parameters or {})
+            if own is not None:
+                return own
         if isinstance(self.model, OdeModel):
             if self.method.tail is not None:
                 raise ValueError(f"tail: given {short_repr(self.method.tail)}; accepted: with a chain alone")

@@ -12,7 +12,7 @@ from casadi_skin.figures.bands import band_figure
 from casadi_skin.figures.skin import skin_figure
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import bands, cells_differ_by, lattice_modes
+from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.runs.pictures import picture
@@ -21,7 +21,7 @@ from casadi_skin.scene import Scene
 
 def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
     """spectrum.csv, where modes live, with pictures; where all cells are alike also bands and the skin effect."""
-    modes, alike = lattice_modes(lattice, parameters), not cells_differ_by(lattice)
+    modes, alike = lattice_modes(lattice, parameters), not lattice.declaration.differing
     has_skin = alike and len(lattice.declaration.cells) == 1
     if has_skin:
         windings = winding_numbers(lattice, modes.squares, parameters)

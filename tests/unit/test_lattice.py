@@ -13,6 +13,7 @@ import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, search_orbit
+from casadi_skin.lattice.declared_chain import declared_chain
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -37,20 +38,57 @@ def by_hand(name: str) -> OdeModel:
 # The same numbers -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("sites", "gamma", "mode", "g"), [(24, 0.25, 1, -1.0), (24, -0.25, 24, 1.0), (48, 0.6, 1, -1.0)]
+    ("sites", "gamma", "mode", "g"),
+    [
+        pytest.param(7, 0.3, 4, 1.0, marks=pytest.mark.slow),
+        pytest.param(24, -0.25, 24, 1.0, marks=pytest.mark.slow),
+        pytest.param(48, 0.6, 1, -1.0, marks=pytest.mark.slow),
+    ],
 )
 def test_the_chain_as_a_lattice_has_the_numbers_of_the_chain(sites: int, gamma: float, mode: int, g: float) -> None:
-    models = Chain(sites, 1.0, gamma, g), chain(sites, 1.0, gamma, g)
-    options = {"mode": mode, "amplitude_max": 1.0, "stability": True, "events": False, "tolerance": 1e-9}
+    """To the last digit: it is solved in the chain's coordinates."""
+    models = Chain(sites, 0.9, gamma, g), chain(sites, 0.9, gamma, g)
+    options = {"mode": mode, "amplitude_max": 1.0, "stability": True, "tolerance": 1e-9}
     ours, theirs = (follow_family(model, at=(0.2, 1.0), **options) for model in models)
-    for S in (0.2, 1.0):
-        a, b = ours.at(S=S), theirs.at(S=S)
-        assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
-        assert b.energy == pytest.approx(a.energy, rel=1e-10)
-        mine, other = (np.sort_complex(np.round(o.floquet().mu, 11)) for o in (a, b))
-        assert np.max(np.abs(mine - other)) < 1e-9
+    assert np.array_equal(ours.S, theirs.S)
+    assert np.array_equal(ours.Omega, theirs.Omega)
+    assert [change.S for change in ours.changes] == [change.S for change in theirs.changes]
+    a, b = (branch.at(S=1.0) for branch in (ours, theirs))
+    assert b.energy == a.energy
+    assert np.array_equal(b.floquet().multipliers, a.floquet().multipliers)
+
+
+def test_a_lattice_that_is_the_chain_keeps_its_own_parameters() -> None:
+    bond = Bond("a", "a", (-1,), "d", ("1 + lean", "1 - lean"))
+    lattice = Lattice(6, [Site("a", "(k + 1)*y + h*y^3/2")], [bond], "fixed", {"k": 0.5, "lean": 0.1, "h": -1.0})
+    options = {"mode": 1, "amplitude_max": 0.2, "tolerance": 1e-9}
+    branch = follow_family(lattice, parameters={"lean": 0.3, "h": -2.0}, **options)
+    assert np.array_equal(branch.Omega, follow_family(Chain(6, 1.5, 0.3, -1.0), **options).Omega)
+    moved = branch.orbits[-1].follow("lean", 0.2)
+    assert moved.parameters["k"][-1] == 0.5
+    there = follow_family(lattice, parameters={"lean": 0.2, "h": -2.0}, at=(0.2,), **options)
+    assert moved.Omega[-1] == pytest.approx(there.at(S=0.2).Omega, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("onsite", "force", "gain", "mass", "boundary"),
+    [
+        ("y + y^3", "2*d", GAINS, "1", "fixed"),
+        ("y + y^3 + y^5", "d", GAINS, "1", "fixed"),
+        ("sin(y)", "d", GAINS, "1", "fixed"),
+        ("n*y + y^3", "d", GAINS, "1", "fixed"),
+        ("y + y^3", "d + d^3", GAINS, "1", "fixed"),
+        ("y + y^3", "d", ("1", "1 + gamma"), "1", "fixed"),
+        ("y + y^3", "d", GAINS, "2", "fixed"),
+        ("y + y^3", "d", GAINS, "1", "free"),
+    ],
+)
+def test_what_is_not_the_chain_is_not_taken_for_it(
+    onsite: str, force: str, gain: tuple[str, str], mass: str, boundary: str
+) -> None:
+    lattice = Lattice(4, [Site("a", onsite, mass)], [Bond("a", "a", (1,), force, gain)], boundary, {"gamma": 0.2})
+    assert declared_chain(lattice, {"gamma": 0.2}) is None
 
 
 @pytest.mark.parametrize(
