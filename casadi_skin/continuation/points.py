@@ -87,6 +87,7 @@ class End(Enum):
     CLOSED = "the branch closed on itself: it is a closed curve, and all of it is there"
     AWAY = "the branch came back and went on beyond its start, as far as it was to go there"
     HOPF = "the cycle shrinks to an equilibrium at a Hopf point"
+    REJOINED = "the orbits come back to those that they left"
     UNBOUNDED = "the period grows without bound"
     TAKENS = "the Hopf points end at a Bogdanov-Takens point, with frequency zero"
     BAUTIN = "the cycles shrink to an equilibrium at a generalized Hopf point"

@@ -17,7 +17,7 @@ from casadi_skin.critical_orbits.edges import located_edge
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
 from casadi_skin.critical_orbits.normal_forms import on_circle
-from casadi_skin.critical_orbits.systems import KAPPA, Critical
+from casadi_skin.critical_orbits.systems import KAPPA, PUSH, Critical
 from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
@@ -27,10 +27,11 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS, SpecialPoint
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint
 from casadi_skin.stability.reduction import ComplexArray
 
-KINDS = (FOLD, DOUBLING, TORUS)
+KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
+UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class OrbitCurveSpace(BoundarySpace):
     """Special orbits of one kind in two parameters, of which one is followed and the other one free.
 
     Attributes:
-        kind: "fold", "period doubling" or "torus".
+        kind: "fold", "period doubling", "torus" or "branch point".
         critical: what they solve.
         orbits: the space of the branch on which the first was found.
     """
@@ -148,7 +149,8 @@ def curve(
 
     Arguments:
         point: a fold, a Hopf point or, where something keeps it, a branch point of equilibria; of orbits a fold, a
-            period doubling or a torus; of a family the edge of a real tongue (`Branch.edge`), with S free.
+            period doubling, a torus or, where something keeps it, a branch point; of a family the edge of a real tongue
+            (`Branch.edge`), with S free.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
         at, max_points, max_step, back_to, until, progress: as in `follow`.
@@ -197,7 +199,21 @@ def curve_space(
         why = "its extended equations are not solved, or the model has no second derivatives"
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
     unit = abs(orbits.to - orbits.statement.values[point.parameter])
-    return _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+    space = _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+    if point.kind == BRANCH_POINT:
+        _check_kept(space)
+    return space
+
+
+def _check_kept(space: OrbitCurveSpace) -> None:
+    """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
+    start = space.start
+    push = start.problem.states + list(space.statement.free).index(PUSH)  # type: ignore[attr-defined]
+    if abs(float(start.tangent[push])) > UNFOLDS:
+        why = "no symmetry, and nothing else, keeps both branches together"
+        raise of_equilibria.UnfoldingError(
+            f"{space.model.name}: the branch point is none at other values of {space.parameter}: {why}"
+        )
 
 
 def _space(

@@ -54,6 +54,22 @@ class Linearised:
     @cached_property
     def jacobian(self) -> Any:
         """The square derivative of the orbit's equations, parameters that are not free held, sparse."""
+        whole, n, free = self.problem.formulation.states, self.components, len(self.statement.free)
+        states = _leading(self.problem.states, whole, n)
+        return self._own_rows[:, [*states, *range(self.problem.states, self.problem.states + free)]].tocsc()
+
+    @property
+    def slope(self) -> Array:
+        """The derivative of the orbit's equations by the parameter that the problem follows, dense."""
+        name = self.problem.walking
+        assert name is not None
+        return np.asarray(
+            self._own_rows[:, -1].toarray().ravel() / (self.problem.end - self.problem.statement.values[name])
+        )
+
+    @cached_property
+    def _own_rows(self) -> Any:
+        """The rows of the orbit's own equations in the whole derivative."""
         from scipy.sparse import csc_matrix
 
         problem, whole, n = self.problem, self.problem.formulation.states, self.components
@@ -65,8 +81,7 @@ class Linearised:
         )
         ranges = (range(bottom, bottom + conditions), range(bottom + ends, bottom + ends + integrals))
         rows = [*_leading(bottom, whole, n), *ranges[0], *ranges[1]]
-        free = range(problem.states, problem.states + len(self.statement.free))
-        return matrix[rows][:, [*_leading(problem.states, whole, n), *free]].tocsc()
+        return matrix[rows]
 
     def twisted(self, factor: complex) -> Any:
         """The derivative of the equations of the state alone, for v(1) = factor v(0), sparse."""

@@ -14,9 +14,10 @@ from casadi_skin.critical_orbits.starting import component_sizes, critical_plane
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be
+PUSHED = 1e-7  # of the null vector: a push of the field that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) 
 
     `angle` is that of the multipliers of a torus.
     """
-    if kind not in (FOLD, DOUBLING, TORUS):
+    if kind not in (FOLD, DOUBLING, TORUS, BRANCH_POINT):
         return None
     unit = abs(space.to - space.statement.values[space.parameter])
     try:
@@ -96,6 +97,8 @@ def solved(
         return None
     found = extended.point_solver.refined(finer, correction, row, Scalar.PARAMETER)
     if found is None:
+        return None
+    if critical.kind == BRANCH_POINT and abs(float(found.z[-2])) > PUSHED:
         return None
     index = found.problem.states + len(space.statement.free)
     return LocatedOrbit(critical, found, float(found.z[index]), _error(extended, found, index))

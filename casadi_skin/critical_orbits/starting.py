@@ -8,7 +8,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
 
 RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 
@@ -18,10 +18,9 @@ def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float
     n, count = critical.states, len(critical.orbit.free)
     linear = Linearised(problem, z, critical.orbit)
     if critical.kind == FOLD:
-        null, _ = null_vectors(linear.jacobian)
-        v, added = null[: problem.states].reshape(-1, n), null[problem.states :]
-        changes = np.sum((added / [critical.size_of(name) for name in critical.orbit.free]) ** 2)
-        size = np.sqrt(_mean(problem, v / critical.sizes) + changes)
+        v, added, size = _of_fold(critical, problem, null_vectors(linear.jacobian)[0])
+    elif critical.kind == BRANCH_POINT:
+        v, added, size = _of_branch_point(critical, linear)
     elif critical.kind == DOUBLING:
         v, added = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n), np.zeros(0)
         size = np.sqrt(_mean(problem, v / critical.sizes))
@@ -30,9 +29,31 @@ def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float
         size = 1.0 if critical.joined else np.sqrt(_mean(problem, v / critical.sizes))
     else:
         v, added, size = _of_torus(critical, problem, z, angle)
-    added = np.append(np.cos(angle), added[1:] / size) if critical.kind not in (FOLD, DOUBLING, EDGE) else added / size
+    added = np.append(np.cos(angle), added[1:] / size) if critical.kind == TORUS else added / size
     states = np.hstack([z[: problem.states].reshape(-1, n), v / size])
     return np.concatenate([states.ravel(), z[problem.states : problem.states + count], [value], added, [0.0]])
+
+
+def _of_fold(critical: Critical, problem: BoundaryProblem, null: Array) -> tuple[Array, Array, float]:
+    """A null vector in states, in changes of the free parameters, and its size."""
+    v, added = null[: problem.states].reshape(-1, critical.states), null[problem.states :]
+    changes = np.sum((added / [critical.size_of(name) for name in critical.orbit.free]) ** 2)
+    return v, added, float(np.sqrt(_mean(problem, v / critical.sizes) + changes))
+
+
+def _of_branch_point(critical: Critical, linear: Linearised) -> tuple[Array, Array, float]:
+    """v1 and v2 side by side, their changes of free parameters and the push; the size of v1."""
+    from scipy.sparse import bmat, csc_matrix
+    from scipy.sparse.linalg import splu
+
+    problem, matrix = linear.problem, linear.jacobian
+    right, left = null_vectors(matrix)
+    v, added, size = _of_fold(critical, problem, right)
+    closed = bmat([[matrix, csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]).tocsc()
+    slope = linear.slope * critical.size_of(critical.first)
+    second = np.asarray(splu(closed).solve(np.append(-slope, 0.0))[:-1])
+    w, changes = second[: problem.states].reshape(v.shape), second[problem.states :]
+    return np.hstack([v, size * w]), np.concatenate([added, size * changes, [0.0]]), size
 
 
 def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: float) -> tuple[Array, Array, float]:

@@ -10,6 +10,10 @@ trivial multiplier is 1 as well.
 Of the edge of a real tongue of symmetric orbits along v in one of the three symmetry classes that the velocity x' is
 not in; or, where a pair meets the trivial one, along v1 = dx/dT and v2 with v2' = J v2 - v1 in the class of x': four
 multipliers are the same then. One parameter more is free.
+
+Of a branch point along a null vector v1, and v2 by which the orbits of the branch change with the parameter, orthogonal
+to it; the field is pushed by a multiple of v1 that comes back as zero (after Moore 1980; regular where exactly two
+branches cross transversally, whether a symmetry is lost there or not).
 """
 
 from __future__ import annotations
@@ -23,9 +27,9 @@ from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.special_points import DOUBLING, EDGE, FOLD, TORUS
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
 
-KAPPA, SHIFT = "cosine of the angle", "shift along the orbit"
+KAPPA, SHIFT, PUSH = "cosine of the angle", "shift along the orbit", "push along the null vector"
 Parity = tuple[tuple[int, ...], tuple[int, ...]]
 
 
@@ -45,7 +49,7 @@ class Critical:
     """What makes the extended statement of critical orbits.
 
     Attributes:
-        kind: "fold", "period doubling" or "torus".
+        kind: "fold", "period doubling", "torus", "branch point" or the edge of a tongue.
         orbit: the statement of the orbits themselves.
         first: name of the parameter that is found with the orbit.
         sizes: what components of v are measured by, shape (components of the state,).
@@ -64,12 +68,15 @@ class Critical:
 
     @property
     def changes(self) -> tuple[str, ...]:
-        """Names of w, the changes of the free parameters along the null vector of a fold."""
-        return tuple(f"change of {name}" for name in self.orbit.free) if self.kind == FOLD else ()
+        """Names of the changes of the free parameters along the null vector, of a branch point along v2 too."""
+        along = [f"change of {name}" for name in self.orbit.free] if self.kind in (FOLD, BRANCH_POINT) else []
+        return (*along, *(f"{name} with {self.first}" for name in along if self.kind == BRANCH_POINT))
 
     @property
     def added(self) -> tuple[str, ...]:
         """Names of parameters that the model of the orbit does not have."""
+        if self.kind == BRANCH_POINT:
+            return (*self.changes, PUSH)
         if self.kind != TORUS:
             return self.changes
         return (KAPPA, SHIFT) if self.autonomous else (KAPPA,)
@@ -82,7 +89,7 @@ class Critical:
     @property
     def copies(self) -> int:
         """How many linearised states there are."""
-        return 2 if self.kind == TORUS or self.joined else 1
+        return 2 if self.kind in (TORUS, BRANCH_POINT) or self.joined else 1
 
     @property
     def states(self) -> int:
@@ -104,8 +111,10 @@ class Critical:
         s, x, p = kind.sym("s"), kind.sym("x", n * (1 + copies)), kind.sym("p", count + len(self.added))
         field = self._field(s, x[:n], p[:count])
         rows = [field, *(ca.jtimes(field, x, self._direction(x, k)) for k in range(1, 1 + copies))]
-        if self.changes:
-            rows[1] = rows[1] + ca.jtimes(field, p, self._change(p))
+        for row in range(1, 1 + copies if self.kind in (FOLD, BRANCH_POINT) else 1):
+            rows[row] = rows[row] + ca.jtimes(field, p, self._change(p, row))
+        if self.kind == BRANCH_POINT:
+            rows[0] = rows[0] + p[-1] * x[n : 2 * n]
         if self.joined:
             rows[1:] = [rows[1] + field, rows[2] - x[n : 2 * n]]
         names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
@@ -124,12 +133,18 @@ class Critical:
         n = self.states
         return ca.vertcat(x[copy * n : (copy + 1) * n], type(x).zeros(int(x.numel()) - n))
 
-    def _change(self, p: Expression) -> Expression:
-        """The direction in all parameters that w is."""
-        names, count = self.orbit.model.parameter_names, len(self.orbit.model.parameter_names)
-        places = {name: count + k for k, name in enumerate(self.orbit.free)}
-        entries = [p[places[name]] if name in places else type(p)(0) for name in names]
-        return ca.vertcat(*entries, type(p).zeros(len(self.added)))
+    def _change(self, p: Expression, copy: int = 1) -> Expression:
+        """The direction in all parameters that belongs to a copy: along v2 the one that is found changes too."""
+        names = self.orbit.model.parameter_names
+        entries = {name: type(p)(0) for name in names} | dict(zip(self.orbit.free, self._changed(p, copy), strict=True))
+        if copy == 2:
+            entries[self.first] = type(p)(self.size_of(self.first))
+        return ca.vertcat(*(entries[name] for name in names), type(p).zeros(len(self.added)))
+
+    def _changed(self, p: Expression, copy: int) -> list[Expression]:
+        """The changes of the free parameters that belong to a copy."""
+        first = len(self.orbit.model.parameter_names) + (copy - 1) * len(self.orbit.free)
+        return [p[first + k] for k in range(len(self.orbit.free))]
 
     def _conditions(self, model: OdeModel) -> tuple[list[Expression], list[Expression]]:
         """What vanishes at the ends, and in the mean."""
@@ -140,11 +155,10 @@ class Critical:
         rows = border(first[:n], last[:n], p[:count])
         conditions, integrals = [rows], self._means(model)
         v0, v1 = first[n : 2 * n], last[n : 2 * n]
-        if self.kind == FOLD:
-            changed = ca.jtimes(rows, first, self._direction(first, 1)) + ca.jtimes(
-                rows, last, self._direction(last, 1)
-            )
-            conditions.append(changed + ca.jtimes(rows, p, self._change(p)))
+        if self.kind in (FOLD, BRANCH_POINT):
+            for copy in range(1, 1 + self.copies):
+                at_ends = [ca.jtimes(rows, end, self._direction(end, copy)) for end in (first, last)]
+                conditions.append(sum(at_ends) + ca.jtimes(rows, p, self._change(p, copy)))
         elif self.kind == DOUBLING:
             conditions.append(v1 + v0)
         elif self.kind == EDGE:
@@ -177,15 +191,24 @@ class Critical:
             stacked = ca.vertcat(*(ca.vec(e) for e in orbit.integrals))
             along = orbit.along("means", stacked)(start + s * (end - start), x[:n], p[:count])
             means.append((end - start) * along)
-        if self.kind == FOLD and means:
-            changed = ca.jtimes(means[0], x, self._direction(x, 1)) + ca.jtimes(means[0], p, self._change(p))
-            means.append(changed)
         if self.joined:  # v1 has its size by itself
             return means
-        size = ca.sumsqr(x[n : 2 * n] / ca.DM(self.sizes)) / n
-        for place, name in enumerate(self.orbit.free if self.changes else ()):
-            size = size + (p[count + place] / self.size_of(name)) ** 2
-        return [*means, size - 1]
+        whole = means[0] if means else None
+        for copy in range(1, 1 + self.copies if self.changes and whole is not None else 1):
+            means.append(ca.jtimes(whole, x, self._direction(x, copy)) + ca.jtimes(whole, p, self._change(p, copy)))
+        products = [self._product(x, p, 1) - 1]
+        if self.kind == BRANCH_POINT:
+            products.append(self._product(x, p, 2))
+        return [*means, *products]
+
+    def _product(self, x: Expression, p: Expression, copy: int) -> Expression:
+        """The product of v1 and a copy, by the sizes of components, with the changes of free parameters."""
+        n, sizes = self.states, ca.DM(self.sizes)
+        found = ca.dot(x[n : 2 * n] / sizes, x[copy * n : (copy + 1) * n] / sizes) / n
+        if self.changes:
+            for name, a, b in zip(self.orbit.free, self._changed(p, 1), self._changed(p, copy), strict=True):
+                found = found + a * b / self.size_of(name) ** 2
+        return found
 
     def size_of(self, name: str) -> float:
         """What the change of a free parameter is measured by."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
 
 from casadi_skin.arguments import whole
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.equilibria.cycles import TOLERANCE
 from casadi_skin.equilibria.equilibrium import Equilibrium
@@ -62,7 +63,7 @@ class Diagram(Result):
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Special points of all branches, each once."""
         found = list[SpecialPoint]()
-        for point in (point for branch in self.branches for point in branch.special_points):
+        for point in (point for branch in self.branches for point in points_of(branch)):
             if not any(is_same(point, other) for other in found):
                 found.append(point)
         return tuple(found)
@@ -148,7 +149,7 @@ class Further:
         waiting = [("", self.branches[0], 0)]
         while waiting:
             prefix, branch, depth = waiting.pop(0)
-            for number, point in enumerate(branch.special_points, start=1):
+            for number, point in enumerate(points_of(branch), start=1):
                 met = self._of(point)
                 if met.left:
                     continue
@@ -168,11 +169,19 @@ class Further:
             direction = _direction(space, space.first)
             closed = branch.end is End.CLOSED
             self._of(point).directions += [direction, -direction] if closed else [direction]
+        if branch.end is End.REJOINED:
+            self._reach(point.kind, branch)
         self._meet(branch)
+
+    def _reach(self, kind: str, branch: Branch) -> None:
+        """Nothing more leaves where a branch has come back to the orbits that it left."""
+        end = replace(branch.special_points[-1], kind=kind)
+        for met in self._met:
+            met.left = met.left or is_same(met.point, end)
 
     def _meet(self, branch: Branch) -> None:
         """Keep where a branch passes special points, and in which direction."""
-        for point in branch.special_points:
+        for point in points_of(branch):
             met = self._of(point)
             if isinstance(point.solution, Equilibrium):
                 along = _direction(cast(EquilibriumSpace, branch.space), point.solution.point)
@@ -217,6 +226,11 @@ class Further:
             self.failures.append(f"{point.kind} at {first.parameter} = {here:.8g}: {reasons[0]}")
 
 
+def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:
+    """Special points of a branch, but for its end where it has come back to one of what it left."""
+    return branch.special_points[: -1 if branch.end is End.REJOINED else None]
+
+
 def _direction(space: EquilibriumSpace, point: Point) -> Array:
     """The tangent at a point of equilibria in the units of the model, of norm 1 over the sizes of the state."""
     course, n = space.course, space.statics.size
@@ -236,7 +250,7 @@ def is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
     if one.kind != other.kind:
         return False
     (x, x_error), (y, y_error) = _extent(one), _extent(other)
-    p, q = (np.array(list(point.solution.parameters.values())) for point in (one, other))
+    p, q = (np.array([v for k, v in point.solution.parameters.items() if k != PERIOD]) for point in (one, other))
     if x.shape != y.shape or p.shape != q.shape:
         return False
     error = max(x_error, y_error)

@@ -14,11 +14,15 @@ from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.orbits.bifurcations import critical_vector
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.find_orbit import closed_statement, forced_statement
+from casadi_skin.orbits.lost_symmetry import lost_operations
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.rejoining import Left
 from casadi_skin.solvers.levels import ErrorEstimate
 
-EVEN = 512  # places along an orbit at which the mean over the period is taken
+RESTS, SHARE = 1e-5, 1e-2  # of the largest component: what rests; of a usual one: what it is measured by
+STILL = 1e-6  # rate of a parameter that does not change along a tangent
 
 
 def leaving_orbits(
@@ -32,8 +36,7 @@ def leaving_orbits(
 ) -> BoundarySpace:
     """The space of the orbits that leave, from the orbit run through once or twice along its critical Floquet vector.
 
-    Twice at a period doubling, whose critical multiplier is -1; once at a branch point, where it is 1 and the branch
-    leaves to both sides of the other one, as where a symmetry is lost.
+    Twice at a period doubling, whose critical multiplier is -1; once at a branch point, where it is 1.
     """
     old = orbit._boundary_space()
     periodic = old.periodic
@@ -51,21 +54,56 @@ def leaving_orbits(
         statement = forced_statement(model, turns * cycles, values, rotated)
     else:
         statement = closed_statement(model, guess, turns * period, values, rotated)
-    sizes = Sizes(orbit.problem.floors, turns * orbit.problem.scalar_floors)
+    sizes = Sizes(_floors(orbit), turns * orbit.problem.scalar_floors)
     periodic = replace(periodic, turns=rotated)
     space = BoundarySpace(
-        statement, old.tolerance, old.method, sizes, periodic, parameter, to, at, None, settings, leaves=True
-    )
+        statement, old.tolerance, old.method, sizes, periodic, parameter, to, at, None, settings, leaves=True,
+        left=_left(orbit, turns),
+    )  # fmt: skip
     problem = _problem(space, orbit, turns)
     t = turns * period * problem._fractions()
     states = orbit.evaluate(t)
     free = [turns * period if name == PERIOD else statement.values[name] for name in statement.free]
     z = np.concatenate([states.ravel(), free, [0.0]])
-    tangent = np.zeros(problem.size)
-    tangent[: problem.states] = side * _perturbation(orbit, turns, values, t).ravel()
-    tangent /= np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
     error = ErrorEstimate(orbit.point.error.Omega, orbit.point.error.profile)
-    return replace(space, first=Point(problem, z, tangent, error, settings.first_step, 0))
+    first = Point(problem, z, np.zeros(problem.size), error, settings.first_step, 0)
+    if turns == 1:
+        return replace(space, first=replace(first, tangent=side * _other(space, first, orbit)))
+    tangent = np.zeros(problem.size)
+    tangent[: problem.states] = side * _perturbation(orbit, values, t).ravel()
+    tangent /= np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
+    return replace(space, first=replace(first, tangent=tangent))
+
+
+def _floors(orbit: Orbit) -> Array:
+    """What components are measured by at least: those that rest by a share of a usual one, as they may move soon."""
+    floors, largest = orbit.problem.floors, np.max(np.abs(orbit.states), axis=0)
+    rests = largest <= RESTS * np.max(largest)
+    return np.asarray(np.where(rests, np.maximum(floors, SHARE * np.median(largest[~rests])), floors))
+
+
+def _left(orbit: Orbit, turns: int) -> Left | None:
+    """What the orbits that leave may come back to; None where no symmetry is lost."""
+    space = orbit._boundary_space()
+    if turns == 2:
+        return Left(space, 2, np.ones(orbit.model.full_size), 0.5)
+    lost = next(iter(lost_operations(orbit)), None)
+    return None if lost is None else Left(space, 1, *lost)
+
+
+def _other(space: BoundarySpace, first: Point, orbit: Orbit) -> Array:
+    """The tangent of the other branch at a branch point: towards the end asked for where it changes the parameter.
+
+    Where it does not, that along which the component that changes most grows.
+    """
+    old, problem = orbit._boundary_space(), first.problem
+    along = orbit.problem.prolong(orbit.point.tangent, problem).copy()
+    along[-1] *= (old.to - old.statement.values[old.parameter]) / (space.to - space.statement.values[space.parameter])
+    tangent = other_tangent(space.point_solver, replace(first, tangent=along))
+    if abs(tangent[-1]) > STILL:
+        return np.asarray(tangent * np.sign(tangent[-1]))
+    tangent[-1] = 0.0
+    return np.asarray(tangent * np.sign(tangent[np.argmax(np.abs(tangent[: problem.states]))]))
 
 
 def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> BoundaryProblem:
@@ -78,8 +116,8 @@ def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> BoundaryProblem:
     return problem
 
 
-def _perturbation(orbit: Orbit, turns: int, values: dict[str, float], t: Array) -> Array:
-    """The perturbation that the orbit gives back, or turns to its opposite, in a period; shape (time, component)."""
+def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
+    """The perturbation that the orbit turns to its opposite in a period; shape (time, component)."""
     from scipy.integrate import solve_ivp
 
     model = orbit._boundary_space().model
@@ -92,16 +130,8 @@ def _perturbation(orbit: Orbit, turns: int, values: dict[str, float], t: Array) 
         x = orbit.evaluate(at % orbit.period)[0]
         return np.asarray(np.array(jacobian(at, x, p)) @ w)
 
-    start = critical_vector(orbit, 1.0 if turns == 1 else -1.0)
     times = np.unique(np.mod(t, orbit.period))
-    found = solve_ivp(rate, (0.0, orbit.period), start, "LSODA", times, rtol=1e-6, atol=1e-9)
+    found = solve_ivp(rate, (0.0, orbit.period), critical_vector(orbit, -1.0), "LSODA", times, rtol=1e-6, atol=1e-9)
     turn = np.floor(t / orbit.period * (1.0 + 1e-14)).astype(int)
     along = np.array([np.interp(np.mod(t, orbit.period), times, column) for column in found.y]).T
-    if turns == 2 or model.forced:
-        return np.asarray(np.where((turn % 2 == 0) | (turns == 1), 1.0, -1.0)[:, None] * along)
-    even = orbit.period * np.arange(EVEN) / EVEN  # without what only shifts the phase
-    velocity = np.array([np.array(model.vector_field(0.0, x, p)).ravel() for x in orbit.evaluate(even)])
-    moved = np.array([np.interp(even, times, column) for column in found.y]).T
-    shift = float(np.sum(velocity * moved) / np.sum(velocity**2))
-    here = np.array([np.array(model.vector_field(0.0, x, p)).ravel() for x in orbit.evaluate(np.mod(t, orbit.period))])
-    return np.asarray(along - shift * here)
+    return np.asarray(np.where(turn % 2 == 0, 1.0, -1.0)[:, None] * along)

@@ -82,7 +82,8 @@ class Stretch:
     @property
     def turns(self) -> bool:
         """Whether the parameter turns back an odd number of times."""
-        return bool(_sign(self.first.point.tangent[-1]) != _sign(self.last.point.tangent[-1]))
+        rates = [float(end.point.tangent[-1]) for end in (self.first, self.last)]
+        return bool(_sign(rates[0]) != _sign(rates[1]) and max(np.abs(rates)) > STILL)
 
     @property
     def reorients(self) -> bool:

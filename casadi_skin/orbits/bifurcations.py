@@ -24,6 +24,7 @@ CRITICAL = 1e-4  # distance from the unit circle of a multiplier that is on it a
 BESIDE = 1e-3  # of it: a place next to a special orbit, whose own multiplier has no side
 HALVINGS = 8  # of a stretch on which several multipliers cross
 FAR = 6.0  # log |multiplier| at both ends of a stretch of one that does not come to the circle within it
+TINY = float(np.finfo(float).tiny)  # what stands for a multiplier that is below the smallest double
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,14 @@ class _Stretch:
         return _sides(self.before, self.first), _sides(self.after, self.last)
 
     def crossings(self) -> Iterator[tuple[str, Callable[[Floquet], float], complex]]:
-        """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and where."""
+        """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and where.
+
+        A multiplier that errors keep from having a side at both ends, as along conservative orbits, crosses nothing.
+        """
+        allowed = max(self.before.floquet().error, self.after.floquet().error)
         for first, last, one, other in zip(self.first, self.last, *self.sides, strict=True):
             pair = first.imag != 0.0 and last.imag != 0.0
-            if not one * other < 0.0 or (pair and first.imag < 0.0):
+            if not one * other < 0.0 or max(abs(one), abs(other)) <= allowed or (pair and first.imag < 0.0):
                 continue
             real = last if last.imag == 0.0 else first
             if pair:
@@ -66,16 +71,17 @@ class _Stretch:
         Seen on the cubic through both ends, in the middle and where the parabola through the three is stationary.
         """
         one, other = self.sides
-        if not np.any(np.minimum(np.abs(one), np.abs(other)) < FAR):
+        near = np.minimum(np.abs(one), np.abs(other)) < FAR
+        if not np.any(near):
             return None
         curve, length = space.point_solver.curve(self.before.point, self.after.point)
 
         def inside(fraction: float) -> tuple[Array, float]:
             floquet = space.floquets([replace(self.after.point, z=curve.at(fraction * length), better=None)])[0]
             values = _matched((1.0 - fraction) * self.first + fraction * self.last, floquet.others)
-            return np.log(np.abs(values)), floquet.error
+            return _outwards(values), floquet.error
 
-        same, (middle, allowed) = np.sign(one) == np.sign(other), inside(0.5)
+        same, (middle, allowed) = near & (np.sign(one) == np.sign(other)), inside(0.5)
         if np.any(same & (middle * one < 0.0) & (np.abs(middle) > allowed)):
             return 0.5
         bend, slope = 2.0 * (one + other - 2.0 * middle), other - one
@@ -123,13 +129,17 @@ def _matched(first: ComplexArray, last: ComplexArray) -> ComplexArray:
 
 
 def _sides(orbit: Orbit, multipliers: ComplexArray) -> Array:
-    with np.errstate(divide="ignore"):
-        outwards = np.log(np.abs(multipliers))
+    outwards = _outwards(multipliers)
     if orbit.point.special and outwards.size:
         nearest = multipliers[np.argmin(np.abs(outwards))]
         critical = np.minimum(np.abs(multipliers - nearest), np.abs(multipliers - nearest.conjugate())) < CRITICAL
         outwards[critical & (np.abs(outwards) < CRITICAL)] = 0.0
     return np.asarray(outwards)
+
+
+def _outwards(multipliers: ComplexArray) -> Array:
+    """log |multiplier|, also of one that is below the smallest double."""
+    return np.asarray(np.log(np.maximum(np.abs(multipliers), TINY)))
 
 
 def _real(value: float) -> Callable[[Floquet], float]:

@@ -29,7 +29,8 @@ from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.period_limit import joined_words, limit_between, resting_phases, resting_places, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
+from casadi_skin.orbits.rejoining import Left
+from casadi_skin.orbits.special_points import BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
@@ -63,6 +64,7 @@ class BoundarySpace:
         first: the start of the branch.
         settings: of the continuation.
         leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+        left: the orbits that it left there, where it may come back to them.
     """
 
     statement: Statement
@@ -76,6 +78,7 @@ class BoundarySpace:
     first: Point | None = None
     settings: ContinuationSettings | None = None
     leaves: bool = False
+    left: Left | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     knows_stability: bool = field(default=False, init=False)
@@ -162,10 +165,11 @@ class BoundarySpace:
         hopf: Point | None = None
         if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        end = hopf if self.left is None or hopf is not None else self.left.rejoined(self, before, after)
+        passed = parts if end is None else parts[: len(parts) // 2]  # beyond it the same folds come again
         yield from (self._fold_between(*part) for part in passed)
-        if hopf is not None:
-            yield hopf
+        if end is not None:
+            yield end
 
     def _fold_between(self, before: Point, after: Point) -> Point:
         """The fold between two points; of orbits as a solution of its extended equations."""
@@ -233,6 +237,8 @@ class BoundarySpace:
     def stop(self, point: Point) -> tuple[End | None, str]:
         if point.special == HOPF:
             return End.HOPF, ""
+        if point.special == BRANCH_POINT and self.left is not None:
+            return End.REJOINED, ""
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"

@@ -8,6 +8,7 @@ of two levels.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -109,8 +110,7 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
 
     Null vectors by inverse iteration, second derivatives by differences of the Jacobian (Keller 1977).
     """
-    from scipy.sparse import csc_matrix, diags, vstack
-    from scipy.sparse.linalg import splu
+    from scipy.sparse import csc_matrix
 
     problem, z, along = point.problem, point.z, point.tangent
     rows, columns = problem.pattern
@@ -122,23 +122,33 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
 
     J, t = jacobian(z), along / sizes
     t = t / np.linalg.norm(t)
-    closed = vstack([J, csc_matrix(t[None, :])]).tocsc()
-    generator = np.random.default_rng(0)
-    shift = 1e-11 * float(np.max(np.abs(closed.data)))
-    factors = splu((closed + shift * diags(generator.random(problem.size))).tocsc())
-    right: Array = generator.normal(size=problem.size)
-    for _ in range(4):
-        left = np.asarray(factors.solve(right / np.linalg.norm(right), trans="T"))  # type: ignore[call-overload]
-        right = np.asarray(factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float)))
-    psi = left[:-1] / np.linalg.norm(left[:-1])
-    across = right - t * (t @ right)
-    across /= np.linalg.norm(across)
+    across, psi = _null_vectors(J, t)
+    first, _ = _null_vectors(J, across)  # the tangent given may be that of a point beside it
     h = 1e-4
 
     def form(a: Array, b: Array) -> float:
         moved = (jacobian(z + h * sizes * a) - jacobian(z - h * sizes * a)) @ b / (2.0 * h)
         return float(psi @ moved)
 
-    mixed, curved = form(t, across), form(across, across)
-    direction = across if mixed == 0.0 else across - t * curved / (2.0 * mixed)
-    return np.asarray(sizes * direction / np.linalg.norm(direction))
+    own, mixed, curved = form(first, first), form(first, across), form(across, across)
+    root = mixed + np.copysign(np.sqrt(max(mixed**2 - own * curved, 0.0)), mixed)
+    choices = [-root * first + own * across, curved * first - root * across] if root else [across]
+    directions = [sizes * choice / np.linalg.norm(choice) for choice in choices]
+    return np.asarray(min(directions, key=lambda direction: abs(float(direction / sizes @ t))))
+
+
+def _null_vectors(J: Any, t: Array) -> tuple[Array, Array]:
+    """The vector across t that a Jacobian annihilates at a branch point, and the one from the left; of norm 1."""
+    from scipy.sparse import csc_matrix, diags, vstack
+    from scipy.sparse.linalg import splu
+
+    closed = vstack([J, csc_matrix(t[None, :])]).tocsc()
+    generator = np.random.default_rng(0)
+    shift = 1e-11 * float(np.max(np.abs(closed.data)))
+    factors = splu((closed + shift * diags(generator.random(t.size))).tocsc())
+    right: Array = generator.normal(size=t.size)
+    for _ in range(4):
+        left = np.asarray(factors.solve(right / np.linalg.norm(right), trans="T"))  # type: ignore[call-overload]
+        right = np.asarray(factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float)))
+    across = right - t * (t @ right)
+    return np.asarray(across / np.linalg.norm(across)), np.asarray(left[:-1] / np.linalg.norm(left[:-1]))

@@ -8,6 +8,7 @@ and half a period, turn to its opposite (Golubitsky, Stewart and Schaeffer 1988)
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
@@ -29,23 +30,30 @@ def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:
     Arguments:
         orbit: at the branch point, over its whole period.
     """
-    model, names, found = orbit.model, orbit.model.state_names, []
+    found = []
+    for signs, shift in lost_operations(orbit):
+        changed = ", ".join(name for name, sign in zip(orbit.model.state_names, signs, strict=True) if sign < 0)
+        found.append(f"{'half-period' if shift else 'mirror'} symmetry in {changed}")
+    return tuple(found)
+
+
+def lost_operations(orbit: Orbit) -> Iterator[tuple[Array, float]]:
+    """Signs of the components, and the share of the period, of each symmetry that is lost at a branch point."""
+    model = orbit.model
     times = orbit.period * np.arange(PLACES) / PLACES
     states, later = orbit.evaluate(times), orbit.evaluate(times + 0.5 * orbit.period)
     within = HELD * np.ptp(states)
     vector = critical_vector(orbit, 1.0)
     after: Array | None = None
     for signs in sign_symmetries(model, orbit.model_parameters):
-        changed = ", ".join(name for name, sign in zip(names, signs, strict=True) if sign < 0)
         at_once = not model.forced and bool(np.max(np.abs(signs * states - states)) < within)
         if at_once and np.linalg.norm(signs * vector + vector) < np.linalg.norm(signs * vector - vector):
-            found.append(f"mirror symmetry in {changed}")
+            yield signs, 0.0
         if np.max(np.abs(signs * states - later)) < within:
             after = _half_a_period_on(orbit, vector) if after is None else after
             image = _across(orbit, signs * vector)
             if np.linalg.norm(after + image) < np.linalg.norm(after - image):
-                found.append(f"half-period symmetry in {changed}")
-    return tuple(found)
+                yield signs, 0.5
 
 
 def sign_symmetries(model: OdeModel, parameters: Array) -> list[Array]:

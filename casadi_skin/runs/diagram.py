@@ -28,6 +28,7 @@ from casadi_skin.scene.model_tables import ContinuationTable
 
 NATURAL = (
     End.HOPF,
+    End.REJOINED,
     End.UNBOUNDED,
     End.TAKENS,
     End.CLOSED,

@@ -280,3 +280,65 @@ def test_pairs_of_special_points_between_two_orbits_are_not_missed(half: bool, s
     assert np.allclose(found, [start, start + apart], atol=1e-9)
     ordinary = [orbit.parameters["a"] for orbit in branch.orbits if not orbit.point.special]
     assert not any(start <= value <= start + apart for value in ordinary)
+
+
+def test_a_branch_point_of_cycles_is_followed_in_two_parameters_where_a_mirror_keeps_it() -> None:
+    """Across the circle eta' = (a - k^2) eta - eta^3: a mirror symmetry is lost along a = k^2, for eta^2 = a - k^2."""
+    model = across_circle(lambda xi, eta, a, k: (-xi, (a - k**2) * eta - eta**3), half=False)
+    point = first_special(model, 0.5, -0.2, 1.0)
+    assert "mirror symmetry in z" in point.lost
+    assert abs(point.parameters["a"] - 0.25) <= point.error < 1e-13
+    curve = point.curve("k", 0.8)
+    assert curve.complete
+    assert np.max(np.abs(curve["a"] - curve["k"] ** 2)) < 1e-9
+    halves = [point.follow("a", 1.0, side=side, at=[0.5]).at(a=0.5).evaluate(0.0)[0, 2] for side in (1, -1)]
+    assert halves == pytest.approx([0.5, -0.5], abs=1e-8)
+
+
+def test_two_branches_of_cycles_cross_and_the_other_one_goes_to_both_sides() -> None:
+    """AUTO's demo `lcbp`: cycles of radius a and of radius b cross at a = b, which c takes apart."""
+    x, y, a, b, c = (ca.SX.sym(name) for name in "xyabc")
+    r = ca.sqrt(x**2 + y**2)
+    growth = r**2 - (a + b) * r + a * b + c
+    rhs = ca.vertcat(-x * growth - 2 * np.pi * y, -y * growth + 2 * np.pi * x)
+    model = OdeModel("crossing", ca.vertcat(x, y), rhs, ca.vertcat(a, b, c), nominal=(1.0, 2.0, 0.0))
+    orbit = find_orbit(model, lambda t: [np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], 1.0)
+    (point,) = orbit.follow("a", 3.0, stability=True).special_points
+    assert point.kind == "branch point"
+    assert point.lost == ()
+    assert abs(point.parameters["a"] - 2.0) <= point.error < 1e-13
+    for to in (3.0, 1.0):
+        other = point.follow("a", to)
+        assert other.complete
+        assert np.linalg.norm(other.solutions[-1].evaluate(0.0)) == pytest.approx(2.0, abs=1e-9)
+    with pytest.raises(ArithmeticError, match="is none at other values of c: no symmetry"):
+        point.curve("c", 0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("half", [True, False])
+def test_orbits_that_come_back_to_those_they_left_end_there(half: bool) -> None:
+    """xi' = (1 - a^2) xi - xi^3 across the circle, or a band of Moebius: the others are there from a = -1 to 1."""
+    rates = lambda xi, eta, a, k: (-xi, (1 - a**2) * eta - eta**3)  # noqa: E731
+    model = across_circle(rates, half)
+    branch = find_orbit(model, circle, 2.0 * np.pi, parameters={"a": -2.0, "k": 0.0}).follow("a", 2.0, stability=True)
+    diagram = branch.follow_all(depth=2)
+    assert diagram.names == (("", "_1") if half else ("", "_1", "_1b"))
+    for found in diagram.branches[1:]:
+        assert found.end is End.REJOINED
+        end = found.special_points[-1]
+        assert end.kind == "branch point"
+        assert abs(end.parameters["a"] - 1.0) <= end.error < 1e-13
+        assert found.at(a=0.0).period == pytest.approx(4.0 * np.pi if half else 2.0 * np.pi, abs=1e-6)
+    assert [point.parameters["a"] for point in diagram.special_points] == pytest.approx([-1.0, 1.0], abs=1e-12)
+
+
+@pytest.mark.slow
+def test_nothing_crosses_along_orbits_of_one_parameter_value() -> None:
+    """AUTO's demo `vhb`: at p = 0 energy is conserved, and every cycle is at p = 0, up to a homoclinic orbit."""
+    x, y, p = (ca.SX.sym(name) for name in "xyp")
+    model = OdeModel("vertical", ca.vertcat(x, y), ca.vertcat(p * x - y, x * (1 - x)), p)
+    (hopf,) = find_equilibrium(model, [0, 0], parameters={"p": -1.0}).follow("p", 1.0).special_points
+    cycles = hopf.follow("p", 0.5, stability=True, max_points=60)
+    assert [point.kind for point in cycles.special_points] == ["homoclinic"]
+    assert np.max(np.abs(cycles["p"])) < 1e-9

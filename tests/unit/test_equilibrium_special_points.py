@@ -178,3 +178,14 @@ def _from_below(model: OdeModel, guess: object, name: str, start: float, to: flo
         warnings.simplefilter("error", category=RuntimeWarning)
         branch = find_equilibrium(model, guess, parameters={name: start}).follow(name, to)
     return branch.special_points
+
+
+def test_a_branch_that_goes_to_infinity_has_no_folds_of_rounding() -> None:
+    """p = x exp(-x): a fold at (1, 1/e), then p goes to zero, also below what rounding leaves of its rate."""
+    x, p = symbols("x p")
+    model = OdeModel("to infinity", x, p - x * ca.exp(-x), p)
+    far = lambda solution: solution.state[0] > 60.0  # noqa: E731
+    branch = find_equilibrium(model, [0.0], parameters={"p": 0.0}).follow("p", 0.5, until=far)
+    (fold,) = branch.special_points
+    assert fold.parameters["p"] == pytest.approx(np.exp(-1.0), abs=1e-15)
+    assert branch.stopped
