@@ -208,7 +208,7 @@ def curve_space(
 def _check_kept(space: OrbitCurveSpace) -> None:
     """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
     start = space.start
-    push = start.problem.states + list(space.statement.free).index(PUSH)  # type: ignore[attr-defined]
+    push = start.problem.states + list(space.statement.free).index(PUSH)
     if abs(float(start.tangent[push])) > UNFOLDS:
         why = "no symmetry, and nothing else, keeps both branches together"
         raise of_equilibria.UnfoldingError(

@@ -253,9 +253,9 @@ def test_the_edge_of_a_tongue_of_a_chain_is_followed_in_gamma() -> None:
 def test_a_curve_of_orbits_tells_what_it_accepts() -> None:
     model = cycles_with_fold()
     orbit = find_orbit(model, lambda t: circle(t)[:2], 6.28, parameters={"mu": 0.1, "a": 1.0}, tolerance=1e-6)
-    point = SpecialPoint("branch point", "mu", orbit.parameters, 0.0, orbit)
+    point = SpecialPoint("homoclinic", "mu", orbit.parameters, 0.0, orbit)
     with pytest.raises(
-        ValueError, match="curve: given a branch point of orbits; accepted: fold, period doubling, torus"
+        ValueError, match="curve: given a homoclinic of orbits; accepted: fold, period doubling, torus, branch point"
     ):
         point.curve("a", 2.0)
 
