@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from scipy.special import erf
 
 from casadi_skin import BoundaryValueProblem, OdeModel
+from casadi_skin.figures.style import style
 
 u, v, eps, x = (ca.SX.sym(name) for name in ("u", "v", "eps", "x"))
 bend = -x * v / eps - np.pi**2 * ca.cos(np.pi * x) - np.pi * x * ca.sin(np.pi * x) / eps
@@ -19,6 +20,7 @@ shock = OdeModel("shock", ca.vertcat(u, v), ca.vertcat(v, bend), eps, time=x, fo
 problem = BoundaryValueProblem(shock, [shock.start(u) + 2, shock.end(u)], interval=(-1.0, 1.0), parameters={"eps": 1.0})
 
 
+@style()
 def main(picture: Path | str | None = None):
     """Solutions, each from nothing: the mesh finds the layer by itself."""
     found = [problem.with_parameters(eps=value).solve([0.0, 0.0], tolerance=1e-7) for value in (1e-2, 1e-4, 1e-6)]
@@ -39,11 +41,11 @@ def draw(found) -> Figure:
     """The solutions, and the lengths of their intervals."""
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for solution, style in zip(found, ("k:", "k--", "k-"), strict=True):
+    for solution, look in zip(found, ("k:", "k--", "k-"), strict=True):
         t = np.unique(np.concatenate([np.linspace(-1, 1, 801), solution.t]))
-        left.plot(t, solution.evaluate(t)[:, 0], style, lw=1, label=rf"$\varepsilon$ = {solution['eps']:g}")
+        left.plot(t, solution.evaluate(t)[:, 0], look, lw=1, label=rf"$\varepsilon$ = {solution['eps']:g}")
         mesh = solution.mesh
-        right.semilogy(mesh[:-1] + np.diff(mesh) / 2, np.diff(mesh), style, lw=1)
+        right.semilogy(mesh[:-1] + np.diff(mesh) / 2, np.diff(mesh), look, lw=1)
     left.set(xlabel="x", ylabel="u")
     left.legend(fontsize="small")
     right.set(xlabel="x", ylabel="length of an interval")

@@ -10,12 +10,14 @@ import casadi as ca
 from matplotlib.figure import Figure
 
 from casadi_skin import BoundaryValueProblem, OdeModel
+from casadi_skin.figures.style import style
 
 u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lambda"))
 bratu = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
 problem = BoundaryValueProblem(bratu, [bratu.start(u), bratu.end(u)], parameters={"lambda": 0.2})
 
 
+@style()
 def main(picture: Path | str | None = None):
     """The branch through the fold, with both solutions at lambda = 1."""
     branch = problem.solve([0.0, 0.0]).follow("lambda", 4.0, at=[1.0])
@@ -33,9 +35,9 @@ def draw(branch) -> Figure:
     left.plot(fold["lambda"], fold["u"].max(), "o", color="tab:red", mfc="none", ms=9, label="fold")
     left.set(xlabel=r"$\lambda$", ylabel=r"largest $u$", ylim=(0, None))
     left.legend(loc="center right")
-    for which, style in enumerate(("k-", "k--")):
+    for which, look in enumerate(("k-", "k--")):
         solution = branch.at(1.0, which)
-        right.plot(solution.t, solution["u"], style, label=("lower", "upper")[which])
+        right.plot(solution.t, solution["u"], look, label=("lower", "upper")[which])
     right.set(xlabel="x", ylabel=r"$u$ at $\lambda = 1$")
     right.legend(loc="center")
     return figure

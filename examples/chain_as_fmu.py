@@ -14,10 +14,12 @@ from matplotlib.figure import Figure
 
 from casadi_skin import Chain, export_fmu, follow_family
 from casadi_skin.dynamics import perturbed, simulate_orbit
+from casadi_skin.figures.style import style
 
 SITES, KICK, PERIODS = 24, 0.01, 6
 
 
+@style()
 def main(picture: Path | str | None = None) -> dict[str, float]:
     """Largest differences of the edge's displacement from Python's, by the FMU's solver and by fmpy's."""
     chain = Chain(SITES, alpha=1.0, gamma=0.25, g=-1.0)
@@ -49,8 +51,8 @@ def draw(periods: np.ndarray, result: np.ndarray, known: np.ndarray, differences
     motion.plot(periods[::10], known[::10], "o", color="tab:red", ms=3.5, mfc="none", label="Python, CVODES")
     motion.set(ylabel=f"$y_{{{SITES}}}$", ylim=(-0.52, 0.7))
     motion.legend(fontsize="small", loc="upper center", ncols=2)
-    for (kind, values), style in zip(differences.items(), ("-", "--"), strict=True):
-        difference.semilogy(periods[1:], values[1:], style, color="0.2", lw=0.8, label=kind)
+    for (kind, values), look in zip(differences.items(), ("-", "--"), strict=True):
+        difference.semilogy(periods[1:], values[1:], look, color="0.2", lw=0.8, label=kind)
     difference.set(xlabel="time in periods of the breather", ylabel="difference", xlim=(0, PERIODS))
     difference.legend(fontsize="small", loc="lower right", ncols=2)
     return figure

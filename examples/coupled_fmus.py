@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, export_fmu
+from casadi_skin.figures.style import style
 
 Array = NDArray[np.float64]
 SITES, END, SPRING = 6, 30.0, 0.4
@@ -89,6 +90,7 @@ def as_one(start: Array, steps: int) -> Array:
     return solve_ivp(field, (0.0, END), full, "DOP853", t, rtol=1e-12, atol=1e-14).y[:count].T
 
 
+@style()
 def main(picture: Path | str | None = None, counts: tuple[int, ...] = (300, 600, 1200, 2400)) -> dict[int, float]:
     """Largest difference from the coupled chains integrated as one, by the number of communication steps."""
     errors = {}
@@ -109,8 +111,8 @@ def draw(t: Array, found: Array, truth: Array, errors: dict[int, float]) -> Figu
     """The ends that the spring joins, and the error against the step."""
     figure = Figure(figsize=(8.0, 3.2), layout="constrained")
     motion, error = figure.subplots(1, 2, width_ratios=(2, 1))
-    for site, style in ((SITES - 1, "-"), (SITES, "--")):
-        motion.plot(t, found[:, site], "k" + style, lw=1, label=f"co-simulation, site {site + 1} of {2 * SITES}")
+    for site, look in ((SITES - 1, "-"), (SITES, "--")):
+        motion.plot(t, found[:, site], "k" + look, lw=1, label=f"co-simulation, site {site + 1} of {2 * SITES}")
         motion.plot(t[:: len(t) // 60], truth[:: len(t) // 60, site], "o", color="tab:red", ms=3, mfc="none")
     motion.set(xlabel="time", ylabel="displacement (circles: as one)", ylim=(-0.22, 0.31))
     motion.legend(fontsize="small", loc="upper right")

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.figures.style import style
 from casadi_skin.theory.duffing import duffing_frequency
 
 TOLERANCES = 10.0 ** -np.arange(4, 14)
@@ -24,6 +25,7 @@ class Errors(NamedTuple):
     estimated: np.ndarray
 
 
+@style()
 def main(picture: Path | str | None = None) -> dict[str, Errors]:
     """Errors at S = 2, g = -1, where Omega is 0.69 of the linear frequency, by transcription."""
     chain = Chain(sites=1, alpha=1.0, gamma=0.0, g=-1.0)

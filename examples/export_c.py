@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from casadi_skin import Chain, export_c, follow_family
 from casadi_skin.dynamics import simulate_orbit
 from casadi_skin.export.compiler import build_c
+from casadi_skin.figures.style import style
 
 SITES, KICK, PERIODS = 24, 0.01, 6
 PROGRAM = r"""
@@ -42,6 +43,7 @@ int main(void) /* the classical Runge-Kutta method, 2000 steps a period, 100 lin
 """
 
 
+@style()
 def main(picture: Path | str | None = None) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
     """What the export's own program prints; times and the edge's displacement from C; the same from Python."""
     chain = Chain(SITES, alpha=1.0, gamma=0.25, g=-1.0)

@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin import Chain, Orbit, follow_family
+from casadi_skin.figures.style import style
 
 
+@style()
 def main(picture: Path | str | None = None) -> tuple[Orbit, NDArray[np.complex128], NDArray[np.complex128]]:
     """The orbit j = 1, g = -1, S = 1, its multipliers (2N,) and vectors (2N, 2N), one a column, in the same order."""
     chain = Chain(sites=24, alpha=1.0, gamma=0.25, g=-1.0)
@@ -40,9 +42,9 @@ def draw(chain: Chain, multipliers: NDArray[np.complex128], vectors: NDArray[np.
     for column in np.flatnonzero(~unstable):
         label = "on the unit circle" if column == 0 else None
         profiles.plot(sites, sizes[:, column], color="0.6", lw=0.7, label=label)
-    for column, style in zip(np.flatnonzero(unstable), ("-s", "--D"), strict=True):
+    for column, look in zip(np.flatnonzero(unstable), ("-s", "--D"), strict=True):
         label = rf"$\lambda = {multipliers[column].real:.6f}$"
-        profiles.plot(sites, sizes[:, column], style, color="tab:red", mfc="none", ms=4, label=label)
+        profiles.plot(sites, sizes[:, column], look, color="tab:red", mfc="none", ms=4, label=label)
     profiles.plot(sites, chain.rho / np.linalg.norm(chain.rho), "k:", lw=2, label=r"$r^{n/2}$")
     profiles.set(yscale="log", xlim=(0.5, 24.5), ylim=(1e-5, 2), xlabel="site $n$", ylabel=r"$|x_n|\,/\,\Vert x\Vert$")
     profiles.set_title("Positions of the Floquet vectors")

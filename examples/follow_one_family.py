@@ -10,8 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.figures.style import style
 
 
+@style()
 def main(picture: Path | str | None = None) -> Branch:
     """The family j = 1 of a softening chain up to S = 3, with orbits at every 0.05; drawn where a file is named."""
     chain = Chain(sites=24, alpha=1.0, gamma=0.25, g=-1.0)

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import OdeModel, find_orbit
+from casadi_skin.figures.style import style
 
 q, v, omega, a, delta, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "a", "delta", "t"))
 duffing = OdeModel(
@@ -19,6 +20,7 @@ duffing = OdeModel(
 )  # fmt: skip
 
 
+@style()
 def main(picture: Path | str | None = None):
     """The response from omega = 0.8 to 3, with all orbits at omega = 2."""
     branch = find_orbit(duffing, [0.0, 0.0]).follow("omega", 3.0, at=[2.0])

@@ -15,6 +15,7 @@ import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.compiler import find_compiler, fmi_headers
+from casadi_skin.figures.style import style
 from casadi_skin.models.fmu_archive import library_ending, platform_folder
 from casadi_skin.orbits.branch import Branch
 
@@ -43,6 +44,7 @@ def made_elsewhere(folder: Path) -> Path:
     return folder / "vdp.fmu"
 
 
+@style()
 def main(picture: Path | None = None) -> Branch:
     with TemporaryDirectory() as folder:
         model = import_fmu(made_elsewhere(Path(folder)), parameters=["mu"])
@@ -63,10 +65,10 @@ def draw(branch: Branch, path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
     left.plot(branch["mu"], branch["period"], ".-k")
     left.set(xlabel="mu", ylabel="period")
-    for mu, style in ((1.0, "-"), (2.0, "--"), (4.0, ":")):
+    for mu, look in ((1.0, "-"), (2.0, "--"), (4.0, ":")):
         orbit = branch.at(mu)
         x, v = orbit.evaluate(np.linspace(0.0, orbit.period, 600)).T
-        right.plot(x, v, style, color="k", label=f"mu = {mu:g}")
+        right.plot(x, v, look, color="k", label=f"mu = {mu:g}")
     right.set(xlabel="x", ylabel="v")
     right.legend(frameon=False, loc="upper left")
     figure.savefig(path, dpi=130)

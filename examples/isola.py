@@ -3,6 +3,7 @@
 import numpy as np
 
 from casadi_skin import Bond, Lattice, Site, find_orbit, follow_family
+from casadi_skin.figures.style import style
 from casadi_skin.lattice.resonances import conservative_part, energy_balance, resonances
 
 site = Site("a", "y + 0.05*y^3", damping="c*(1 - 2*y^2 + 0.6*y^4)", drive="F*e*cos(omega*t)")
@@ -16,6 +17,7 @@ def curve(branch):
     return [o.parameters["omega"] for o in branch.orbits], peaks
 
 
+@style()
 def main(picture=None):
     """The crossings of the conservative family, and the curves of responses through the first and the last of them."""
     crossings = resonances(lattice, mode=1, amplitude_max=9.0, frequency="omega", tolerance=1e-8)

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, Orbit, follow_family
+from casadi_skin.figures.style import style
 from casadi_skin.stability.growth import TransientGrowth
 
 SITES = 24
@@ -22,6 +23,7 @@ def unit_displacement(site: int) -> np.ndarray:
     return kick
 
 
+@style()
 def main(picture: Path | str | None = None) -> tuple[Orbit, TransientGrowth]:
     """The stable orbit j = 1, g = -1, S = 0.2 and the growth of its perturbations over ten periods."""
     chain = Chain(SITES, alpha=1.0, gamma=0.25, g=-1.0)
@@ -47,12 +49,12 @@ def draw(orbit: Orbit, growth: TransientGrowth) -> Figure:
     gains.legend(fontsize="small", loc="upper left")
 
     sites = np.arange(1, SITES + 1)
-    for vector, style, label in (
+    for vector, look, label in (
         (growth.optimal, "k-^", "optimal perturbation"),
         (growth.response, "r--v", "what becomes of it"),
     ):
         size = np.hypot(vector[:SITES], vector[SITES:])
-        shapes.plot(sites, size, style, ms=4, mfc="none", label=label)
+        shapes.plot(sites, size, look, ms=4, mfc="none", label=label)
     shapes.set(xlabel="site $n$", ylabel=r"$(z_n^2 + \dot z_n^2)^{1/2}$", xlim=(0.5, 24.5))
     shapes.legend(fontsize="small", loc="upper center")
     return figure

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import OdeModel, find_orbit
+from casadi_skin.figures.style import style
 
 x, y, u, v, mu, E = (ca.SX.sym(name) for name in ("x", "y", "u", "v", "mu", "E"))
 effective = (x**2 + y**2) / 2 + (1 - mu) / ca.sqrt((x + mu) ** 2 + y**2) + mu / ca.sqrt((x - 1 + mu) ** 2 + y**2)
@@ -29,6 +30,7 @@ def linear(t: float) -> list[float]:
             k * w * size * np.cos(w * t)]  # fmt: skip
 
 
+@style()
 def main(picture: Path | str | None = None):
     """The family from E = -1.594 to -1.55, with orbits exactly at some energies."""
     first = find_orbit(three_bodies, linear, 2.69, select=energy - E, symmetric=True)

@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.figures.style import style
 
 
+@style()
 def main(picture: Path | str | None = None, chains: int = 200) -> NDArray[np.float64]:
     """Relative: estimated error of Omega, its proved bound, the width of the enclosure; shape (proved orbits, 3)."""
     generator, rows = np.random.default_rng(0), []

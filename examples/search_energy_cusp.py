@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, search_orbit
+from casadi_skin.figures.style import style
 from casadi_skin.optimise.result import SearchResult
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.25, g=1.0)
 
 
+@style()
 def main(picture: Path | str | None = None) -> SearchResult:
     """The smallest gamma with dE/dS = 0 at an S up to 2, on the family j = N."""
     result = search_orbit(

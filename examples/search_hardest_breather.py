@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, search_orbit
+from casadi_skin.figures.style import style
 from casadi_skin.optimise.result import SearchResult
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 
 
+@style()
 def main(picture: Path | str | None = None) -> SearchResult:
     """The largest S at which the family j = N reaches the upper cutoff of the infinite chain, over gamma."""
     result = search_orbit(

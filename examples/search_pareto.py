@@ -10,12 +10,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain
+from casadi_skin.figures.style import style
 from casadi_skin.optimise.pareto import ParetoFront, pareto_front
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 BOUNDS = {"gamma": (0.05, 0.8), "alpha": (0.5, 2.0)}
 
 
+@style()
 def main(picture: Path | str | None = None, points: int = 8) -> ParetoFront:
     """Least participation ratio at S = 1 against least log r^((N-1)/2), over gamma and alpha."""
     front = pareto_front(

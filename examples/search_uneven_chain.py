@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, search_orbit
+from casadi_skin.figures.style import style
 from casadi_skin.optimise.observables import Observables
 from casadi_skin.optimise.result import SearchResult
 
@@ -23,6 +24,7 @@ def off_target(orbits: tuple[Observables, ...]) -> ca.SX:
     return ca.vertcat(*(orbit.Omega - TARGET for orbit in orbits))
 
 
+@style()
 def main(picture: Path | str | None = None) -> SearchResult:
     """The smoothest on-site stiffness alpha_n, between 0.7 and 1.3, with Omega(S) on target at five S."""
     result = search_orbit(

@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, smallest_kick
+from casadi_skin.figures.style import style
 from casadi_skin.optimise.kick.smallest_kick import SmallestKick
 
 SITES, TIME = 24, 40.0
 
 
+@style()
 def main(picture: Path | str | None = None, starts: int = 4) -> SmallestKick:
     """The kick of the stable orbit j = 1, g = -1, S = 0.2 after which it is half its own size away from itself."""
     chain = Chain(SITES, alpha=1.0, gamma=0.25, g=-1.0)
@@ -39,13 +41,13 @@ def draw(kick: SmallestKick) -> Figure:
     profile.legend(fontsize="small")
 
     alone = kick.far_end_kick * kick.norm / kick.far_end_norm
-    for z, style, label in (
+    for z, look, label in (
         (kick.best.kick, "k-", f"smallest kick, norm {kick.norm:.2e}"),
         (alone, "r--", f"site 1 displaced by {kick.norm:.2e}"),
         (kick.far_end_kick, "r:", f"site 1 displaced by {kick.far_end_norm:.2e}"),
     ):
         run = kick.evolution(z)
-        distances.plot(run.t, run.distance, style, lw=1.3, label=label)
+        distances.plot(run.t, run.distance, look, lw=1.3, label=label)
     distances.axhline(kick.distance, color="0.5", lw=0.8)
     distances.set(xlabel="time $t$", ylabel="distance from the breather / its size", xlim=(0, TIME), ylim=(0, 0.75))
     distances.legend(fontsize="small", loc="upper left")

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.figures.style import style
 
 GAMMAS = np.linspace(0.1, 0.6, 51)  # below, the family meets resonances that are too sharp to follow
 DEPTHS = (1e-9, 1e-5, 1e-2)  # log |multiplier| over a period, from which on a tongue counts
@@ -24,6 +25,7 @@ def first_instabilities(gamma: float) -> list[tuple[float, float]]:
     return [(np.nan, np.nan) if place is None else (place.S, place.S_error) for place in places]
 
 
+@style()
 def main(picture: Path | str | None = None, gammas: np.ndarray = GAMMAS) -> np.ndarray:
     """S and its error by gamma and depth, shape (gammas, depths, 2); drawn where a file is named."""
     found = np.array([first_instabilities(float(gamma)) for gamma in gammas])

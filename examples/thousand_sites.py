@@ -10,8 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, Orbit, follow_family
+from casadi_skin.figures.style import style
 
 
+@style()
 def main(picture: Path | str | None = None) -> tuple[Orbit, Orbit]:
     """The orbits S = 0.2 and S = 1 of the highest family, j = 1000, of a hardening chain."""
     chain = Chain(sites=1000, alpha=1.0, gamma=0.25, g=1.0)

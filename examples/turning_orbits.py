@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scipy.special import ellipk
 
 from casadi_skin import OdeModel, find_orbit
+from casadi_skin.figures.style import style
 
 q, v, E, current, damping = (ca.SX.sym(name) for name in ("q", "v", "E", "I", "c"))
 energy = v**2 / 2 - ca.cos(q)
@@ -23,6 +24,7 @@ junction = OdeModel(
 )
 
 
+@style()
 def main(picture: Path | str | None = None):
     """Orbits that swing and that go round, and those of the junction at a small damping."""
     common = {"select": energy - E, "symmetric": True}

@@ -11,11 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import OdeModel, find_orbit
+from casadi_skin.figures.style import style
 
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
 
 
+@style()
 def main(picture: Path | str | None = None):
     """The branch of orbits, with those at mu = 1 and 10 exactly."""
     first = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 2 * np.pi, parameters={"mu": 0.1})
@@ -29,9 +31,9 @@ def draw(branch) -> Figure:
     """Orbits in the plane of x and y, and the period against mu."""
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for orbit, style in ((branch.solutions[0], "k:"), (branch.at(1.0), "k--"), (branch.at(10.0), "k-")):
+    for orbit, look in ((branch.solutions[0], "k:"), (branch.at(1.0), "k--"), (branch.at(10.0), "k-")):
         states = orbit.evaluate(np.linspace(0.0, orbit.period, 2001))
-        left.plot(*states.T, style, lw=1, label=rf"$\mu$ = {orbit['mu']:g}")
+        left.plot(*states.T, look, lw=1, label=rf"$\mu$ = {orbit['mu']:g}")
     left.set(xlabel="x", ylabel="y")
     left.legend(loc="upper left", fontsize="small")
     right.plot(branch["mu"], [orbit.period for orbit in branch.solutions], "k-", marker=".", ms=4)

@@ -18,7 +18,12 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 def load(name: str) -> ModuleType:
     """An example script by name."""
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    return module_at(EXAMPLES / f"{name}.py")
+
+
+def module_at(path: Path) -> ModuleType:
+    """A file of Python as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

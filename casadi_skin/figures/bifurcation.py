@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.figures.branch_lines import LOOKS, stability_pieces
+from casadi_skin.figures.branch_lines import LOOKS, MARKS, PLAIN, label_of, smooth, stability_pieces
 from casadi_skin.figures.style import blank, colours, finished, plain, style
 from casadi_skin.figures.style import title as model_title
 from casadi_skin.orbits.branch import Branch
@@ -20,31 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARKS = {  # the symbols of the field, as far as there are any
-    "fold": ("D", "0.6"),
-    "branch point": ("o", "white"),
-    "hopf": ("s", "black"),
-    "period doubling": ("^", "0.6"),
-    "torus": ("h", "0.6"),
-    "homoclinic": ("|", "black"),
-    "heteroclinic": ("|", "black"),
-    "cusp": ("v", "black"),
-    "bogdanov-takens": ("o", "black"),
-    "zero-hopf": ("P", "black"),
-    "generalized hopf": ("*", "black"),
-    "hopf-hopf": ("X", "black"),
-    "cusp of cycles": ("v", "white"),
-    "generalized period doubling": ("<", "white"),
-    "chenciner": (">", "white"),
-    "1:1 resonance": ("$1$", "black"),
-    "1:2 resonance": ("$2$", "black"),
-    "1:3 resonance": ("$3$", "black"),
-    "1:4 resonance": ("$4$", "black"),
-    "fold-flip": ("p", "white"),
-    "fold-torus": ("H", "white"),
-    "flip-torus": ("8", "white"),
-    "torus-torus": ("X", "white"),
-}
 DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
 CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
     ("fold", False): ("folds", "-"),
@@ -55,20 +30,20 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("torus", True): ("tori", DOTTED),
     ("edge of a tongue", True): ("edges of tongues", "-"),
 }
-PLAIN = ("d", "0.8")
+WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
 
 
 def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
     """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
 
     Arguments:
-        branches: branches of equilibria and orbits in one parameter; the first tells which.
+        branches: branches of equilibria and orbits in one parameter.
         title: stands in place of the name of the model.
         state: place of the state among its names, from 0.
 
     Returns:
-        The figure: stable stretches solid, unstable ones dashed, cycles in a colour of their own, and a symbol for each
-        kind of special point.
+        The figure: stable stretches solid, unstable ones dashed, cycles in broader lines of another colour, and a
+        symbol for each kind of special point. Lines are smooth curves through the points computed.
 
     Raises:
         ValueError: there is no solution, or a branch is followed in another parameter.
@@ -91,7 +66,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
         what = f"{name}, of cycles largest and smallest" if any(_has_orbits(b) for b in held) else name
         axes.set(xlabel=plain(held[0].parameter), ylabel=what)
         axes.set_title(_title(held[0], title, (held[0].parameter,)))
-        return finished(figure, [axes], 4, in_black=True)
+        return finished(figure, [axes], 3)
 
 
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
@@ -120,11 +95,11 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
             words, dashes = CURVES[look]
             path = np.column_stack([curve[first], curve[second]])
             colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
-            axes.plot(*path.T, ls=dashes, lw=1.8, color=colour, label=words)
+            axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))
         axes.set_title(_title(curves[0], title, (first, second)))
-        return finished(figure, [axes], 4, in_black=True)
+        return finished(figure, [axes], 4)
 
 
 def _has_orbits(branch: Branch) -> bool:
@@ -141,9 +116,9 @@ def _heights(branch: Branch, state: int) -> list[Array]:
 
 def _draw(axes: Axes, branch: Branch, path: Array, colour: object, label: str) -> None:
     for stable, piece in stability_pieces(branch, path):
-        look = dict(LOOKS[stable])
-        words = f"{label}, {look.pop('label')}"
-        axes.plot(*piece.T, color=colour, zorder=3, label=words, **look)
+        look = {**LOOKS[stable], "lw": WIDTHS[_has_orbits(branch)]}
+        words = label_of(f"{label}, {look.pop('label')}", piece, path)
+        axes.plot(*smooth(piece).T, color=colour, zorder=3, label=words, **look)
 
 
 def _mark(axes: Axes, branch: Branch, path: Array) -> None:
@@ -153,7 +128,7 @@ def _mark(axes: Axes, branch: Branch, path: Array) -> None:
             continue
         marker, face = MARKS.get(kind, PLAIN)
         places = [i for i, solution in enumerate(branch.solutions) if solution.point.special == kind]
-        axes.plot(*path[places].T, marker, ms=6, mfc=face, mec="black", ls="none", label=kind, zorder=5)
+        axes.plot(*path[places].T, marker, color="black", ms=6, mfc=face, mec="black", ls="none", label=kind, zorder=5)
 
 
 def _title(branch: Branch, title: str, without: tuple[str, ...]) -> str:

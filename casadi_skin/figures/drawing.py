@@ -14,11 +14,13 @@ from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.statics import Spectrum
-from casadi_skin.figures.branch_lines import LOOKS, draw_marks, stability_pieces
+from casadi_skin.figures.bifurcation import CURVES, WIDTHS
+from casadi_skin.figures.branch_lines import LOOKS, draw_marks, label_of, smooth, stability_pieces
 from casadi_skin.figures.frequencies import family_path, family_pieces
-from casadi_skin.figures.style import amplitude_label, plain
+from casadi_skin.figures.style import DASHES, amplitude_label, plain
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.extremes import extremes
 from casadi_skin.stability.reduction import ComplexArray
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 501  # of an orbit
 SHOWN = 6  # components, where none are named
+MOST_IN_COLUMN = 4  # words of a legend
 
 
 def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
@@ -52,7 +55,7 @@ def draw(result: Any, axes: Axes, **options: Any) -> None:
 
 
 @draw.register(Branch)
-def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None) -> None:
+def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None, colour: Any = None) -> None:
     if not result.solutions:
         raise ValueError("plot: the branch has no points; accepted: one with points")
     space, name = result.space, result.parameter
@@ -65,10 +68,14 @@ def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None) ->
         chosen = x or first, y or _second(result)
         path = np.column_stack([_along(result, quantity) for quantity in chosen])
         pieces = stability_pieces(result, path) if chosen[0] == name else [(None, path)]
+        if not isinstance(space, Family):
+            pieces = [(stable, smooth(piece)) for stable, piece in pieces]
         labels = plain(chosen[0]), plain(chosen[1])
-    colour: Any = axes._get_lines.get_next_color()  # type: ignore[attr-defined]  # that of the next line, as axes.plot takes
+    if colour is None:
+        colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]  # that of the next line, as axes.plot takes
     for stable, piece in pieces:
-        axes.plot(*piece.T, color=colour, zorder=3, **LOOKS[stable])
+        look = _look(result, stable)
+        axes.plot(*piece.T, color=colour, zorder=3, **{**look, "label": label_of(look["label"], piece, path)})
     draw_marks(axes, result, path, colour)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     _legend(axes)
@@ -76,8 +83,23 @@ def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None) ->
 
 @draw.register(Diagram)
 def _(result: Diagram, axes: Axes, x: str | None = None, y: str | None = None) -> None:
+    colours = [axes._get_lines.get_next_color() for _ in range(2)]  # type: ignore[attr-defined]
     for branch in result.branches:
-        draw(branch, axes, x=x, y=y)
+        orbits = bool(branch.solutions) and isinstance(branch.solutions[0], Orbit)
+        draw(branch, axes, x=x, y=y, colour=colours[orbits])
+
+
+def _look(branch: Branch, stable: bool | None) -> dict[str, Any]:
+    """How a stretch is drawn: of a family by its stability, else by its kind too, with broader lines for orbits."""
+    if isinstance(branch.space, Family):
+        return LOOKS[stable]
+    orbits = isinstance(branch.solutions[0], Orbit)
+    curve = CURVES.get((str(getattr(branch.space, "kind", "")), orbits))
+    if curve is not None:
+        return {"lw": 1.8, "ls": curve[1], "label": curve[0]}
+    kind = "orbits" if orbits else "equilibria" if isinstance(branch.solutions[0], Equilibrium) else "solutions"
+    label = kind if stable is None else f"{kind}, {LOOKS[stable]['label']}"
+    return {**LOOKS[stable], "lw": WIDTHS[orbits], "label": label}
 
 
 def _second(branch: Branch) -> str:
@@ -131,11 +153,11 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
     if isinstance(states, str) or not isinstance(states, Sequence | None):
         raise TypeError(f"states: given {short_repr(states)}; accepted: a list of names")
     chosen = list(states) if states is not None else _largest(known, values)
-    for name in chosen:
+    for i, name in enumerate(chosen):
         check_name("states", name, known)
-        axes.plot(t, values[:, known.index(name)], label=plain(name))
+        axes.plot(t, values[:, known.index(name)], ls=DASHES[i % len(DASHES)], label=plain(name))
     axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
-    _legend(axes)
+    _legend(axes, 1 if len(chosen) < MOST_IN_COLUMN else 2)
 
 
 def _largest(names: Sequence[str], values: Array) -> list[str]:
@@ -176,13 +198,15 @@ def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
     _legend(axes)
 
 
-def _legend(axes: Axes) -> None:
+def _legend(axes: Axes, columns: int = 1) -> None:
     """A legend in which each label stands once, with what was drawn before."""
-    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    if not handles:
+    drawn, labels = axes.get_legend_handles_labels()
+    if not labels:
         return
-    legend = axes.legend(handles.values(), handles.keys(), frameon=False)
-    looks = {look["label"] for look in LOOKS.values()}
+    handles = {name: drawn[labels.index(name)] for name in labels}
+    look: dict[str, Any] = {"frameon": True, "framealpha": 0.8, "edgecolor": "none", "fontsize": "small"}
+    legend = axes.legend(handles.values(), handles.keys(), ncols=columns, **look)
     for handle, label in zip(legend.legend_handles, handles, strict=True):
-        if label in looks and handle is not None:  # that of any branch, whatever its colour
+        colours = {str(line.get_color()) for line, name in zip(drawn, labels, strict=True) if name == label}  # type: ignore[attr-defined]
+        if len(colours) > 1 and handle is not None:  # of several branches, each in its colour
             handle.set(color="black")

@@ -143,7 +143,7 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
             paths = [family_path(branches[0], True)]
         draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
         for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
-            draw_lines(axes, branch, path, family_pieces(branch, path, shift), colour)
+            draw_lines(axes, branch, path, family_pieces(branch, path, shift), colour, strip=len(branches) == 1)
             if branch.unresolved:
                 shade_unresolved(axes, branch.unresolved)
             _draw_theory(axes, branch, np.array([0.0, path[:, 0].max()]), shift)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from functools import cache
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,11 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
+    from contextlib import _GeneratorContextManager
+
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.typing import RcStyleType
 
     from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.family import Family
@@ -35,17 +37,21 @@ DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4,
                            (0, (1.0, 3.0)))  # fmt: skip
 
 
-def style() -> AbstractContextManager[None]:
-    """The settings in which figures are made and saved, whatever the caller's are."""
+def style() -> _GeneratorContextManager[None]:
+    """The settings in which figures are made and saved, whatever the caller's are; a context, or `@style()`."""
     import matplotlib.style
 
-    settings: RcStyleType = {
-        "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 10.0, "axes.titlesize": 10.0,
-        "figure.titlesize": 10.0, "legend.fontsize": 9.0, "legend.frameon": False, "axes.linewidth": 0.7,
-        "axes.formatter.limits": (-3, 4), "axes.formatter.useoffset": False, "svg.hashsalt": "casadi_skin",
-        "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
-    }  # fmt: skip
-    return matplotlib.style.context(settings, after_reset=True)
+    return matplotlib.style.context(_settings(), after_reset=True)
+
+
+@cache
+def _settings() -> dict[str, Any]:
+    """The style sheet, read once."""
+    import matplotlib
+
+    sheet = files("casadi_skin.figures") / "house.mplstyle"
+    with as_file(sheet) as path:
+        return dict(matplotlib.rc_params_from_file(path, use_default_template=False).items())
 
 
 def blank(width: float, height: float) -> Figure:

@@ -1,52 +1,125 @@
-"""What the pages of the documentation show runs as it stands, and is as long as a page may be."""
+"""Pages run as they stand, are as long as a page may be, and become a gallery and notebooks."""
 
 from __future__ import annotations
 
+import ast
+import os
 import re
+import sys
 from pathlib import Path
+from typing import Any
 
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import pytest
+from outputs import EXAMPLES, load, module_at
 
+import casadi_skin
+from casadi_skin.cli import main
 from casadi_skin.scene import parse_scene
 
 DOCS = Path(__file__).parents[2] / "docs"
-RUN = (
-    "results",
-    "my_chain",
-    "my_lattice",
-    "my_ode",
-    "from_auto",
-    "from_matcont",
-    "from_bifurcationkit",
-    "from_solve_bvp",
-)
+PAGES = {path.stem: path for path in (*sorted(DOCS.glob("*.md")), DOCS.parent / "README.md")}
+WITH_PROGRAMS = [name for name, path in PAGES.items() if "```python\n" in path.read_text(encoding="utf-8")]
+NOTEBOOKS = ("my_chain", "my_lattice", "my_ode")
+ELSEWHERE = ("smallest_kick",)  # its program takes a minute; test_example_scripts.py does the same with fewer starts
+CLUSTERS = ("executorlib", "mpi4py", "dask_jobqueue")  # programs that import these need a cluster
+REFERENCES = ("paper_claims", "python_reference", "scene_reference")  # tables to look things up in, partly generated
+LONG = (
+    "boundary_value_problems",
+    "equilibria",
+    "every_change_of_stability",
+    "export_c",
+    "fmu",
+    "how_orbits_are_found",
+    "lattices",
+    "maps",
+    "periodic_orbits_of_any_model",
+    "promises",
+    "proved_orbits",
+    "search",
+    "tradeoff",
+)  # to be divided
 MOST_WORDS = 1500
+CHART = """[chain]
+sites = 4
+alpha = 0.5
+gamma = 0.25
+g = -1.0
+
+[family]
+mode = "first"
+amplitude_max = 1.0
+
+[stability]
+
+[map]
+gamma = [0.2, 0.5]
+S = [0.5, 1.0]
+quantities = ["stable", "max_abs_multiplier"]
+"""
 
 
 def blocks(page: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (DOCS / f"{page}.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGES[page].read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def imported(program: str) -> list[str]:
+    """Names that a program imports, each with its module before it."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+def prepared(page: str) -> dict[str, Any]:
+    """What a page says is there before its programs run: names of an example, or files in the current folder."""
+    if page == "periodic_orbits_of_any_model":
+        return vars(load("lyapunov_orbit"))
+    if page == "fmu":
+        load("foreign_fmu").made_elsewhere(Path())
+    if page == "maps":
+        Path("examples").mkdir()
+        Path("examples/stability_chart.toml").write_text(CHART, encoding="utf-8")  # small: the true one takes a minute
+    if page == "scenes_of_any_model":
+        assert main(["run", str(EXAMPLES / "fput_modes.toml"), "--quiet"]) == 0
+    return {}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", RUN)
+@pytest.mark.filterwarnings("ignore::casadi_skin.equilibria.detection.UnresolvedWarning")
+@pytest.mark.parametrize("page", [name for name in WITH_PROGRAMS if name not in (*NOTEBOOKS, *ELSEWHERE)])
 def test_the_programs_of_a_page_run_one_after_the_other(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    mpl.use("Agg")
-    names: dict[str, object] = {}
-    for block in blocks(page, "python"):
-        exec(compile(block, f"{page}.md", "exec"), names)
-    mpl.pyplot.close("all")
+    plt.switch_backend("Agg")
+    names = prepared(page)
+    for program in blocks(page, "python"):
+        if not any(name.startswith(CLUSTERS) for name in imported(program)):
+            exec(compile(program, f"{page}.md", "exec"), names)
+    plt.close("all")
     branch = names.get("branch")
     if page == "from_auto":
-        assert [round(p.parameters["p1"], 7) for p in branch.special_points] == [0.105739, 0.0889318, 0.13090]  # type: ignore[attr-defined]
+        assert [round(p.parameters["p1"], 7) for p in branch.special_points] == [0.105739, 0.0889318, 0.13090]  # type: ignore[union-attr]
     if page == "from_matcont":
-        assert names["doubling"].parameters["alpha"] == pytest.approx(0.630302, abs=5e-7)  # type: ignore[attr-defined]
-        assert names["doubling"].solution.period == pytest.approx(6.364071, abs=5e-7)  # type: ignore[attr-defined]
+        assert names["doubling"].parameters["alpha"] == pytest.approx(0.630302, abs=5e-7)
+        assert names["doubling"].solution.period == pytest.approx(6.364071, abs=5e-7)
     if page == "from_solve_bvp":
-        assert names["solution"]["k"] == pytest.approx(6.283185307179586, rel=1e-8)  # type: ignore[index]
+        assert names["solution"]["k"] == pytest.approx(6.283185307179586, rel=1e-8)
+    if page == "README":
+        assert len(branch.changes) == 47  # type: ignore[union-attr]  # counted by the recursion of the page on changes
+        assert names["cycles"].special_points[-1].parameters["r"] == pytest.approx(13.92655741, abs=2e-6)  # published
+
+
+@pytest.mark.parametrize("page", WITH_PROGRAMS)
+def test_the_programs_of_a_page_import_what_is_there(page: str) -> None:
+    for program in blocks(page, "python"):
+        for name in imported(program):
+            if name.startswith("casadi_skin.") and name.count(".") == 1:
+                assert hasattr(casadi_skin, name.partition(".")[2]), name
 
 
 @pytest.mark.parametrize("page", ["my_chain", "my_lattice"])
@@ -55,6 +128,38 @@ def test_the_scenes_of_a_page_are_accepted(page: str) -> None:
     parse_scene(scene, page)
 
 
-@pytest.mark.parametrize("page", [*RUN, "command_line"])
+@pytest.mark.parametrize("page", [name for name in PAGES if name not in (*REFERENCES, *LONG)])
 def test_a_page_is_read_in_one_go(page: str) -> None:
-    assert len((DOCS / f"{page}.md").read_text(encoding="utf-8").split()) < MOST_WORDS
+    assert len(PAGES[page].read_text(encoding="utf-8").split()) < MOST_WORDS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", NOTEBOOKS)
+def test_a_tutorial_is_a_notebook_that_ends_in_a_picture(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ipykernel")
+    client = pytest.importorskip("nbclient")
+    commands = tmp_path / "bin"  # casadi-skin, wherever it is installed
+    commands.mkdir()
+    (commands / "casadi-skin").write_text(f'#!/bin/sh\nexec {sys.executable} -m casadi_skin "$@"\n')
+    (commands / "casadi-skin").chmod(0o755)
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # pictures go into the notebook
+    monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
+    notebook = module_at(DOCS / "notebooks.py").notebook(page)
+    assert not any("outputs" in cell and cell["outputs"] for cell in notebook.cells)
+    client.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    if page == "my_chain":
+        assert (tmp_path / "results" / "mine" / "family.csv").exists()
+
+
+def test_the_gallery_leads_from_every_picture_to_a_section_that_has_it() -> None:
+    text = module_at(DOCS / "gallery_page.py").gallery(DOCS)
+    cells = re.findall(r"\[!\[.*?\]\((.*?)\)\n(.*?)\]\((.*?)\.md#(.*?)\)", text)
+    assert len(cells) > 30
+    for picture, head, page, _ in cells:
+        assert (DOCS / picture).exists()
+        section = (DOCS / f"{page}.md").read_text(encoding="utf-8").partition(f"# {head}\n")[2]
+        assert picture in section

@@ -201,6 +201,21 @@ def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_overview(tmp_path: Path) -> None:
+    softening, breather, branches, largest = load("overview").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
+    assert drawn(tmp_path / "picture.png")
+    assert len(softening.changes) == 47  # as many as in scans in steps of 1e-5 by another program
+    corner = breather.profile.reshape(10, 8)[5:, 4:]  # the one that bonds push to
+    assert np.sum(corner**2) > 0.95 * breather.S
+    branch_point, hopf, homoclinic = (point for branch in branches for point in branch.special_points)
+    assert branch_point.parameters["r"] == pytest.approx(1.0)
+    assert hopf.parameters["r"] == pytest.approx(470 / 19)  # closed form, sigma = 10, b = 8/3
+    assert homoclinic.parameters["r"] == pytest.approx(13.92655741, abs=2e-6)  # published (Sparrow 1982: 13.926)
+    first = np.array([0.01, *np.linspace(0.01, 1.0, 60)])[np.argmax(largest > 1.01, axis=0)]
+    assert first[1] == pytest.approx(0.7, abs=0.1)  # where stability_boundary finds a growth of 0.01 at gamma = 0.3
+
+
+@pytest.mark.slow
 def test_isola(tmp_path: Path) -> None:
     crossings, sweep, isola = load("isola").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
