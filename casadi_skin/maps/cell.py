@@ -60,7 +60,7 @@ class Computer:
         request, meanings = self._request(started_at(scene, task)), Meanings()
         if scene.search is not None:
             return [row_of_search(_searched(request), meanings)], meanings
-        branches, fault = _followed(request)
+        branches, fault = followed(request)
         return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
 
     def _request(self, scene: Scene) -> Request:
@@ -109,7 +109,7 @@ class _Unkept:
         return self.counts.get(name, 0)
 
 
-def _followed(request: Request) -> tuple[list[Branch], str]:
+def followed(request: Request) -> tuple[list[Branch], str]:
     """The branches that a scene asks for, as a run follows them, and what failed beside them.
 
     Raises ArithmeticError where there is none.

@@ -267,7 +267,9 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
     if mapped.table.boundary and complete:
         progress.say("following the boundary")
         with one_thread():
-            lines = boundaries(mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY))
+            lines = boundaries(
+                mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY), progress.tell
+            )
         write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
         found = replace(found, boundary=lines)
     progress.say("writing tables and pictures")

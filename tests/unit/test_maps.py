@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import msgspec
@@ -18,13 +19,13 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.cli import main
 from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
-from casadi_skin.maps.boundary import read_boundary, write_boundary
+from casadi_skin.maps.boundary import check_boundary, read_boundary, write_boundary
 from casadi_skin.maps.cell import Computer, Job
 from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.refine import UNKNOWN, needed
 from casadi_skin.runs.binding import bind
-from casadi_skin.scene import parse_scene
+from casadi_skin.scene import SceneError, parse_scene
 from casadi_skin.scene.map_reading import values_of
 
 BASE, _, AXES = TINY.partition("[map]\n")
@@ -46,6 +47,7 @@ REFUSED = {
     'gamma = [0.1]\nquantities = ["Omga"]': '[map] quantities: given "Omga"; did you mean "Omega"?',
     'gamma = [0.1]\nwatch = ["stabel"]': '[map] watch: given "stabel"; did you mean "stable"?',
     "gamma = [0.1]\nboundary = true": "[map] boundary: given without two ranges; accepted: beside two ranges",
+    "gamma = [0.1]\nS = [0.1, 0.1]": "[map] S: given 0.1 as item 2 again; accepted: each value once",
     "": "[map]: no axis; accepted: a parameter of the scene with a table { from, to, points }, or a list of values",
 }
 
@@ -60,9 +62,20 @@ def test_a_bad_map_is_refused_in_one_line(given: str, tmp_path: Path, capsys: py
     assert not out.exists()
 
 
+def test_a_boundary_is_of_one_family_a_cell() -> None:
+    text = (
+        BASE.replace("mode = 1", "mode = [1, 2]") + "[stability]\n[map]\nboundary = true\n" + AXES.partition("mode")[0]
+    )
+    for more, told in (("", "several families"), ("mode = [1, 2]\n", "")):
+        scene = parse_scene(text + more)
+        with pytest.raises(SceneError, match=told) if told else nullcontext():
+            check_boundary(scene, Grid.of(scene))
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
+        (["--part", "1/3", "--overwrite"], "map: --overwrite: given beside part, whose directory holds other shares;"),
         (["--part", "4/3"], "map: --part: given (4, 3); accepted: K/N with 1 <= K <= N <= 32767"),
         (["--part", "x"], "map: given --part x; accepted: K/N, such as 3/20"),
         (["--workers", "0"], "map: --workers: given 0; accepted: a whole number from 1 to 256"),
@@ -70,7 +83,9 @@ def test_a_bad_map_is_refused_in_one_line(given: str, tmp_path: Path, capsys: py
 )
 def test_bad_words_are_refused(words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["map", str(write(tmp_path, TINY)), *words]) == 2
-    assert capsys.readouterr().err == f"casadi-skin: {told}\n"
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"casadi-skin: {told}")
+    assert printed.count("\n") == 1
 
 
 def test_values_of_a_refined_axis_hold_those_of_the_coarse_one() -> None:
@@ -336,6 +351,62 @@ def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     known = (found.status == 1) & (np.abs(rate) > 1e-9)
     assert np.all(found["stable"][known] == (rate < 0)[known])
     assert drawn(tmp_path / "out" / "map_stable.png")
+
+
+@pytest.mark.slow
+def test_a_boundary_of_families_is_the_edge_of_a_tongue_between_them_too(tmp_path: Path) -> None:
+    """Between the families of the map against the search for changes of stability there, which follows no edge."""
+    text = BASE.replace("sites = 2", "sites = 4").replace("alpha = 1.0", "alpha = 0.5").replace("0.1\n", "0.9\n")
+    text = text.replace("1e-4", "1e-8") + (
+        "[stability]\n[map]\ngamma = { from = 0.42, to = 0.46, points = 2 }\n"
+        "S = { from = 0.3, to = 0.9, points = 2 }\nboundary = true\n"
+    )
+    found = run_map(write(tmp_path, text), tmp_path / "out", pictures=False, quiet=True)
+    (line,) = found.boundary[()]
+    assert line[:, 0].min() == 0.42
+    assert line[:, 0].max() == 0.46
+    for gamma, S in line[:: len(line) // 2]:
+        branch = follow_family(Chain(4, 0.5, gamma, -1.0), 1, 0.9, stability=True, tolerance=1e-8)
+        first = branch.first_instability()
+        assert first is not None
+        assert abs(first.S - S) < 1e-8
+    read = read_map(tmp_path / "out")
+    assert read.boundary[()][0].tolist() == line.tolist()
+
+
+TRANSVERSE = """import casadi as ca
+from casadi_skin import OdeModel
+x, y, u, v, p, q = (ca.SX.sym(name) for name in "xyuvpq")
+r, s = 1.0 - x * x - y * y, p * p + q * q - 0.5 - u * u - v * v
+rates = ca.vertcat(r * x - y, x + r * y, s * u - 0.3 * v, 0.3 * u + s * v)
+model = OdeModel("two", ca.vertcat(x, y, u, v), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
+"""
+CYCLES = """[model]
+file = "two.py"
+name = "model"
+[orbit]
+start = [1.0, 0.0, 0.0, 0.0]
+period = 6.28
+[stability]
+[accuracy]
+tolerance = 1e-6
+[map]
+p = { from = 0.0, to = 1.0, points = 2 }
+q = { from = 0.0, to = 1.0, points = 2 }
+boundary = true
+"""
+
+
+@pytest.mark.slow
+def test_a_boundary_of_orbits_is_followed_in_both_parameters(tmp_path: Path) -> None:
+    """A circular orbit beside which two more states grow from p^2 + q^2 = 1/2 on: a quarter of a circle of tori."""
+    (tmp_path / "two.py").write_text(TRANSVERSE, encoding="utf-8")
+    found = run_map(write(tmp_path, CYCLES), tmp_path / "out", pictures=False, quiet=True)
+    assert found["stable"].tolist() == [[1, 0], [0, 0]]
+    (line,) = found.boundary[()]
+    assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-6
+    assert (line.min(axis=0) <= 0.0).all()
+    assert np.diff(np.sort(np.arctan2(line[:, 1], line[:, 0]))).max() < 0.5
 
 
 def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
