@@ -101,25 +101,24 @@ class TrigonometricProblem(OrbitProblem):
 
         rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
         node = np.repeat(np.arange(H), rows.size)
-        shape = (self.size - 1, self.size)
+        at_nodes = np.tile(rows, H) * H + node, np.tile(columns, H) * H + node
         every = np.arange(self.states, dtype=np.int64)
-        n_index, i_index, k_index = np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij")
-        derivative = sparse_matrix(
-            shape,
-            (n_index * H + i_index).ravel(),
-            (n_index * H + k_index).ravel(),
-            ca.MX(ca.DM(np.broadcast_to(D2, (N, H, H)).ravel())),
+        n_index, i_index, k_index = (
+            t.ravel() for t in np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij")
         )
-        stiffness = sparse_matrix(
-            shape, np.tile(rows, H) * H + node, np.tile(columns, H) * H + node, -ca.vec(df_dq.nz[:]) / Omega**2
+        # Entries of the derivative that meet those of the force are added to them.
+        met = (i_index == k_index) & np.isin(n_index, rows[rows == columns])
+        own = np.where(at_nodes[0] == at_nodes[1], np.diag(D2)[node], 0.0)
+        parts = (
+            ((n_index * H + i_index)[~met], (n_index * H + k_index)[~met], ca.MX(ca.DM(D2[i_index, k_index][~met]))),
+            (*at_nodes, ca.DM(own) - ca.vec(df_dq.nz[:]) / Omega**2),
+            (every, np.full(self.states, self.Omega_index), 2 * force / Omega**3),
+            (every, np.full(self.states, self.parameter_index), -df_dp / Omega**2),
+            (np.full(self.states, self.states), every, ca.vec(ca.DM(at_zero) @ dn_dq)),
         )
-        borders = sparse_matrix(
-            shape,
-            np.concatenate([every, every, np.full(self.states, self.states)]),
-            np.concatenate([np.full(self.states, self.Omega_index), np.full(self.states, self.parameter_index), every]),
-            ca.vertcat(2 * force / Omega**3, -df_dp / Omega**2, ca.vec(ca.DM(at_zero) @ dn_dq)),
-        )
-        return z, residual, derivative + stiffness + borders
+        at, into, values = zip(*parts, strict=True)
+        shape = (self.size - 1, self.size)
+        return z, residual, sparse_matrix(shape, np.concatenate(at), np.concatenate(into), ca.vertcat(*values))
 
     def place(self, equation: int) -> str:
         """Where an equation, counted from 0, holds, in words."""

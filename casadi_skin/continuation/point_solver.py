@@ -5,8 +5,9 @@ The corrector has the last word on every point, and the point is refined until i
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import ContinuationSettings, Point, Target
-from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.corrector import Correction, confirmations
 from casadi_skin.solvers.levels import ErrorEstimate, Levels, step_error
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
@@ -128,19 +129,43 @@ class PointSolver:
         does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
         relative error, where these have been found. Raises SingularError.
         """
-        return self._confirmed(self._climbed(problem, correction, row, held, known), held)
+        climbed = self._climbed(problem, correction, row, held, known)
+        if climbed is None:
+            return None
+        (point,) = self.confirmed([(climbed, held)])
+        if isinstance(point, SingularError):
+            raise point
+        return point
 
-    def _confirmed(self, point: Point | None, held: Scalar | None) -> Point | None:
-        """The point as the corrector's last word has it; raises SingularError where that refuses it."""
-        confirm = None if point is None else getattr(self.levels.corrector(point.problem), "confirm", None)
-        if point is None or confirm is None:
+    def confirmed(self, points: Sequence[tuple[Point, Scalar | None]]) -> list[Point | SingularError | None]:
+        """Points, with what was held, as the corrector's last word has them; where it refuses one, an error."""
+        found: list[Point | SingularError | None] = []
+        for problem, these in groupby(points, key=lambda item: item[0].problem):
+            some = list(these)
+            rows = [self._row(point, held) for point, held in some]
+            held_states = [(point.z, row, float(row @ point.z)) for (point, _), row in zip(some, rows, strict=True)]
+            corrections = confirmations(self.levels.corrector(problem), held_states)
+            for (point, held), row, correction in zip(some, rows, corrections, strict=True):
+                found.append(self._last_word(point, held, row, correction))
+        return found
+
+    def _row(self, point: Point, held: Scalar | None) -> Array:
+        """The row that holds what is held, or the place along the tangent."""
+        problem = point.problem
+        return self.metric(problem, point.z) * point.tangent if held is None else problem.row_of(held)
+
+    def _last_word(
+        self, point: Point, held: Scalar | None, row: Array, correction: Correction
+    ) -> Point | SingularError | None:
+        """A point with the corrector's last word on it: measured anew where that moves it."""
+        if correction.converged and correction.z is point.z:
             return point
-        problem, z = point.problem, point.z
-        row = self.metric(problem, z) * point.tangent if held is None else problem.row_of(held)
-        correction: Correction = confirm(z, row, float(row @ z))
         if not correction.converged:
-            raise SingularError(f"{correction.status.value} {correction.message}".strip())
-        return point if correction.z is z else replace(point, z=correction.z)
+            return SingularError(f"{correction.status.value} {correction.message}".strip())
+        try:
+            return self._climbed(point.problem, correction, row, held, None)
+        except SingularError as error:
+            return error
 
     def _climbed(
         self,
@@ -155,12 +180,14 @@ class PointSolver:
         coarser: tuple[float, Point] | None = None  # the same point one level below, with its error
         climbed: list[tuple[int, float]] = []
         while True:
+            if known is not None and self._is_finished(*known):
+                return known[0]
             solve = self.factor(problem, z, row)
             if known is None:
                 tangent = self.tangent(problem, z, solve)
                 known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
             point, relative = known
-            if point.at_round_off or relative <= self.settings.tolerance:
+            if self._is_finished(point, relative):
                 return point
             left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
             algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
@@ -192,11 +219,19 @@ class PointSolver:
         self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
     ) -> Point | None:
         """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
-        point, relative = self._measured(problem, correction, tangent, held)
-        finished = point.at_round_off or relative <= self.settings.tolerance
-        if finished:
-            return self._confirmed(point, held)
-        return self.refined(problem, correction, row, held, (point, relative))
+        known = self._measured(problem, correction, tangent, held)
+        return self.refined(problem, correction, row, held, known)
+
+    def unconfirmed(
+        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
+    ) -> Point | None:
+        """As `near`, before the corrector's last word (see `confirmed`)."""
+        known = self._measured(problem, correction, tangent, held)
+        return self._climbed(problem, correction, row, held, known)
+
+    def _is_finished(self, point: Point, relative: float) -> bool:
+        """Whether nothing is to be done about an error."""
+        return point.at_round_off or relative <= self.settings.tolerance
 
     def _measured(
         self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None

@@ -17,11 +17,14 @@ from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.continuation.taylor import Stretch
+from casadi_skin.solvers.corrector import Correction, Status
 
 SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
 FAINT = 1e-7  # of the largest state: its square is round-off
 SPARSE = 2.0  # times the turn that a walk aims for which predicts each point from the last
+TOGETHER = 8  # points of a stretch, about as many as one has, that the corrector confirms at a time
+SHORT = 3.0  # times the precision of the series: the square of such a step is below what correctors leave
 SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
 
 
@@ -139,16 +142,13 @@ class SeriesContinuation:
         problem, ends = base.problem, self.settings.ends
         last, self._reported = max((point.along for point in self._reported), default=0.0), ()
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
-        for stop in stops:
-            reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
-            point = self._point(problem, stretch, stop, reach)
+        for stop, point in self._solved(base, stretch, stops, last):
             if point is None:
                 if stop.target is None:
                     self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
                     return
                 self.missed.append(stop.target)
             else:
-                last = stop.tau
                 finished = stop.target not in ends and (stop is stops[-1] or point.problem is not problem)
                 step = base.step * stretch.length
                 yield replace(point, requested=stop.requested, walked=finished, step=step, along=stop.tau)
@@ -157,6 +157,32 @@ class SeriesContinuation:
             if stop.target in ends:
                 self.end = End.REACHED
                 return
+
+    def _solved(
+        self, base: Point, stretch: Stretch, stops: list[_Stop], last: float
+    ) -> Iterator[tuple[_Stop, Point | None]]:
+        """Points at stops beyond the place `last`, a few confirmed at a time; None where the corrector finds none."""
+        found: list[tuple[_Stop, Point]] = []
+        for stop in stops:
+            reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
+            point = self._point(base.problem, stretch, stop, reach)
+            if point is not None:
+                last = stop.tau
+                found.append((stop, point))
+                if len(found) < TOGETHER and stop is not stops[-1] and point.problem is base.problem:
+                    continue
+            yield from self._confirmed(found)
+            found = []
+            if point is None:
+                yield stop, None
+
+    def _confirmed(self, found: list[tuple[_Stop, Point]]) -> Iterator[tuple[_Stop, Point | None]]:
+        """Points with the corrector's last word on them."""
+        held = [(point, None if stop.target is None else stop.target.held) for stop, point in found]
+        for (stop, _), point in zip(found, self.point_solver.confirmed(held), strict=True):
+            if isinstance(point, SingularError):
+                self.detail = f'{point}; try walker = "arclength"'
+            yield stop, None if isinstance(point, SingularError) else point
 
     def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
         """Where points are reported: values asked for, and often enough to draw and to see stability change."""
@@ -209,21 +235,24 @@ class SeriesContinuation:
             index, wanted = target.unknown(problem)
             row = problem.row_of(target.held) * float(np.sign(slope[index]))
             value = wanted * float(row[index])
+        held = None if target is None else target.held
         try:
-            polished, tangent = self._polished(problem, guess, row, value)
-            correction = self.point_solver.correct(problem, polished, row, value, reach)
+            polished, tangent, converged = self._polished(problem, guess, row, value)
+            correction: Correction | None = Correction(polished, Status.CONVERGED, 0)
+            if not converged:
+                correction = self.point_solver.correct(problem, polished, row, value, reach)
             if correction is None:
                 self.detail = f'{self.point_solver.failure}; try walker = "arclength"'
                 return None
             if target is not None:
                 correction.z[index] = wanted  # equal but for round-off of the held row
-            return self.point_solver.near(problem, correction, tangent, row, None if target is None else target.held)
+            return self.point_solver.unconfirmed(problem, correction, tangent, row, held)
         except SingularError as error:
             self.detail = str(error)
             return None
 
-    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array]:
-        """A Newton step from a point of the series, which leaves the corrector nothing to do, and the tangent.
+    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array, bool]:
+        """A Newton step from a point of the series, the tangent, and whether the step is so short that one is enough.
 
         What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
         the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
@@ -232,4 +261,6 @@ class SeriesContinuation:
         states[np.abs(states) < FAINT * np.max(np.abs(states))] = 0.0
         residual, nonzeros = problem.evaluate(guess)
         solve = self.point_solver.levels.solver(problem).factor(guess, nonzeros, row)
-        return guess - solve(np.append(residual, row @ guess - value)), self.point_solver.tangent(problem, guess, solve)
+        polished = guess - solve(np.append(residual, row @ guess - value))
+        step = self.point_solver.distance(problem, guess, polished)
+        return polished, self.point_solver.tangent(problem, guess, solve), step <= SHORT * self._precision(problem)

@@ -9,9 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from casadi_skin.lattice.cell_tail import CellTail, Place
-from casadi_skin.lattice.tail_parameter import Regime, TailValues
-
-KEPT = 16  # values that are asked for again
+from casadi_skin.lattice.tail_parameter import KEPT, Regime, TailValues
 
 
 @dataclass(frozen=True, eq=False)

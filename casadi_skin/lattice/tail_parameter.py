@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.tail import Tail, Wave
+
+KEPT = 16  # values that are asked for again
 
 
 class Regime(Enum):
@@ -121,6 +124,13 @@ class TailParameter:
 
     def values(self, u: float) -> TailValues:
         """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
+        return self._kept(u)
+
+    @cached_property
+    def _kept(self) -> Callable[[float], TailValues]:
+        return lru_cache(KEPT)(self._values)
+
+    def _values(self, u: float) -> TailValues:
         k0, wave = self._resolved(u)
         tail, edge = self.tail, self.edge if k0 == 1 else -1
         squared = self._squared(k0, wave)

@@ -118,14 +118,13 @@ class CoreWithTailProblem(TrigonometricProblem):
         from_tail = s / Omega**2 * across * a  # the force that the core's own equations lack, over Omega^2
         residual = ca.vertcat(R[:before], down * balance - from_tail, R[after:])
 
-        own = ca.diag(down) @ to_coefficients
-        transform = ca.diagcat(ca.MX.eye(before), own, ca.MX.eye(size - 1 - after))
-        chain_rule = ca.diagcat(ca.MX.eye(self.states), Omega_slope, ca.MX.eye(1))
+        own = ca.vertcat(J[:before, :], ca.diag(down) @ to_coefficients @ J[before:after, :], J[after:, :])
+        by_Omega = own[:, self.Omega_index] * Omega_slope
         by_states = s / Omega**2 * ca.diag(across) @ to_coefficients
         by_u = down_slope * balance - s / Omega**2 * across_slope * a + 2.0 * Omega_slope / Omega * from_tail
         beside = ca.MX(H, before), -by_states, ca.MX(H, self.states - after), by_u, ca.MX(H, 1)
         extra = ca.vertcat(ca.MX(before, size), ca.horzcat(*beside), ca.MX(size - 1 - after, size))
-        return z, residual, transform @ J @ chain_rule + extra
+        return z, residual, ca.horzcat(own[:, : self.states], by_Omega, own[:, self.parameter_index]) + extra
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""

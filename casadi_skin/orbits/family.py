@@ -22,11 +22,13 @@ from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, End, Point, Target
+from casadi_skin.continuation.series import TOGETHER
 from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.small_components import with_small_components
 from casadi_skin.orbits.special_points import folds_between
+from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels, Refinement
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
@@ -46,6 +48,7 @@ SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
 LARGEST = 10_000_000  # positions times harmonics squared: what fits into about a gigabyte
+SMALL = 1000  # unknowns up to which what a call of Ipopt costs is no matter of their number
 CHEAP = 1_000_000  # the same: what takes a fraction of a second to solve
 SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
@@ -142,6 +145,9 @@ class Family:
             tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)
         if name == "ipopt":
             tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
+        if name == "ipopt" and not isinstance(problem, ShootingProblem):
+            series = self.request.method.walker == "series"
+            return ConfirmedCorrector(problem, tolerance, TOGETHER if series and problem.size <= SMALL else 1)
         corrector: Corrector = methods.CORRECTORS[name].load()(problem, tolerance)
         return corrector
 

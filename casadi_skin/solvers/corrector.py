@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -34,6 +35,9 @@ class Correction:
         return self.status is Status.CONVERGED
 
 
+HeldState = tuple[Array, Array, float]  # unknowns z, and a row with the value of row . z
+
+
 class Corrector(Protocol):
     """Solves R(z) = 0 together with one held linear condition row . z = value."""
 
@@ -46,3 +50,11 @@ class Corrector(Protocol):
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
         ...
+
+
+def confirmations(corrector: Corrector, points: Sequence[HeldState]) -> list[Correction]:
+    """The last word of a corrector on solutions: each as it is where the corrector agrees, or has no other word."""
+    several, one = getattr(corrector, "confirm_all", None), getattr(corrector, "confirm", None)
+    if several is not None:
+        return list(several(points))
+    return [Correction(z, Status.CONVERGED, 0) if one is None else one(z, row, value) for z, row, value in points]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -15,7 +14,7 @@ from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
 
-_STATUS = {
+STATUS = {
     SOLVED: Status.CONVERGED,
     "Solved_To_Acceptable_Level": Status.TOO_MANY_ITERATIONS,
     "Maximum_Iterations_Exceeded": Status.TOO_MANY_ITERATIONS,
@@ -93,6 +92,57 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         return 0
 
 
+def square_solver(
+    z: ca.MX, held: ca.MX, constraints: ca.MX, jac_g: ca.Function, tolerance: float, max_iterations: int
+) -> ca.Function:
+    """Ipopt on as many equations g(z; held) = 0 as unknowns: no objective, and an empty Hessian of the Lagrangian."""
+    size = z.numel()
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
+    hess_lag = ca.Function(
+        "hess_lag",
+        [z, held, lam_f, lam_g],
+        [ca.MX(size, size)],
+        ["x", "p", "lam_f", "lam_g"],
+        ["triu_hess_gamma_x_x"],
+    )
+    options = {
+        "jac_g": jac_g,
+        "hess_lag": hess_lag,
+        "no_nlp_grad": True,  # the gradient of the Lagrangian, which nothing asks for
+        "calc_lam_x": False,
+        "calc_lam_p": False,
+        "calc_f": False,
+        "calc_g": False,
+        "ipopt.max_iter": max_iterations,
+        "ipopt.nlp_scaling_method": "none",
+        "ipopt.mumps_pivtol": 1e-6,
+    }
+    nlp = {"x": z, "p": held, "f": 0, "g": constraints}
+    return nlp_solver("corrector", nlp, tolerance, options)
+
+
+class Attached:
+    """A square solver with arguments and result in arrays of our own: no conversion, at a third of the cost."""
+
+    def __init__(self, solver: ca.Function) -> None:
+        size = solver.numel_in("x0")
+        self.guess, self.held, self.found = np.zeros(size), np.zeros(solver.numel_in("p")), np.zeros(size)
+        without, zero = np.full(size, np.inf), np.zeros(size)
+        self._solver, (self._buffer, self._trigger) = solver, solver.buffer()
+        arguments = {"x0": self.guess, "p": self.held, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
+        self._fixed = tuple(arguments.values())  # the buffer holds no reference
+        for name, values in (arguments | {"lam_x0": zero, "lam_g0": zero}).items():
+            self._buffer.set_arg(solver.index_in(name), values.data)
+        self._buffer.set_res(solver.index_out("x"), self.found.data)
+
+    def solve(self) -> tuple[Array, str, int]:
+        """What is found from `guess` with `held`, Ipopt's own words for how it ended, and the iterations."""
+        with interrupts_deferred():
+            self._trigger()
+        stats = self._buffer.stats()
+        return self.found.copy(), str(stats["return_status"]), int(stats["iter_count"])
+
+
 class IpoptCorrector:
     """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value.
 
@@ -115,41 +165,7 @@ class IpoptCorrector:
             constraints, jac_g = self._evaluated[0](z, held), self._evaluated[1]
         else:
             constraints, jac_g = _expressed(problem, z, held)
-        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
-        hess_lag = ca.Function(
-            "hess_lag",
-            [z, held, lam_f, lam_g],
-            [ca.MX(size, size)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        )
-        options = {
-            "jac_g": jac_g,
-            "hess_lag": hess_lag,
-            "no_nlp_grad": True,  # the gradient of the Lagrangian, which nothing asks for
-            "calc_lam_x": False,
-            "calc_lam_p": False,
-            "calc_f": False,
-            "calc_g": False,
-            "ipopt.max_iter": max_iterations,
-            "ipopt.nlp_scaling_method": "none",
-            "ipopt.mumps_pivtol": 1e-6,
-        }
-        nlp = {"x": z, "p": held, "f": 0, "g": constraints}
-        self._solver = nlp_solver("corrector", nlp, tolerance, options)
-        self._buffers = self._attach(size, held.numel())
-
-    def _attach(self, size: int, parameters: int) -> tuple[ca.FunctionBuffer, Callable[[], None], Array, Array, Array]:
-        """The solver's arguments and result as arrays of our own: no conversion, at a third of the cost of a call."""
-        guess, held, found = np.zeros(size), np.zeros(parameters), np.zeros(size)
-        without, zero = np.full(size, np.inf), np.zeros(size)
-        buffer, trigger = self._solver.buffer()
-        arguments = {"x0": guess, "p": held, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
-        self._fixed = tuple(arguments.values())  # the buffer holds no reference
-        for name, values in (arguments | {"lam_x0": zero, "lam_g0": zero}).items():
-            buffer.set_arg(self._solver.index_in(name), values.data)
-        buffer.set_res(self._solver.index_out("x"), found.data)
-        return buffer, trigger, guess, held, found
+        self._attached = Attached(square_solver(z, held, constraints, jac_g, tolerance, max_iterations))
 
     def on(self, problem: Problem) -> IpoptCorrector:
         """This corrector for a problem that differs in its constants only; the solver built is shared."""
@@ -162,18 +178,15 @@ class IpoptCorrector:
         words = f"Ipopt, {self.problem.size} unknowns"
         heed(words)
         scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
-        with interrupts_deferred():
-            buffer, trigger, start, held, found = self._buffers
-            start[:], size = guess, self.problem.size
-            held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, self.problem.constants
-            trigger()
-        heed(words)
-        stats = buffer.stats()
-        words = str(stats["return_status"])
-        status = _STATUS.get(words, Status.DIVERGED)
-        z = found.copy()
+        attached, size = self._attached, self.problem.size
+        attached.guess[:] = guess
+        held = attached.held
+        held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, self.problem.constants
+        z, words, iterations = attached.solve()
+        heed(f"Ipopt, {size} unknowns")
+        status = STATUS.get(words, Status.DIVERGED)
         if status is Status.CONVERGED and not np.all(np.isfinite(z)):
             status = Status.DIVERGED
         if status is not Status.CONVERGED:
             words = f"Ipopt: {words}; {self.problem.worst(guess)}"
-        return Correction(z, status, int(stats["iter_count"]), words)
+        return Correction(z, status, iterations, words)

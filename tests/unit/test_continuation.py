@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -18,7 +19,8 @@ from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.corrector import Correction
+from casadi_skin.solvers.confirmed import ConfirmedCorrector
+from casadi_skin.solvers.corrector import Correction, HeldState, Status
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
@@ -611,7 +613,29 @@ def test_a_corrector_that_fails_at_a_requested_point_leaves_it_named(
         return replace(correction, z=2 * correction.z) if abs(value) == wanted else correction
 
     monkeypatch.setattr(NewtonCorrector, "correct", correct)
-    branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], corrector="newton")
+    options = {"corrector": "newton", "walker": "arclength"}
+    branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], **options)
+    check_missed(branch, wanted)
+
+
+@pytest.mark.parametrize("wanted", [0.3, 0.6, 1.0])
+def test_ipopt_that_refuses_one_of_several_points_leaves_it_named(
+    wanted: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true_confirm = ConfirmedCorrector.confirm_all
+
+    def confirm_all(self: ConfirmedCorrector, points: Sequence[HeldState]) -> list[Correction]:
+        found = true_confirm(self, points)
+        refused = [abs(value) == wanted and np.count_nonzero(row) == 1 for _, row, value in points]
+        return [replace(c, status=Status.INFEASIBLE) if no else c for c, no in zip(found, refused, strict=True)]
+
+    monkeypatch.setattr(ConfirmedCorrector, "confirm_all", confirm_all)
+    branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], walker="series")
+    check_missed(branch, wanted)
+
+
+def check_missed(branch: Branch, wanted: float) -> None:
+    """The branch went on to its end, and says which amplitude is missing."""
     assert branch.end is End.REACHED
     assert not branch.complete
     assert branch.missed == (wanted,)

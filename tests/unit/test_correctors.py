@@ -17,6 +17,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector, Status
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -68,6 +69,50 @@ def test_ipopt_and_newton_agree_to_round_off(kind: str, sites: int, mode: int, k
     newton, ipopt = (correction.z for correction in found)
     assert ipopt[problem.Omega_index] == pytest.approx(newton[problem.Omega_index], rel=1e-12)
     np.testing.assert_allclose(ipopt, newton, rtol=0, atol=1e-12 * np.abs(newton).max())
+
+
+@pytest.mark.parametrize("together", [1, 2, 4])
+@pytest.mark.parametrize("kind", ["trigonometric", "gauss full"])
+def test_ipopt_confirms_several_orbits_at_once_and_moves_what_is_none(kind: str, together: int) -> None:
+    """Three orbits: two stay the arrays they are, one that is put off comes back; rows and values are those of each."""
+    chain = Chain(4, 1.0, 0.25, 1.0)
+    problem = problem_of(chain, kind)
+    mode, row = linear_mode(problem, chain, 2), problem.parameter_row()
+    newton = NewtonCorrector(problem)
+    orbits = [newton.correct(mode, row, kappa).z for kappa in (0.1, 0.2, 0.3)]
+    mixed = np.cos(np.arange(problem.size))
+    off = orbits[1] * (1.0 + 1e-3 * np.sin(np.arange(problem.size)))
+    corrector = ConfirmedCorrector(problem, 1e-11, together)
+    held = [(orbits[0], row, 0.1), (off, mixed, float(mixed @ orbits[1])), (orbits[2], mixed, float(mixed @ orbits[2]))]
+    first, moved, last = corrector.confirm_all(held)
+    assert all(correction.converged for correction in (first, moved, last))
+    assert first.z is orbits[0]
+    assert last.z is orbits[2]
+    np.testing.assert_allclose(moved.z, orbits[1], rtol=0, atol=1e-10)
+
+
+def test_ipopt_names_the_one_of_several_points_that_it_cannot_solve() -> None:
+    chain = Chain(2, 1.0, 0.3, -1.0)
+    problem = problem_of(chain, "trigonometric")
+    row = problem.parameter_row()
+    orbit = NewtonCorrector(problem).correct(linear_mode(problem, chain, 1), row, -0.1).z
+    nowhere = np.zeros(problem.size)
+    good, bad = ConfirmedCorrector(problem, 1e-11, 3).confirm_all([(orbit, row, -0.1), (orbit, nowhere, 1.0)])
+    assert good.z is orbit
+    assert not bad.converged
+    assert "Ipopt" in bad.message
+
+
+def test_newton_gives_way_to_ipopt_where_its_steps_do_not_shrink(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = Chain(4, 1.0, 0.25, 1.0)
+    problem = problem_of(chain, "trigonometric")
+    row, corrector = problem.parameter_row(), ConfirmedCorrector(problem, 1e-11)
+    expected = NewtonCorrector(problem).correct(linear_mode(problem, chain, 2), row, 0.2).z
+    monkeypatch.setattr(corrector._newton, "_shrink", 1e-9)
+    found = corrector.correct(linear_mode(problem, chain, 2), row, 0.2)
+    assert found.converged
+    assert found.message == "Solve_Succeeded"
+    np.testing.assert_allclose(found.z, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("make", CORRECTORS)

@@ -1,0 +1,124 @@
+"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and the last word on what is reported.
+
+A call of Ipopt that has nothing to do costs more than a Newton step. Several orbits are confirmed in one call: the
+nonlinear programme of independent blocks, one an orbit, takes half of what the calls take one by one.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.solvers.corrector import Correction, HeldState, Status
+from casadi_skin.solvers.ipopt import STATUS, Attached, IpoptCorrector, square_solver
+from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solvers.watch import heed
+
+STEPS = 10  # of Newton's method, before Ipopt is asked
+SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
+AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
+ITERATIONS = 20
+
+
+class _Blocks:
+    """Ipopt on the equations of several orbits, each closed by a row of its own, as one nonlinear programme."""
+
+    def __init__(self, problem: Problem, tolerance: float, count: int) -> None:
+        self._problem, self._count, size = problem, count, problem.size
+        z = ca.MX.sym("z", size, count)
+        held = ca.MX.sym("held", size + 2, count)  # of each a row, its value, and the scale of the residuals
+        constants = ca.MX.sym("constants", problem.constants.size)
+        rows, values, scales = held[:size, :], held[size, :], held[size + 1, :]
+        residual, jacobian = problem.function.map(count)(z, ca.repmat(constants, 1, count))
+        nonzeros = problem.function.sparsity_out(1)
+        entries = ca.reshape(jacobian.nz[:], nonzeros.nnz(), count) / ca.repmat(scales, nonzeros.nnz(), 1)
+        closing = ca.MX(ca.diagcat(*[ca.Sparsity.dense(1, size)] * count), ca.vec(rows))
+        jacobians = ca.vertcat(ca.MX(ca.diagcat(*[nonzeros] * count), ca.vec(entries)), closing)
+        constraints = ca.vertcat(ca.vec(residual / ca.repmat(scales, size - 1, 1)), ca.vec(ca.sum1(rows * z) - values))
+        x, p = ca.MX.sym("x", size * count), ca.MX.sym("p", (size + 2) * count + problem.constants.size)
+        blocks = ca.Function("blocks", [z, held, constants], [constraints, jacobians])
+        parts = ca.vertsplit(p, [0, (size + 2) * count, p.numel()])
+        results = blocks(ca.reshape(x, size, count), ca.reshape(parts[0], size + 2, count), parts[1])
+        jac_g = ca.Function("jac_g", [x, p], results, ["x", "p"], ["g", "jac_g_x"])
+        self._attached = Attached(square_solver(x, p, results[0], jac_g, tolerance, ITERATIONS))
+
+    def __call__(self, points: Sequence[HeldState], constants: Array) -> tuple[Array, str, int]:
+        """What Ipopt makes of up to `count` points, its words, and its iterations; the last one fills up the rest."""
+        size, count = self._problem.size, self._count
+        guess = self._attached.guess.reshape(count, size)
+        held = self._attached.held[: (size + 2) * count].reshape(count, size + 2)
+        for k in range(count):
+            z, row, value = points[min(k, len(points) - 1)]
+            guess[k], held[k, :size], held[k, size] = z, row, value
+            held[k, size + 1] = max(1.0, float(np.max(np.abs(z[: self._problem.states]))))
+        self._attached.held[(size + 2) * count :] = constants
+        found, words, iterations = self._attached.solve()
+        return found.reshape(count, size)[: len(points)], words, iterations
+
+
+class ConfirmedCorrector:
+    """Newton's method, and Ipopt from the same guess where its steps do not shrink fast: they may lead anywhere then.
+
+    `together` is the number of points that one call of Ipopt confirms.
+    """
+
+    def __init__(self, problem: Problem, tolerance: float = 1e-12, together: int = 1) -> None:
+        self.problem, self.tolerance, self.together = problem, tolerance, together
+        self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
+        self._built: dict[str, IpoptCorrector | _Blocks] = {}
+
+    def on(self, problem: Problem) -> ConfirmedCorrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        other = copy.copy(self)
+        other.problem, other._newton = problem, self._newton.on(problem)
+        return other
+
+    def _ipopt(self) -> IpoptCorrector:
+        """Ipopt on one orbit, built when it is first needed."""
+        if "one" not in self._built:
+            self._built["one"] = IpoptCorrector(self.problem, self.tolerance, ITERATIONS)
+        found = self._built["one"]
+        assert isinstance(found, IpoptCorrector)
+        return found.on(self.problem)
+
+    def _blocks(self) -> _Blocks:
+        """Ipopt on several orbits, built when it is first needed."""
+        if "several" not in self._built:
+            self._built["several"] = _Blocks(self.problem, self.tolerance, self.together)
+        found = self._built["several"]
+        assert isinstance(found, _Blocks)
+        return found
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        correction = self._newton.correct(guess, row, value)
+        return correction if correction.converged else self._ipopt().correct(guess, row, value)
+
+    def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
+        """What Ipopt makes of solutions: each itself where it agrees; one by one where it does not solve all."""
+        if self.together == 1:
+            return [self._agreed(z, self._ipopt().correct(z, row, value)) for z, row, value in points]
+        results: list[Correction] = []
+        for first in range(0, len(points), self.together):
+            some = points[first : first + self.together]
+            heed(f"Ipopt, {self.problem.size * self.together} unknowns")
+            found, words, iterations = self._blocks()(some, self.problem.constants)
+            if STATUS.get(words) is Status.CONVERGED and np.all(np.isfinite(found)):
+                corrections = [Correction(z, Status.CONVERGED, iterations, words) for z in found]
+            else:
+                corrections = [self._ipopt().correct(*point) for point in some]
+            results += [self._agreed(z, correction) for (z, _, _), correction in zip(some, corrections, strict=True)]
+        return results
+
+    def _agreed(self, z: Array, correction: Correction) -> Correction:
+        """The correction of z, by z itself where it is the same within the tolerance."""
+        if not correction.converged:
+            return correction
+        step = correction.z - z
+        apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2)))
+        same = apart <= AGREED * self.tolerance
+        return Correction(z, correction.status, correction.iterations) if same else correction
