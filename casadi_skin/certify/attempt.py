@@ -68,7 +68,7 @@ def computed_series(orbit: Orbit, system: CosineSystem, harmonics: int) -> Cosin
 
 def cosine_coefficients(orbit: Orbit, system: CosineSystem, count: int) -> Array:
     """Coefficients of the harmonics of an orbit in doubles, shape (count, positions)."""
-    sites = np.arange(1, system.positions + 1)
+    sites = np.arange(system.positions) + (1 if system.tail is None else system.tail.first_site)
     if system.step == 2:
         return orbit.coefficients(count, sites)
     samples = max(count, SAMPLES)
@@ -91,12 +91,11 @@ def attempt_near(start: CosineSeries, nu: arb, computed: CosineSeries | None = N
     try:
         _check_size(start.system, start.harmonics)
         inverse = FiniteInverse(start, nu)
-    except ValueError as error:  # too many unknowns, or a singular matrix
+        series = refined(inverse)
+        constants = FiniteInverse(series, nu, inverse.matrix).constants()
+    except ValueError as error:  # too many unknowns, a singular matrix, or a tail in the band
         nan = float("nan")
         return Attempt(start, nu, Constants(nan, nan, nan, nan), nan, nan, nan, fault=str(error))
-    series = refined(inverse)
-    bounds = FiniteInverse(series, nu, inverse.matrix)
-    constants = bounds.constants()
     radius = proved_radius(constants)
     away = distance(start if computed is None else computed, series, nu)
     size = balls.above(norm(series, nu))

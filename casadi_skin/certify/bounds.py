@@ -15,6 +15,7 @@ from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
 from casadi_skin.certify.cosine_system import CosineSeries
 from casadi_skin.certify.lipschitz import OperatorSize, curvature, series_norms
+from casadi_skin.certify.tail_size import TailSize
 from casadi_skin.orbits.certificate import Constants
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class FiniteInverse:
         if not self.weights_above[H - 1] < LARGEST_WEIGHT:
             raise ValueError(f"weights of {self.weights_above[H - 1]:.3g}, accepted: nu^k up to {LARGEST_WEIGHT:.3g}")
         self.rows_above = np.concatenate([[1.0], np.tile(self.weights_above[:H], n)])
+        self._extend_rows()
         self.columns_below = np.concatenate([[1.0], np.tile(self.weights_below[:H], n)])
         self.slope = Enclosed.of(series.amplitude_slope())
         self.blocks = [
@@ -52,6 +54,22 @@ class FiniteInverse:
         self.doubt = np.zeros(self.inner) if doubt is None else doubt
         # the numbers c_n of the amplitude's row in A, exact
         self.exact_slope = [arb(c) for c in self.slope.middle.tolist()]
+
+    def _extend_rows(self) -> None:
+        """Weights of rows with what A makes of them in a tail: the sites' |tau|^n, and what lambda moves there."""
+        from flint import arb
+
+        tail, square = self.series.system.tail, self.series.square
+        if tail is None or self.series.tail_series is None:
+            return
+        moved = arb(1)
+        for i, a in enumerate(self.series.tail_series):
+            k = 2 * i + 1
+            size = abs(tail.root(k, square))
+            moved += self.nu**k * k**2 * abs(a) * size / (1 - size) / tail.gap(k, square)
+            place = 1 + tail.site * self.numbers.size + i
+            self.rows_above[place] = above(self.nu**k / (1 - size))
+        self.rows_above[0] = above(moved)
 
     @property
     def inner(self) -> int:
@@ -79,7 +97,7 @@ class FiniteInverse:
         amplitude[1] = self.slope.radius[n]
         middle.append(amplitude[0])
         radius.append(amplitude[1])
-        square = Enclosed.of([self.series.square * int(k) ** 2 for k in self.numbers.tolist()])
+        square = Enclosed.of(self._diagonal(n))
         for m in sorted({m for m, row in enumerate(self.blocks) if n in row} | {n}):
             g = self.blocks[m].get(n, Enclosed(np.zeros(1), np.zeros(1)))
             block = self._toeplitz(g.middle, columns)
@@ -93,12 +111,24 @@ class FiniteInverse:
             radius.append(error)
         return np.concatenate(rows), Enclosed(np.vstack(middle), np.vstack(radius))
 
+    def _diagonal(self, n: int) -> list[arb]:
+        """lambda k^2, with what a tail gives back to its site."""
+        tail, square = self.series.system.tail, self.series.square
+        values = [square * int(k) ** 2 for k in self.numbers.tolist()]
+        if tail is not None and n == tail.site:
+            values = [v + tail.coupling * tail.share(2 * i + 1, square) for i, v in enumerate(values)]
+        return values
+
     def _frequency_column(self) -> Enclosed:
         """Derivative of the equations with respect to lambda: k^2 a_nk; the amplitude's is 0."""
         from flint import arb
 
         harmonic = self.series.system.harmonic
         entries = [harmonic(i) ** 2 * a for row in self.series.coefficients for i, a in enumerate(row)]
+        tail, H = self.series.system.tail, self.numbers.size
+        if tail is not None:  # and through the tail, whose ratios change with lambda
+            for i in range(H):
+                entries[tail.site * H + i] *= 1 + tail.squares(2 * i + 1, self.series.square)
         return Enclosed.of([arb(0), *entries])
 
     def _jacobian(self) -> Array:
@@ -139,7 +169,13 @@ class FiniteInverse:
             if n in row:
                 for i, g in enumerate(row[n].largest.tolist()):
                     total += (1 if i == 0 else 2) * arb(g) * self.nu ** (step * i)
-        return total
+        tail = self.series.system.tail
+        return total + tail.coupling if tail is not None and n == tail.site else total
+
+    @cached_property
+    def tailed(self) -> TailSize | None:
+        """What bounds A and the equations in a tail; None without one."""
+        return TailSize.of(self.series, self.nu, self.norms, self.weights_below) if self.series.tail_series else None
 
     @cached_property
     def beyond(self) -> arb:
@@ -176,6 +212,8 @@ class FiniteInverse:
         finite, tail = self.residual(self.series)
         values = Enclosed.of(finite)
         image = self._image(np.arange(self.inner), Enclosed(values.middle[:, None], values.radius[:, None]))
+        if self.tailed is not None:
+            tail += self.tailed.residual * self.tailed.factor.max(self.tail_factor * self.beyond)
         return float(np.nextafter(image[0] + size(tail), np.inf))
 
     def finite_columns(self) -> float:
@@ -203,13 +241,20 @@ class FiniteInverse:
         for n in range(self.series.system.positions):
             tail = tail.max(self.derivative_norm(n))
         slope = arb(float(self.norms[0])) * arb(float(np.max(self.slope.radius))) / self.nu**self.tail
+        if self.tailed is not None:
+            tail = tail.max(self.tailed.derivative)
+            slope += self.tailed.cubic_derivative * self.tailed.factor + arb(float(self.norms[0])) * self.tailed.slope
         return above(arb(self.finite_columns()) + tail * self.tail_factor * self.beyond + slope)
 
     def W(self, reach: float) -> float:
         """Lipschitz constant of A DF within `reach` of the coefficients."""
         system = self.series.system
         operator = OperatorSize(self.norms, self.columns_below, self.beyond, 1 / self.series.square)
-        return operator.lipschitz(system, self.nu, curvature(system, series_norms(self.series, self.nu), reach))
+        curved = curvature(system, series_norms(self.series, self.nu), reach)
+        if self.tailed is None:
+            return operator.lipschitz(system, self.nu, curved)
+        curved = curved.max(self.tailed.curvature(reach))
+        return operator.lipschitz(system, self.nu, curved, self.tailed.factor, self.tailed.square_factor)
 
     def constants(self) -> Constants:
         """The three bounds."""

@@ -11,8 +11,10 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.certify import balls
 from casadi_skin.certify.attempt import LARGEST, Attempt, attempt_of, carrying
 from casadi_skin.certify.bounds import uniqueness_radius
-from casadi_skin.certify.cosine_system import Terms
+from casadi_skin.certify.cosine_system import CosineSystem, Terms
+from casadi_skin.certify.linear_tail import tailed_system
 from casadi_skin.certify.model_terms import energy_terms, evaluate, system_of
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.certificate import NO_ABSENCE, Certificate, Interval
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from flint import arb
 
 WEIGHT = 1.02
+MOST_SITES = 500  # of a long chain whose tail is no unknown elsewhere, that are all unknowns here
 MARGIN = 4  # harmonics beyond those that carry the orbit at its tolerance
 GROWTH = 1.4  # of the number of harmonics after a trial
 TRIALS = 8
@@ -68,7 +71,7 @@ def best_attempt(
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
     family = provable(orbit.space)
     decimals = family.request.decimals if decimals is None else decimals
-    system = system_of(family.coordinates, orbit.S, step_of(family), decimals)
+    system = _system(family, orbit.S, decimals)
     if harmonics is not None:
         return family, attempt_of(orbit, system, harmonics, weight)
     best, H = None, carrying(orbit, system) + MARGIN
@@ -76,7 +79,7 @@ def best_attempt(
         attempt = attempt_of(orbit, system, H, weight)
         if best is None or attempt.better_than(best):
             best = attempt
-        elif not best.proved and attempt.constants.Z > 0.9 * best.constants.Z:
+        elif attempt.fault or (not best.proved and attempt.constants.Z > 0.9 * best.constants.Z):
             break
         H = int(np.ceil(GROWTH * H))
         if (best.proved and best.radius <= FINE * best.size) or 1 + system.positions * H > LARGEST:
@@ -93,6 +96,10 @@ def provable(family: Family) -> Family:
     flint, coordinates = balls.flint(), family.coordinates
     if family.symmetry is SymmetryClass.FULL:
         raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED}")
+    if isinstance(coordinates, CoreWithTail) and coordinates.chain.sites > MOST_SITES:
+        with flint.ctx.workprec(balls.PRECISION):
+            tailed_system(coordinates, family.request.amplitude_max, family.request.decimals)
+        return family
     if not coordinates.is_whole:
         coordinates.check_whole("a certificate")
     whole = family.whole
@@ -101,6 +108,12 @@ def provable(family: Family) -> Family:
     with flint.ctx.workprec(balls.PRECISION):
         system_of(whole.coordinates, family.request.amplitude_max, step_of(whole))
     return whole
+
+
+def _system(family: Family, S: float, decimals: bool) -> CosineSystem:
+    if isinstance(family.coordinates, CoreWithTail):
+        return tailed_system(family.coordinates, S, decimals)
+    return system_of(family.coordinates, S, step_of(family), decimals)
 
 
 def step_of(family: Family) -> int:
@@ -131,7 +144,8 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt, decimals: bool)
         y = [d * (q + slack) for d, q in zip(series.system.scale, series.start, strict=True)]
         profile = np.array([_ends(value) for value in y]).T
         least = any(bool(abs(a) > arb(r) / nu) for row in series.coefficients for a in row[1 - first : 2 - first])
-        terms: Terms | None = energy_terms(family.coordinates, series.system.forces, decimals)
+        tailed = series.system.tail is not None
+        terms: Terms | None = None if tailed else energy_terms(family.coordinates, series.system.forces, decimals)
         energy = None if terms is None else _ends(evaluate(terms, y))
     return Certificate(
         proved=proved,

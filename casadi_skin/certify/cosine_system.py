@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from flint import arb, arb_poly
 
+    from casadi_skin.certify.linear_tail import LinearTail
+
 Factors = tuple[int, ...]
 Terms = Mapping[Factors, Fraction]
 
@@ -30,6 +32,7 @@ class CosineSystem:
         S: value of the amplitude.
         step: of the harmonics, 2 or 1.
         parameter: s, with which a term of degree p has the factor s^((p - 1)/step); 1 but along a family.
+        tail: what a chain's core of odd cosines is coupled to.
     """
 
     forces: Sequence[Terms]
@@ -38,6 +41,7 @@ class CosineSystem:
     S: arb
     step: int = 2
     parameter: arb | None = None
+    tail: LinearTail | None = None
 
     @property
     def positions(self) -> int:
@@ -124,6 +128,9 @@ class CosineSeries:
         q, total = self.start, arb(0)
         for (i, j), coefficient in self.system.scaled(None):
             total += coefficient * q[i] * q[j]
+        if self.tail_series is not None:
+            assert self.system.tail is not None
+            total += self.system.tail.amplitude(self.tail_series, self.square)
         return total - self.system.S
 
     def amplitude_slope(self) -> list[arb]:
@@ -142,7 +149,16 @@ class CosineSeries:
         values = [2 * value if self.system.harmonic(i) else value for i, value in enumerate(values)]
         for i, a in enumerate(self.coefficients[n]):
             values[i] += self.square * self.system.harmonic(i) ** 2 * a
+        tail = self.system.tail
+        if tail is not None and n == tail.site:
+            for i, a in enumerate(self.coefficients[n]):
+                values[i] += tail.coupling * tail.share(2 * i + 1, self.square) * a
         return values
+
+    @property
+    def tail_series(self) -> Sequence[arb] | None:
+        """Coefficients at the site that a tail is coupled to; None without a tail."""
+        return None if self.system.tail is None else self.coefficients[self.system.tail.site]
 
     def derivatives(self, m: int) -> dict[int, list[arb]]:
         """For each q_n that force m depends on, the coefficients g_p of z^p, p = 0, step, ..., of d force_m/d q_n."""

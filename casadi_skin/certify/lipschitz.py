@@ -32,8 +32,13 @@ class OperatorSize:
     beyond: arb
     inverse_square: arb
 
-    def lipschitz(self, system: CosineSystem, nu: arb, curved: arb) -> float:
-        """Lipschitz constant of A DF where the forces' second derivatives are at most `curved`."""
+    def lipschitz(
+        self, system: CosineSystem, nu: arb, curved: arb, in_tail: arb | None = None, squares_in_tail: arb | None = None
+    ) -> float:
+        """Lipschitz constant of A DF where the forces' second derivatives are at most `curved`.
+
+        In a tail of sites A is at most `in_tail`, and A k^2 `squares_in_tail`.
+        """
         from flint import arb
 
         n = system.positions
@@ -44,6 +49,8 @@ class OperatorSize:
         whole = arb(float(np.max(columns[1:]))).max(rows / system.harmonic(harmonics) ** 2)
         squares = np.concatenate([[0.0], np.tile(numbers**2, n)])
         through_square = arb(float(np.max(columns * squares) * (1.0 + ROUNDING))).max(rows)
+        if in_tail is not None and squares_in_tail is not None:
+            whole, through_square = whole.max(in_tail), through_square.max(squares_in_tail)
         through_amplitude = arb(float(self.norms[0])) * _amplitude_curvature(system) / nu ** (2 * system.harmonic(0))
         return above(through_square + through_amplitude + whole * curved)
 

@@ -43,6 +43,8 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
         family, attempt = best_attempt(orbit)
         if not attempt.proved:
             return _undecided(orbit, f"the orbit is not proved: {reason_of(attempt)}")
+        if attempt.series.system.tail is not None:
+            return _undecided(orbit, "the multipliers of a chain with a tail that is no unknown are not enclosed")
         problem = linearised(attempt.series, flint.arb(WEIGHT), attempt.radius, attempt.constants.reach)
         floquet = orbit.floquet()
         if not isinstance(floquet, ReversibleFloquet) or family.coordinates.mode.size != floquet.mu.size + 1:

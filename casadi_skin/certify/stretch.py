@@ -21,6 +21,7 @@ from casadi_skin.certify.certify import WEIGHT, best_attempt, provable, reason_o
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
 from casadi_skin.certify.model_terms import system_of
 from casadi_skin.certify.polynomial_piece import Curve, piece_constants
+from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import Constants, ProvedStretch
 from casadi_skin.orbits.family import Family
@@ -140,6 +141,8 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
     if np.any(np.diff(branch.S) * np.diff(branch.S)[:1] <= 0.0):
         raise ValueError(f"certify: given a branch that turns back in S; accepted: {ACCEPTED}")
     family = provable(branch.space)
+    if isinstance(family.coordinates, CoreWithTail):
+        raise ValueError("certify: given a chain with a tail that is no unknown; accepted: up to 500 sites")
     with flint.ctx.workprec(balls.PRECISION), one_thread():
         system = system_of(family.coordinates, 1.0, step_of(family), family.request.decimals)
         if any(() in terms for terms in system.forces):
