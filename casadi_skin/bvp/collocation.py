@@ -87,6 +87,14 @@ class CollocationEquations(Problem):
         return other
 
     @property
+    def elimination_order(self) -> Indices:
+        n, inner = self.formulation.states, self.table.ends.size - 1  # columns between two ends of intervals
+        columns = np.arange(self.resolution)[:, None] * (inner + 1) + 1 + np.arange(inner)
+        between = columns[:, None, :] * n + self.formulation.component_order[:, None]
+        ends = np.arange(self.resolution + 1)[:, None] * (inner + 1) * n + np.arange(n)
+        return np.concatenate([between.ravel(), ends.ravel(), np.arange(self.states, self.size)])
+
+    @property
     def stages(self) -> Indices:
         """Columns of the state values that are stages, in the order of time."""
         return self._columns()[0]

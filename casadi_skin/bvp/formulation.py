@@ -7,6 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.models.expressions import Expression
 
@@ -47,6 +49,12 @@ class Formulation:
     def field_function(self) -> ca.Function:
         """Function (s, x, sigma) -> (F, sparse dF/dx, dense dF/dsigma)."""
         return self._along("field", self.field, sparse=True)
+
+    @cached_property
+    def component_order(self) -> NDArray[np.int64]:
+        """An order of the components of x in which factors of 1 - dF/dx are sparse, by approximate minimum degree."""
+        pattern = self.field_function.sparsity_out(1)
+        return np.array((pattern + pattern.T + ca.Sparsity.diag(self.states)).amd(), dtype=np.int64)
 
     def at_stages(self, places: ca.MX, states: ca.MX, scalars: ca.MX) -> list[ca.MX]:
         """F, dF/dx and dF/dsigma at several stages, one column each.

@@ -67,7 +67,7 @@ class Problem(ABC):
     resolution: int
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
-    in_order: bool = False  # whether unknowns and equations come in an order in which factors of dR/dz are sparse
+    in_order: bool = False  # whether unknowns and equations come in an order of `elimination_order`
     constants: Array = np.zeros(0)
 
     @abstractmethod
@@ -193,6 +193,11 @@ class Problem(ABC):
     @cached_property
     def _shared(self) -> dict[Any, Any]:
         return {}
+
+    @property
+    def elimination_order(self) -> Indices:
+        """An order of the unknowns in which factors of the Jacobian are sparse, where they are `in_order`."""
+        return np.arange(self.size)
 
     # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
 

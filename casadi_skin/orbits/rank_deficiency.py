@@ -11,6 +11,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.solvers.bordered import LONG, long_rows
 
 SINGULAR = 1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
 PERTURBED = 1e-13
@@ -83,14 +84,18 @@ def _null_vectors(problem: BoundaryProblem, z: Array) -> tuple[Array, Array] | N
     largest = np.zeros(problem.size - 1)
     np.maximum.at(largest, rows[inside], np.abs(entries))
     largest[largest == 0.0] = 1.0
+    largest[long_rows(rows, problem.size)] /= LONG
     n = problem.size - 1
     matrix = csc_matrix((entries / largest[rows[inside]], (rows[inside], columns[inside])), shape=(n, n))
     generator = np.random.default_rng(0)
-    factors = splu((matrix + diags(PERTURBED * (1.0 + generator.random(n)))).tocsc())
+    order = problem.elimination_order[:-1]  # u is the last
+    perturbed = (matrix + diags(PERTURBED * (1.0 + generator.random(n)))).tocsc()[:, order]
+    factors = splu(perturbed, permc_spec="NATURAL")
     right: Array = generator.normal(size=n)
     for _ in range(ROUNDS):
-        left = np.asarray(factors.solve(right / np.linalg.norm(right), trans="T"))  # type: ignore[call-overload]
-        right = np.asarray(factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float)))
+        scaled = right[order] / np.linalg.norm(right)
+        left = np.asarray(factors.solve(scaled, trans="T"))  # type: ignore[call-overload]
+        right[order] = factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float))
     if not (np.all(np.isfinite(left)) and np.all(np.isfinite(right))):
         return None
     left, right = left / np.linalg.norm(left), right / np.linalg.norm(right)

@@ -14,6 +14,7 @@ from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 
 STEPS = 10  # of Newton's method, before Ipopt is asked
+LOWER_STEPS = 30  # of that with smaller residuals at each
 SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
 AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
 
@@ -21,19 +22,23 @@ AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was
 class ArbitratedCorrector:
     """Newton's method on collocation equations, and Ipopt from the same guess where that does not converge at once.
 
-    Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family: they
-    are taken only where Ipopt finds none, as in stiff problems far from their guess.
+    Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family. They
+    are taken where Ipopt takes them too, as long as the residuals decrease, with factors that cost less than its own in
+    long systems; and where Ipopt finds none, as in stiff problems far from their guess.
     """
 
     def __init__(self, problem: CollocationEquations, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
+        self._decreasing = NewtonCorrector(problem, tolerance, LOWER_STEPS, decreasing=True)
         self._free = NewtonCorrector(problem, tolerance, STEPS)
 
     def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
         other = copy.copy(self)
-        other.problem, other._newton, other._free = problem, self._newton.on(problem), self._free.on(problem)
+        other.problem = problem
+        own = self._newton, self._decreasing, self._free
+        other._newton, other._decreasing, other._free = (corrector.on(problem) for corrector in own)
         return other
 
     def _ipopt(self, one_scalar: bool) -> IpoptCorrector:
@@ -47,9 +52,10 @@ class ArbitratedCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
-        correction = self._newton.correct(guess, row, value)
-        if correction.converged:
-            return correction
+        for corrector in (self._newton, self._decreasing):
+            correction = corrector.correct(guess, row, value)
+            if correction.converged:
+                return correction
         correction = self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
         if correction.converged:
             return correction

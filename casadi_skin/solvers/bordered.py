@@ -3,13 +3,16 @@
 Banded problems are solved by LAPACK's band LU with the dense columns and rows in a border. The band alone is
 singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
 raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
-Govaerts (2000) chapter 3. Everything else goes to SuperLU.
+Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals first, in
+an order that the model's own pattern asks for, so that dense blocks are left between ends of intervals alone (the
+condensation of Ascher, Mattheij and Russell 1995, section 7.2).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,11 +111,16 @@ class BorderedSolver:
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
         ends = np.searchsorted(columns, np.arange(size + 1))
         self._jacobian = csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
-        # The same with the closing row as the last entry of every column.
-        self._closing = ends[1:] + np.arange(size)
+        # The same, columns in the order of elimination, with the closing row as the last entry of every column.
+        self._order = problem.elimination_order
+        counts = np.diff(ends)[self._order]
+        bounds = np.append(0, np.cumsum(counts + 1))
+        self._closing = bounds[1:] - 1
         self._open = np.delete(np.arange(rows.size + size), self._closing)
-        closed = np.insert(rows, ends[1:], size - 1)
-        self._closed = csc_matrix((np.zeros(closed.size), closed, np.append(0, self._closing + 1)), shape=(size, size))
+        self._taken = np.arange(rows.size) + np.repeat(ends[:-1][self._order] - (np.cumsum(counts) - counts), counts)
+        closed = np.full(rows.size + size, size - 1)
+        closed[self._open] = rows[self._taken]
+        self._closed = csc_matrix((np.zeros(closed.size), closed, bounds), shape=(size, size))
 
     @staticmethod
     def of(problem: Problem) -> BorderedSolver:
@@ -125,8 +133,9 @@ class BorderedSolver:
     @cached_property
     def _scale(self) -> Array:
         """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
-        long = np.bincount(self._closed.indices, minlength=self.problem.size) > 0.5 * self.problem.size
-        return np.where(long, LONG, 1.0)
+        scale = np.ones(self.problem.size)
+        scale[long_rows(self._closed.indices, self.problem.size)] = LONG
+        return scale
 
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
@@ -157,7 +166,7 @@ class BorderedSolver:
         """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
         from scipy.sparse.linalg import splu
 
-        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
+        self._close(nonzeros, row)
         try:
             factors = splu(self._closed)
         except RuntimeError:
@@ -207,15 +216,31 @@ class BorderedSolver:
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
         from scipy.sparse.linalg import splu
 
-        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros, row
+        self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
                 return splu(self._closed).solve
             self._closed.data *= self._scale[self._closed.indices]
             solve = splu(self._closed, permc_spec="NATURAL").solve
-            return lambda b: solve((self._scale * b.T).T)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
+        order, scale = self._order, self._scale
+
+        def solved(b: Array) -> Array:
+            found = np.empty(b.shape)
+            found[order] = solve((scale * b.T).T)
+            return found
+
+        return solved
+
+    def _close(self, nonzeros: Array, row: Array) -> None:
+        """Fill the closed matrix."""
+        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros[self._taken], row[self._order]
+
+
+def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:
+    """Those of the rows of all non-zeros that go through most unknowns."""
+    return np.flatnonzero(np.bincount(rows) > 0.5 * size)
 
 
 def _parity(permutation: Indices) -> float:

@@ -13,19 +13,27 @@ from casadi_skin.solvers.watch import heed
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
 SLOW = 0.1  # of the step before: a longer one with old factors asks for new ones
+DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
+HALVINGS = 6  # of a step
 
 
 class NewtonCorrector:
     """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast.
 
-    A step longer than `shrink` times the one before ends them where it is given: they may lead anywhere then.
+    A step longer than `shrink` times the one before ends them where it is given: they may lead anywhere then. With
+    `decreasing` steps may be of any length, and are halved until the sum of the residuals falls, as those of Ipopt are.
     """
 
     def __init__(
-        self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 10, shrink: float | None = None
+        self,
+        problem: Problem,
+        tolerance: float = 1e-12,
+        max_iterations: int = 10,
+        shrink: float | None = None,
+        decreasing: bool = False,
     ) -> None:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
-        self._shrink = np.inf if shrink is None else shrink
+        self._shrink, self._decreasing = np.inf if shrink is None else shrink, decreasing
         self._solver = BorderedSolver.of(problem)
 
     def on(self, problem: Problem) -> NewtonCorrector:
@@ -53,6 +61,12 @@ class NewtonCorrector:
             if reuse and not length <= SLOW * last:
                 reuse = False
                 continue
+            if self._decreasing and CHORD < length < np.inf:
+                moved = self._lower(z, step, row, value)
+                if moved is None:
+                    break
+                z, last = moved, length
+                continue
             z = z - step
             if not np.isfinite(length) or length > max(1.0, 10.0 * last) or length > self._shrink * last:
                 return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
@@ -62,3 +76,16 @@ class NewtonCorrector:
                 return Correction(z, Status.CONVERGED, iteration)
             reuse, last = self.problem.in_order and length <= CHORD, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
+
+    def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:
+        """Where the longest of the halved steps leads that makes the residuals smaller; None where none does."""
+        before = self._total(z, row, value)
+        trials = (z - 0.5**k * step for k in range(HALVINGS))
+        return next((x for x in trials if self._total(x, row, value) <= (1.0 - DECREASE) * before), None)
+
+    def _total(self, z: Array, row: Array, value: float) -> float:
+        """The sum of the residuals at z, not finite where the model is not."""
+        try:
+            return float(np.sum(np.abs(self.problem.evaluate(z)[0])) + abs(row @ z - value))
+        except ArithmeticError:
+            return np.inf

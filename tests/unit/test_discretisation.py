@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundaryError
-from casadi_skin.orbits.solve import space_of
+from casadi_skin.orbits.solve import packed, space_of
 from casadi_skin.solvers import ipopt, watch
-from casadi_skin.solvers.arbitrated import ArbitratedCorrector
+from casadi_skin.solvers.arbitrated import SHRINK, ArbitratedCorrector
+from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.newton import NewtonCorrector
 
 
 def oscillator() -> BoundaryValueProblem:
@@ -134,3 +140,52 @@ def test_ipopt_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ipopt, "is_over", watch.is_over)
     with watch.watched(10.0), pytest.raises(watch.TimeLimitError, match="the time allowed, 10 s, is over, at Ipopt"):
         corrector.correct(guess, row, 0.0)
+
+
+def ring(units: int) -> BoundaryValueProblem:
+    """A wave around a ring of van der Pol oscillators: with a period to be found and a phase that an integral fixes."""
+    x, y, T = ca.SX.sym("x", units), ca.SX.sym("y", units), ca.SX.sym("T")
+    beside = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
+    rate = ca.vertcat(y, 0.5 * (1 - x**2) * y - x + 0.1 * beside)
+    model = OdeModel("ring", ca.vertcat(x, y), T * rate, T)
+    state = model.full_state
+    phase = [lambda t, x, p: ca.sin(2 * np.pi * t) * x[0]]
+    return BoundaryValueProblem(
+        model, [model.start(state) - model.end(state)], phase, parameters={"T": 6.4}, free=["T"]
+    )
+
+
+def wave(units: int) -> Any:
+    phases = 2 * np.pi * np.arange(units) / units
+    return lambda t: np.concatenate([2 * np.cos(2 * np.pi * t - phases), -2 * np.sin(2 * np.pi * t - phases)])
+
+
+def test_factors_of_a_ring_are_sparse_and_solve_as_dense_elimination_does() -> None:
+    space = space_of(ring(12), wave(12), {})
+    problem = space.levels.problem(5)
+    assert isinstance(problem, BoundaryProblem)
+    order = problem.elimination_order
+    np.testing.assert_array_equal(np.sort(order), np.arange(problem.size))
+    z = packed(problem, wave(12))
+    row, nonzeros = problem.parameter_row(), problem.evaluate(z)[1]
+    closed = np.zeros((problem.size, problem.size))
+    np.add.at(closed, problem.pattern, nonzeros)
+    closed[-1] = row
+    right = np.random.default_rng(0).normal(size=(problem.size, 2))
+    found = BorderedSolver.of(problem).factor(z, nonzeros, row)(right)
+    np.testing.assert_allclose(closed @ found, right, rtol=0, atol=1e-9 * np.abs(found).max())
+    fill = [splu(csc_matrix(closed[:, o]), permc_spec="NATURAL").nnz for o in (order, np.arange(problem.size))]
+    assert fill[0] < 0.6 * fill[1]
+
+
+def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
+    """From a guess whose first steps do not halve, both halve the same steps."""
+    problem = space_of(ring(30), wave(30), {}).levels.problem(5)
+    assert isinstance(problem, BoundaryProblem)
+    guess, row = 1.3 * packed(problem, wave(30)), problem.parameter_row()
+    assert not NewtonCorrector(problem, shrink=SHRINK).correct(guess, row, 0.0).converged
+    found = NewtonCorrector(problem, 1e-10, 30, decreasing=True).correct(guess, row, 0.0)
+    expected = IpoptCorrector(problem, 1e-10, 60).correct(guess, row, 0.0)
+    assert found.converged
+    assert expected.converged
+    np.testing.assert_allclose(found.z, expected.z, rtol=0, atol=1e-7)
