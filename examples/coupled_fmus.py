@@ -109,7 +109,7 @@ def main(picture: Path | str | None = None, counts: tuple[int, ...] = (300, 600,
 
 def draw(t: Array, found: Array, truth: Array, errors: dict[int, float]) -> Figure:
     """The ends that the spring joins, and the error against the step."""
-    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.1), layout="constrained")
     motion, error = figure.subplots(1, 2, width_ratios=(2, 1))
     for site, look in ((SITES - 1, "-"), (SITES, "--")):
         motion.plot(t, found[:, site], "k" + look, lw=1, label=f"co-simulation, site {site + 1} of {2 * SITES}")

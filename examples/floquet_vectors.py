@@ -27,7 +27,7 @@ def main(picture: Path | str | None = None) -> tuple[Orbit, NDArray[np.complex12
 
 def draw(chain: Chain, multipliers: NDArray[np.complex128], vectors: NDArray[np.complex128]) -> Figure:
     """The complex plane on the left, sizes of the positions of the vectors on the right."""
-    figure = Figure(figsize=(8.4, 3.8), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.5), layout="constrained")
     plane, profiles = figure.subplots(1, 2, width_ratios=(1, 1.35))
     angle, sites = np.linspace(0, 2 * np.pi, 400), np.arange(1, chain.sites + 1)
     unstable = np.abs(np.abs(multipliers) - 1) > 1e-8

@@ -62,7 +62,7 @@ def main(picture: Path | None = None) -> Branch:
 def draw(branch: Branch, path: Path) -> None:
     import matplotlib.pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
     left.plot(branch["mu"], branch["period"], ".-k")
     left.set(xlabel="mu", ylabel="period")
     for mu, look in ((1.0, "-"), (2.0, "--"), (4.0, ":")):

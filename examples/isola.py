@@ -1,4 +1,9 @@
-"""Responses of two damped and driven oscillators: the curve that a sweep meets, and an isola that it misses."""
+"""Responses of two damped and driven oscillators: the curve that a sweep meets, and an isola that it misses.
+
+Run: python examples/isola.py PICTURE.png
+"""
+
+import sys
 
 import numpy as np
 
@@ -54,8 +59,8 @@ def draw(picture, sweep, isola, crossings):
         xlabel=r"frequency of the drive $\omega$", ylabel="largest displacement", xlim=(1.0, 1.35), ylim=(0.0, None)
     )
     axes.legend(frameon=False)
-    figure.savefig(picture, dpi=200)
+    figure.savefig(picture, dpi=150)
 
 
 if __name__ == "__main__":
-    main("isola.png")
+    main(*sys.argv[1:2])

@@ -36,7 +36,7 @@ def main(picture: Path | str | None = None) -> tuple[Orbit, TransientGrowth]:
 
 def draw(orbit: Orbit, growth: TransientGrowth) -> Figure:
     """Amplification against time on the left, the optimal perturbation and its response on the right."""
-    figure = Figure(figsize=(8.8, 3.9), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     gains, shapes = figure.subplots(1, 2, width_ratios=(1.3, 1))
     periods = growth.t / orbit.period
     gains.plot(periods, growth.log10_bounded, "k-", lw=2, label="largest of all perturbations, trivial pair left out")

@@ -50,7 +50,7 @@ def draw(branch) -> Figure:
         left.plot(states[:, 0], states[:, 1], color=str(grey), lw=1, label=f"E = {value:g}")
     left.plot(1 - 0.0121505856, 0.0, "o", color="tab:blue", ms=5, label="Moon")
     left.set(xlabel="x", ylabel="y", aspect="equal")
-    left.legend(fontsize="x-small", loc="upper right")
+    left.legend(fontsize="small", loc="upper right", handlelength=1.2)
     right.plot(branch.values, [orbit.period for orbit in branch.solutions], "k-", marker=".", ms=4)
     right.set(xlabel="energy E", ylabel="period T")
     right.locator_params(axis="x", nbins=4)

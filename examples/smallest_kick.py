@@ -29,7 +29,7 @@ def main(picture: Path | str | None = None, starts: int = 4) -> SmallestKick:
 
 def draw(kick: SmallestKick) -> Figure:
     """The kick at each site on the left, the distance against time after it and others on the right."""
-    figure = Figure(figsize=(8.8, 3.9), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     profile, distances = figure.subplots(1, 2, width_ratios=(1, 1.3))
     sites = np.arange(1, SITES + 1)
     profile.axhline(0.0, color="0.7", lw=0.8)

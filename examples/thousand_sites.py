@@ -38,7 +38,7 @@ def linear_tail(orbit: Orbit) -> np.ndarray:
 
 def draw(extended: Orbit, breather: Orbit) -> Figure:
     """Sizes of the displacements at all sites on the left; the favoured edge as it is on the right."""
-    figure = Figure(figsize=(8.8, 3.9), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     whole, edge = figure.subplots(1, 2, width_ratios=(1.4, 1))
     n = np.arange(1, 1001)
     for orbit, colour, marker, name in (

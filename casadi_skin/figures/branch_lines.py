@@ -139,7 +139,7 @@ def draw_lines(
         look: dict[str, Any] = {"fc": "0.25", "ec": "none", "transform": axes.get_xaxis_transform(), "zorder": 4}
         axes.broken_barh(bars, (0.0, STRIP), label="unstable, along the amplitude", **look)
     elif joints.size:
-        axes.plot(*joints.T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
+        axes.plot(*thinned(joints).T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
 
 
 def _are_marked(joints: Array, special: Array, extent: Array) -> NDArray[np.bool_]:
@@ -156,6 +156,15 @@ def label_of(words: str, piece: Array, path: Array) -> str:
 def crowded(places: Array) -> bool:
     """Whether marks at places along an axis would overlap."""
     return bool(np.any(np.diff(np.sort(places)) < CLOSE * np.max(np.abs(places), initial=0.0)))
+
+
+def thinned(places: Array) -> Array:
+    """Marks of shape (marks, 2) without those that would overlap the one before along the axis."""
+    least, kept = 2.0 * CLOSE * np.max(np.abs(places[:, 0])), [0]
+    for i in range(1, len(places)):
+        if np.abs(places[i, 0] - places[kept[-1], 0]) >= least:
+            kept.append(i)
+    return np.asarray(places[kept])
 
 
 def _may_be_stable(branch: Branch) -> bool:

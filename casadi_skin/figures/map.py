@@ -102,7 +102,9 @@ def draw_map(place: Axes, name: str, axes: Sequence[MapAxis], panel: Panel) -> N
 
 def _draw_bar(places: list[Axes], name: str, ticks: list[float] | None) -> None:
     """The bar of the colours of some axes, which share them."""
-    bar = places[0].figure.colorbar(places[0].collections[0], ax=places, label=plain(name), ticks=ticks)
+    bar = places[0].figure.colorbar(
+        places[0].collections[0], ax=places, label=plain(name).replace("_", " "), ticks=ticks
+    )
     bar.ax.minorticks_off()
     words = FLAGS.get(tuple(ticks)) if ticks is not None else None
     if words is not None:

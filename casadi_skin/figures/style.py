@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MOST_VALUES = 6  # of parameters in a title
 DPI = 200  # of pictures as PNG
+WIDEST = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
 SAVING: Mapping[str, dict[str, Any]] = {  # without dates; levels of compression above 3 take long and gain little
     "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
     "svg": {"metadata": {"Date": None}},
@@ -55,10 +56,10 @@ def _settings() -> dict[str, Any]:
 
 
 def blank(width: float, height: float) -> Figure:
-    """An empty figure; `finished` lays it out."""
+    """An empty figure, no wider than lets its text be read on a page; `finished` lays it out."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height))
+    return Figure(figsize=(min(width, WIDEST), height))
 
 
 def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False) -> Figure:

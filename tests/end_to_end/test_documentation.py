@@ -163,3 +163,15 @@ def test_the_gallery_leads_from_every_picture_to_a_section_that_has_it() -> None
         assert (DOCS / picture).exists()
         section = (DOCS / f"{page}.md").read_text(encoding="utf-8").partition(f"# {head}\n")[2]
         assert picture in section
+
+
+def test_the_reference_has_every_public_name_once() -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in sorted(DOCS.glob("reference_*.md")))
+    places = re.findall(r"^::: (\S+)", text, re.MULTILINE)
+    assert len(places) == len(set(places))
+    overview = PAGES["python_reference"].read_text(encoding="utf-8")
+    for name in casadi_skin.__all__:
+        if name != "__version__":
+            thing = getattr(casadi_skin, name)
+            assert f"{thing.__module__}.{thing.__qualname__}" in places
+            assert f"[`{name}`][{thing.__module__}.{thing.__qualname__}]" in overview

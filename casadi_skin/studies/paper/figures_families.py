@@ -137,7 +137,7 @@ def families_figure(data: PaperData) -> Drawn:
         chain = data.chain(1.0)
         figure.suptitle(title(chain).replace(", $g = 1$", ""))
         tables["fig3_profiles"] = stacked(profiles)
-        return finished(figure, [panels[name] for name in "adb"], 8), tables
+        return finished(figure, [panels[name] for name in "adb"], 4), tables
 
 
 # Figure 7 -----------------------------------------------------------------------------------------------------------

@@ -134,7 +134,7 @@ def _draw_procedure(axes: Axes) -> None:
             axes.annotate("corrector", guess, (-5, 4), ha="right", color=RIGHT_TO_LEFT, **note)
     axes.plot(*shown.T, "o", ms=5, mfc="white", mec="black", zorder=4)
     axes.plot(1.0, 0.0, "s", ms=7, color="black", zorder=5, clip_on=False)
-    axes.annotate(r"linear skin mode, $S \to 0$", (1.0, 0.0), (12, 8), textcoords="offset points", va="center")
+    axes.annotate(r"linear skin mode, $S \to 0$", (1.0, 0.0), (-8, 8), textcoords="offset points", ha="right")
     axes.annotate("family,\n$g > 0$", curve[-1], (0, 4), textcoords="offset points", ha="center", va="bottom")
     left = (2.0 - curve[-1, 0], S[-1])
     axes.annotate("family,\n$g < 0$", left, (0, 4), textcoords="offset points", ha="center", va="bottom")

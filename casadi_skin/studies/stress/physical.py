@@ -128,7 +128,7 @@ def physical_figure(compared: Sequence[Comparison]) -> Figure:
             _draw_errors(axes, compared, name)
             letter(axes, panel, PHYSICAL_PANELS[name])
         panels[0].set_ylabel("error")
-        return finished(figure, panels, 6)
+        return finished(figure, panels, 3)
 
 
 def _draw_errors(axes: Axes, compared: Sequence[Comparison], name: str) -> None:

@@ -137,7 +137,7 @@ def stress_figure(outcomes: Sequence[Outcome]) -> Figure:
         panels = figure.subplots(1, 2 if right else 1, squeeze=False)[0]
         for axes, half in zip(panels, (left, right), strict=False):
             _draw_rows(axes, half, rows)
-        return finished(figure, panels, 5)
+        return finished(figure, panels, 3)
 
 
 def _halves(groups: Sequence[Sequence[Outcome]]) -> tuple[list[Sequence[Outcome]], list[Sequence[Outcome]]]:
