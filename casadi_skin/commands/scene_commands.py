@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from casadi_skin.progress import Progress
     from casadi_skin.runs.request import Request
 
-ASKED = ("family", "equilibrium", "orbit", "solution", "search", "export", "spectrum")
+ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute what a scene asks for; nothing is written where the scene or its model is wrong."""
     scene, text = read_scene(arguments.scene)
     if all(getattr(scene, name) is None for name in ASKED):
-        accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [export] or [spectrum]"
+        accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE

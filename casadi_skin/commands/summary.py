@@ -32,6 +32,8 @@ def print_summary(run: Run) -> None:
         print(f"exported to {path}")
     branches = [branch for branch in run.branches if len(branch)]
     if not run.branches:
+        if run.evolution is not None:
+            print(f"dynamics: {run.evolution.status}\nresults in {run.directory}")
         return
     from rich.console import Console
 

@@ -1,4 +1,4 @@
-"""How energy spreads over a lattice in time: by site, its centre, participation number and second moment; starts."""
+"""How energy spreads over a lattice in time: by site, its centre, participation number and second moment."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import number, short_repr
+from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.dynamics.evolution import Evolution
-from casadi_skin.dynamics.evolve import checked_vector
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site
-from casadi_skin.lattice.linear import lattice_modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,65 +115,3 @@ def as_lattice(model: Any) -> Lattice:
         raise ValueError(f"gamma: given {model.gamma!r}, whose bonds act one way; accepted: |gamma| < 1")
     parameters = {"alpha": model.alpha, "gamma": model.gamma, "g": model.g}
     return Lattice(model.sites, [Site("a", "alpha*y + g*y^3")], bonds, "fixed", parameters, "chain")
-
-
-def initial_state(
-    model: Any,
-    size: float,
-    *,
-    mode: int | None = None,
-    site: int | None = None,
-    vector: ArrayLike | None = None,
-    seed: int | None = None,
-    moving: bool = False,
-    parameters: Mapping[str, float] | None = None,
-) -> tuple[Array, Array]:
-    """A state near rest for `evolve`: a linear mode, a kick of one site, a direction, or noise.
-
-    Starts near an orbit are those of `dynamics.perturbed`.
-
-    Arguments:
-        model: a `Lattice`, or a `Chain` of finite length.
-        size: norm of the displacements, or of the velocities.
-        mode: number of a linear mode by ascending frequency, from 1.
-        site: number of the one site that moves, from 1.
-        vector: a direction, shape (sites,).
-        seed: of normally distributed noise at all sites.
-        moving: whether the sites have velocities in place of displacements.
-        parameters: values of parameters that are not the declared ones.
-
-    Returns:
-        Displacements and velocities, shape (sites,) each.
-
-    Raises:
-        ValueError, TypeError: not one of mode, site, vector and seed is given, it does not fit, or the frequency of the
-            mode is not real.
-    """
-    lattice = as_lattice(model)
-    n = lattice.declaration.size
-    chosen = {"mode": mode, "site": site, "vector": vector, "seed": seed}
-    given = [name for name, value in chosen.items() if value is not None]
-    if len(given) != 1:
-        words = " and ".join(given) or "none"
-        raise ValueError(f"start: given {words}; accepted: one of mode, site, vector, seed")
-    for name, value in (("mode", mode), ("site", site)):
-        if value is not None and not (isinstance(value, int | np.integer) and 1 <= value <= n):
-            raise ValueError(f"{name}: given {short_repr(value)}; accepted: 1..{n}")
-    if mode is not None:
-        modes = lattice_modes(lattice, parameters)
-        if modes.squares[mode - 1].imag != 0.0 or modes.squares[mode - 1].real < 0.0:
-            words = f"{mode}, of omega^2 = {modes.squares[mode - 1]:.6g}"
-            raise ValueError(f"mode: given {words}; accepted: one with a real frequency")
-        direction = modes.right[:, mode - 1].real
-    elif site is not None:
-        direction = np.eye(n)[site - 1]
-    elif vector is not None:
-        direction = checked_vector("vector", vector, tuple(map(str, range(1, n + 1))), n)
-    else:
-        direction = np.random.default_rng(seed).normal(size=n)
-    norm = float(np.linalg.norm(direction))
-    if norm == 0.0:
-        raise ValueError("vector: given zeros; accepted: a vector with a direction")
-    start = number("size", size) / norm * direction
-    rest = np.zeros(n)
-    return (rest, start) if moving else (start, rest)

@@ -109,6 +109,8 @@ def _check_families(request: Request) -> None:
         raise SceneError(_placed(str(error))) from None
     if scene.accuracy.certify:
         _check_provable(request)
+    if not modes:
+        return
     for i, mode in enumerate(modes):
         if mode in modes[:i]:
             raise refusal("[family] mode", f"mode {mode} more than once", "each mode once")
@@ -131,7 +133,15 @@ def _check_provable(request: Request) -> None:
 
 def _check_perturbation(request: Request) -> None:
     """Refuse a perturbation that the states of the model do not have."""
-    table, model = request.scene.dynamics, request.model
+    table, model, scene = request.scene.dynamics, request.model, request.scene
+    if table is not None and scene.family is None and scene.orbit is None:
+        from casadi_skin.runs.dynamics import start_near_rest
+
+        try:
+            start_near_rest(request)
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"[dynamics] {error}") from None
+        return
     if table is None or not isinstance(model, OdeModel):
         return
     accepted = f"{model.size} numbers" if model.order == 1 else (

@@ -56,7 +56,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     )
     if held and existing is Existing.RESUME:
         _check_same(directory, scene)
-        written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc"))
+        written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
         if written and not (directory / JOURNAL).exists():
             return False
     if held and existing is Existing.OVERWRITE:

@@ -1,4 +1,4 @@
-"""The time evolution that a scene asks for, in a run: which orbit, how long, sampled when, and its files."""
+"""The time evolution that a scene asks for, in a run: from which orbit or start, how long, and its files."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from casadi_skin.dynamics import Evolution, simulate_orbit
+from casadi_skin.dynamics import Evolution, evolve, simulate_orbit
+from casadi_skin.dynamics.equations import equations_of_motion
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.figures.spreading import spreading_figure
 from casadi_skin.figures.style import number
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import lattice_modes
+from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.lattice.spreading import Spreading, spreading
+from casadi_skin.lattice.starts import initial_state
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
@@ -57,6 +62,34 @@ def evolve_scene(request: Request, orbit: Orbit) -> Evolution:
     )  # fmt: skip
 
 
+def start_near_rest(request: Request) -> tuple[Array, Array | None]:
+    """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
+    dynamics = _table(request)
+    parameters = request.parameters if isinstance(request.model, OdeModel) else None
+    return initial_state(
+        request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,
+        seed=dynamics.seed, moving=dynamics.moving, parameters=parameters,
+    )  # fmt: skip
+
+
+def evolve_from_rest(request: Request) -> Evolution:
+    """The time evolution of a scene without an orbit; raises as `evolve_scene`.
+
+    Sampled by the period of the fastest linear mode, where there are such modes.
+    """
+    dynamics, model = _table(request), request.model
+    if isinstance(model, LongLattice):
+        raise ValueError("lattice: given one with a linear tail; accepted: all its cells, without edge")
+    parameters = request.parameters if isinstance(model, OdeModel) else None
+    if isinstance(model, Lattice):
+        fastest = float(np.max(lattice_modes(model, parameters).frequencies.real))
+    else:
+        fastest = (equations_of_motion(model, parameters).linear_frequencies or (0.0, 0.0))[1]
+    times = sample_times(dynamics, 2.0 * np.pi / fastest if fastest > 0.0 else dynamics.duration or 1.0)
+    start = start_near_rest(request)
+    return evolve(model, *start, times, dynamics.method, dynamics.tolerance, parameters=parameters)
+
+
 def _table(request: Request) -> DynamicsTable:
     if request.scene.dynamics is None:
         raise ValueError("scene: given one without [dynamics]; accepted: one with it")
@@ -65,6 +98,8 @@ def _table(request: Request) -> DynamicsTable:
 
 def _direction(dynamics: DynamicsTable) -> str:
     """The direction of the perturbation in words."""
+    if dynamics.mode is not None and dynamics.S is None:
+        return f"in linear mode {dynamics.mode}"
     if dynamics.site is not None:
         return f"at site {dynamics.site}"
     return "along the vector given" if dynamics.vector is not None else f"at random (seed {dynamics.seed})"
@@ -88,26 +123,36 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     return np.linspace(0.0, end, samples)
 
 
-def write_dynamics(request: Request, scene_text: str, orbit: Orbit, evolution: Evolution, directory: Path) -> None:
+def write_dynamics(
+    request: Request, scene_text: str, orbit: Orbit | None, evolution: Evolution, directory: Path
+) -> None:
     """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
     dynamics = _table(request)
     write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
-    start: dict[str, float | str] = {"orbit_Omega": orbit.Omega}
-    title = f"period ${number(orbit.period)}$"
-    if isinstance(orbit.space, Family):
-        mode = orbit.space.coordinates.mode_number
-        start = {"orbit_mode": mode, "orbit_S": orbit.S, **start}
-        title = f"$j = {mode}$, $S = {number(orbit.S)}$"
+    start, title = _origin_of(orbit, dynamics)
     how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
     attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
     write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
-    if dynamics.size is not None:
+    if dynamics.size is not None and orbit is not None:
         title += f", perturbed by ${number(dynamics.size)}$ {_direction(dynamics)}"
     near = orbit if dynamics.size is not None else None
     draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
     picture(request.scene, directory / "dynamics", draw, evolution, title)
     if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
         _write_spreading(request.scene, spreading(evolution), request.model, directory)
+
+
+def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, float | str], str]:
+    """What the motion starts from: attributes, and words of a title."""
+    if orbit is None:
+        what = "velocities" if dynamics.moving else "displacements"
+        start: dict[str, float | str] = {"start_size": dynamics.size or 0.0, "start": f"{what} {_direction(dynamics)}"}
+        return start, f"{what} of ${number(dynamics.size or 0.0)}$ {_direction(dynamics)}"
+    start = {"orbit_Omega": orbit.Omega}
+    if not isinstance(orbit.space, Family):
+        return start, f"period ${number(orbit.period)}$"
+    mode = orbit.space.coordinates.mode_number
+    return {"orbit_mode": mode, "orbit_S": orbit.S, **start}, f"$j = {mode}$, $S = {number(orbit.S)}$"
 
 
 def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:

@@ -89,6 +89,10 @@ def _dynamics(request: Request) -> str:
     end = f"t = {table.duration:g}" if table.duration is not None else f"{table.periods:g} periods"
     samples = f"{table.samples} times" if table.samples is not None else "20 times a period, 401 to 4001 in all"
     orbit = "the last orbit"
+    if not request.families and request.scene.orbit is None:
+        kicks["mode"] = f"in linear mode {table.mode}"
+        (words,) = (words for name, words in kicks.items() if getattr(table, name) is not None)
+        orbit, start = f"{'velocities' if table.moving else 'displacements'} of {table.size:g} {words}, from rest", ""
     if request.families:
         orbit = f"the orbit j = {table.mode or request.families[0].mode}, S = {table.S:g}"
     return f"{orbit}{start}, to {end}; {samples}; {table.method}, tolerance {table.tolerance:g}"

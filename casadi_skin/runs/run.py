@@ -105,15 +105,17 @@ class Run:
 
     def _evolve(self) -> None:
         """The time evolution with its files, where the scene asks for one; nothing of it is imported elsewhere."""
-        if self.request.scene.dynamics is None or not self.branches:
+        scene = self.request.scene
+        alone = scene.family is None and scene.orbit is None
+        if scene.dynamics is None or not (self.branches or alone):
             return
         from casadi_skin.dynamics import EvolutionError
-        from casadi_skin.runs.dynamics import evolve_scene, scene_orbit, write_dynamics
+        from casadi_skin.runs.dynamics import evolve_from_rest, evolve_scene, scene_orbit, write_dynamics
 
         self.progress.say("time evolution")
         try:
-            orbit = scene_orbit(self.request, self.branches)
-            self.evolution = evolve_scene(self.request, orbit)
+            orbit = None if alone else scene_orbit(self.request, self.branches)
+            self.evolution = evolve_from_rest(self.request) if orbit is None else evolve_scene(self.request, orbit)
         except EvolutionError as error:
             self.evolution = error.evolution
             self.failures.append(f"[dynamics]: {error}")

@@ -15,10 +15,12 @@ def check_dynamics(scene: Scene) -> None:
     dynamics = scene.dynamics
     if dynamics is None:
         return
-    if scene.family is None and scene.orbit is None:
-        accepted = "beside a [family] or an [orbit], which it follows in time"
-        raise refusal("[dynamics]", "without [family] or [orbit]", accepted)
-    if scene.family is None:
+    alone = scene.family is None and scene.orbit is None
+    if alone:
+        _check_start(scene, dynamics)
+    elif dynamics.moving:
+        raise refusal("[dynamics] moving", "true", "without [family] and [orbit], which start at phase zero")
+    elif scene.family is None:
         for name in ("S", "mode"):
             if getattr(dynamics, name) is not None:
                 raise refusal(f"[dynamics] {name}", repr(getattr(dynamics, name)), "beside a [family]")
@@ -29,7 +31,7 @@ def check_dynamics(scene: Scene) -> None:
     if (dynamics.duration is None) == (dynamics.periods is None):
         given = "neither duration nor periods" if dynamics.duration is None else "duration and periods"
         raise refusal("[dynamics]", given, "duration or periods, one of them")
-    _check_kinds(dynamics)
+    _check_kinds(dynamics, alone)
     if scene.chain is not None:
         _check_envelope(scene.chain)
         _check_perturbation(scene.chain, dynamics)
@@ -65,14 +67,37 @@ def _check_envelope(chain: ChainTable) -> None:
         raise refusal("[dynamics]", given, f"(sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}")
 
 
-def _check_kinds(dynamics: DynamicsTable) -> None:
+def _check_start(scene: Scene, dynamics: DynamicsTable) -> None:
+    """What a motion from near rest needs."""
+    for name in ("equilibrium", "solution", "search"):
+        if getattr(scene, name) is not None:
+            raise refusal("[dynamics]", f"beside [{name}]", "beside [family] or [orbit], or with a start of its own")
+    kinds = ("mode", "site", "vector", "seed")
+    given = [name for name in kinds if getattr(dynamics, name) is not None]
+    if len(given) != 1:
+        words = f"without [family] and [orbit], with {' and '.join(given) or 'none of ' + ', '.join(kinds)}"
+        raise refusal(
+            "[dynamics]", words, f"one of {', '.join(kinds)}, with size and duration, from which motion starts"
+        )
+    for name in ("S", "periods"):
+        if getattr(dynamics, name) is not None:
+            raise refusal(f"[dynamics] {name}", repr(getattr(dynamics, name)), "beside a [family] or an [orbit]")
+    for name in ("size", "duration"):
+        if getattr(dynamics, name) is None:
+            raise SceneError(f"[dynamics] {name}: missing; accepted: beside {given[0]} a finite number > 0")
+    if scene.chain is not None and abs(scene.chain.gamma) == 1:
+        given_gamma = f"with gamma = {scene.chain.gamma!r} and without [family]"
+        raise refusal("[dynamics]", given_gamma, "|gamma| < 1: sites off the edge have no image in the gauge")
+
+
+def _check_kinds(dynamics: DynamicsTable, alone: bool) -> None:
     """One kind of perturbation, and its size."""
     kinds = [name for name in ("site", "vector", "seed") if getattr(dynamics, name) is not None]
     if len(kinds) > 1:
         raise refusal("[dynamics]", " and ".join(kinds), "site, vector or seed, one of them or none")
     if kinds and dynamics.size is None:
         raise SceneError(f"[dynamics] size: missing; accepted: beside {kinds[0]} a finite number > 0")
-    if dynamics.size is not None and not kinds:
+    if dynamics.size is not None and not kinds and not alone:
         raise refusal("[dynamics] size", repr(dynamics.size), "beside one of site, vector, seed")
     if dynamics.vector is not None and not any(dynamics.vector):
         raise refusal("[dynamics] vector", "zeros", "a vector with a direction")

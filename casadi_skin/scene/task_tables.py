@@ -29,7 +29,10 @@ _MAX_WORKERS = 256
 
 
 class DynamicsTable(Table, frozen=True):
-    """The time evolution of one orbit, perturbed or not, from phase zero: of a family at S, else of the last orbit."""
+    """The time evolution of one orbit, perturbed or not, from phase zero: of a family at S, else of the last orbit.
+
+    Without [family] and [orbit] that of a mode, a kick, a direction or noise about rest.
+    """
 
     S: Annotated[
         Positive | None,
@@ -37,8 +40,19 @@ class DynamicsTable(Table, frozen=True):
     ] = None
     mode: Annotated[
         Mode | None,
-        Meta(title="Mode of its family", description="one of the modes of [family]; required where these are several"),
+        Meta(
+            title="Mode of its family, or linear mode that moves",
+            description="one of the modes of [family], required where these are several; without [family] and [orbit] "
+            "a linear mode from 1",
+        ),
     ] = None
+    moving: Annotated[
+        bool,
+        Meta(
+            title="Whether the start has velocities in place of displacements",
+            description="true or false; without [family] and [orbit]",
+        ),
+    ] = False
     duration: Annotated[Positive | None, Meta(title="Time to its end", description="a finite number > 0")] = None
     periods: Annotated[
         Positive | None, Meta(title="Periods of the orbit to its end", description="a finite number > 0")
@@ -56,7 +70,10 @@ class DynamicsTable(Table, frozen=True):
     ] = 1e-11
     size: Annotated[
         Positive | None,
-        Meta(title="Norm of the perturbation", description="a finite number > 0, with one of site, vector, seed"),
+        Meta(
+            title="Norm of the perturbation, or of the start",
+            description="a finite number > 0, with one of site, vector, seed (without an orbit also mode)",
+        ),
     ] = None
     site: Annotated[
         Mode | None,

@@ -112,7 +112,10 @@ def test_a_scene_that_asks_for_nothing(tmp_path: Path, capsys: pytest.CaptureFix
     scene = tmp_path / "scene.toml"
     scene.write_text(GOOD.split("[family]")[0], encoding="utf-8")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 2
-    assert "[family], [equilibrium], [orbit], [solution], [search], [export] or [spectrum]" in capsys.readouterr().err
+    assert (
+        "[family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_plan_tells_what_is_built_and_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,3 +159,53 @@ def test_default_samples_of_long_runs_fall_on_all_phases(periods: float) -> None
     assert 3600 < t.size <= 4001
     phases = np.sort((t[:20] / 6.0) % 0.5)  # of twenty samples, in half periods, where |y| repeats
     assert np.diff(np.append(phases, phases[0] + 0.5)).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "energy"), [("mode = 2", None), ("site = 3\nmoving = true", 0.125), ("seed = 1", None)]
+)
+def test_motion_that_starts_near_rest_needs_no_orbit(
+    kind: str, energy: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The energy of a kick is v^2/2 in the weights of the gauge; modes of small size go on at their frequency."""
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    size = 1e-3 if energy is None else 0.5
+    text = CHAIN.format(sites=6) + f"[dynamics]\n{kind}\nsize = {size}\nduration = 10.0\nsamples = 41\n"
+    scene.write_text(text + "[figures]\nformats = []\n", encoding="utf-8")
+    assert main(["check", str(scene)]) == 0
+    assert "from rest, to t = 10; 41 times" in capsys.readouterr().out
+    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert "t = 10 reached" in capsys.readouterr().out
+    _, values = table(out / "dynamics.csv")
+    if energy is not None:
+        assert not values[0, 2:].any()
+        assert values[:, 1] == pytest.approx(energy * (1.25 / 0.75) ** 3, rel=1e-9)  # the last of six has weight 1
+    else:
+        assert np.linalg.norm(values[0, 2:]) == pytest.approx(size, rel=1e-12)
+    if kind == "mode = 2":
+        omega = np.sqrt(3.0 - 2.0 * np.sqrt(1 - 0.25**2) * np.cos(2 * np.pi / 7))
+        assert values[:, 2:] == pytest.approx(np.cos(omega * values[:, :1]) * values[0, 2:], abs=1e-8)
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
+    assert "complete run already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ("mode = 7", "[dynamics] mode: given 7; accepted: 1..6"),
+        (
+            "vector = [1.0]",
+            "[dynamics] vector: given a list of 1; accepted: 6 displacements, or these and 6 velocities",
+        ),
+        ("mode = 1\nmoving = 1", "[dynamics] moving: given 1 (a whole number); accepted: true or false"),
+    ],
+)
+def test_starts_that_the_model_does_not_have(
+    changed: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.toml"
+    text = CHAIN.format(sites=6) + f"[dynamics]\n{changed}\nsize = 0.1\nduration = 10.0\n"
+    scene.write_text(text, encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -437,7 +437,11 @@ MODE = "accepted: one of the modes of [family]"
         ({"S": "nan"}, "[dynamics] S: given nan; accepted: a finite number > 0, up to amplitude_max"),
         ({"mode": "3"}, f"[dynamics] mode: given 3; {MODE}, [1, 2]"),
         ({"mode": ""}, f"[dynamics] mode: missing; {MODE}, [1, 2]"),
-        ({"mode": "[1]"}, f"[dynamics] mode: given [1] (an array); {MODE}; required where these are several"),
+        (
+            {"mode": "[1]"},
+            f"[dynamics] mode: given [1] (an array); {MODE}, required where these are "
+            "several; without [family] and [orbit] a linear mode from 1",
+        ),
         (
             {"duration": ""},
             "[dynamics]: given neither duration nor periods; accepted: duration or periods, one of them",
@@ -459,7 +463,8 @@ MODE = "accepted: one of the modes of [family]"
         ({"size": "0.005"}, "[dynamics] size: given 0.005; accepted: beside one of site, vector, seed"),
         (
             {"size": "0.0", "site": "1"},
-            "[dynamics] size: given 0.0; accepted: a finite number > 0, with one of site, vector, seed",
+            "[dynamics] size: given 0.0; accepted: a finite number > 0, with one of site, vector, seed "
+            "(without an orbit also mode)",
         ),
         ({"size": "1", "site": "25"}, "[dynamics] site: given 25; accepted: whole numbers from 1 to 24 (sites)"),
         (
@@ -474,8 +479,8 @@ MODE = "accepted: one of the modes of [family]"
         ({"size": "1", "seed": "-1"}, "[dynamics] seed: given -1; accepted: a whole number >= 0 and < 2^63"),
         (
             {"period": "2"},
-            "[dynamics] period: unknown key; did you mean 'periods'? (accepted: S, mode, duration, periods, samples, "
-            "method, tolerance, size, site, vector, seed)",
+            "[dynamics] period: unknown key; did you mean 'periods'? (accepted: S, mode, moving, duration, periods, "
+            "samples, method, tolerance, size, site, vector, seed)",
         ),
     ],
 )
@@ -483,9 +488,27 @@ def test_wrong_dynamics(changes: dict[str, str], message: str) -> None:
     assert fault_of(CHAIN + family(mode="[1, 2]") + dynamics(**({"mode": "1"} | changes))) == message
 
 
-def test_dynamics_needs_a_family_or_an_orbit() -> None:
-    accepted = "beside a [family] or an [orbit], which it follows in time"
-    assert fault_of(CHAIN + dynamics()) == f"[dynamics]: given without [family] or [orbit]; accepted: {accepted}"
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "[dynamics] S: given 0.2; accepted: beside a [family] or an [orbit]"),
+        ({"S": "", "mode": ""}, "[dynamics]: given without [family] and [orbit], with none of mode, site, vector, "
+         "seed; accepted: one of mode, site, vector, seed, with size and duration, from which motion starts"),
+        ({"S": "", "site": "2"}, "[dynamics]: given without [family] and [orbit], with mode and site; accepted: "
+         "one of mode, site, vector, seed, with size and duration, from which motion starts"),
+        ({"S": "", "size": ""}, "[dynamics] size: missing; accepted: beside mode a finite number > 0"),
+        ({"S": "", "duration": ""}, "[dynamics] duration: missing; accepted: beside mode a finite number > 0"),
+        ({"S": "", "duration": "", "periods": "2"}, "[dynamics] periods: given 2.0; accepted: beside a [family] or an "
+         "[orbit]"),
+    ],
+)  # fmt: skip
+def test_dynamics_without_an_orbit_needs_a_start(given: dict[str, str], message: str) -> None:
+    assert fault_of(CHAIN + dynamics(**({"mode": "1", "size": "0.1"} | given))) == message
+
+
+def test_an_orbit_starts_without_velocities() -> None:
+    message = "[dynamics] moving: given true; accepted: without [family] and [orbit], which start at phase zero"
+    assert fault_of(CHAIN + FAMILY + dynamics(moving="true")) == message
 
 
 @pytest.mark.parametrize("kick", [{"site": "23"}, {"seed": "1"}, {"vector": str([0] * 22 + [1] * 2)}])

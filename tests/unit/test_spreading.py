@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, plane
 
-from casadi_skin import Bond, Chain, Lattice, Site
+from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
 from casadi_skin.dynamics import EvolutionError, evolve
 from casadi_skin.figures.spreading import spreading_figure
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.spreading import energies_by_site, initial_state, spreading
+from casadi_skin.lattice.spreading import energies_by_site, spreading
+from casadi_skin.lattice.starts import initial_state
 
 
 def test_energies_of_sites_are_those_written_by_hand() -> None:
@@ -87,9 +89,30 @@ def test_starts_of_every_kind() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             initial_state(lattice, 0.5, **wrong)  # type: ignore[arg-type]
+    both = initial_state(lattice, 0.5, vector=[3.0] + [0.0] * 16 + [4.0])
+    assert (both[0][0], both[1][8]) == pytest.approx((0.3, 0.4))
     leaning = Lattice(5, [Site("a", "y")], [Bond("a", "a", (1,), gain=GAINS)], "periodic", {"gamma": 0.3})
     with pytest.raises(ValueError, match="accepted: one with a real frequency"):
         initial_state(leaning, 0.5, mode=2)
+
+
+def test_starts_of_damped_lattices_and_of_any_model() -> None:
+    """One number a component where the model is of first order; modes without damping; pendula by their own modes."""
+    bond = Bond("a", "a", (1,), "0.2*d")
+    damped = Lattice(4, [Site("a", "sin(y)", damping="0.1")], [bond])
+    state, none = initial_state(damped, 0.3, mode=1)
+    assert none is None
+    free, rest = initial_state(Lattice(4, [Site("a", "sin(y)")], [bond]), 0.3, mode=1)
+    assert state == pytest.approx(np.concatenate([free, rest]))
+    kicked, _ = initial_state(damped, 0.3, site=2, moving=True)
+    assert kicked.tolist() == [0, 0, 0, 0, 0, 0.3, 0, 0]
+    ended = evolve(damped, kicked, None, np.linspace(0.0, 200.0, 11)).states[-1]
+    assert np.max(np.abs(ended)) < 0.3 * np.exp(-0.05 * 200.0)
+    x = ca.SX.sym("x")
+    decay = OdeModel("decay", x, -x)
+    assert initial_state(decay, 2.0, site=1)[0].tolist() == [2.0]
+    with pytest.raises(ValueError, match="moving: given with decay, of first order"):
+        initial_state(decay, 2.0, site=1, moving=True)
 
 
 @pytest.mark.parametrize(
