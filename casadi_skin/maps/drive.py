@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -23,6 +24,7 @@ from casadi_skin.maps.store import ATTEMPTS, DONE, FAILED, UNKNOWN, Store
 from casadi_skin.progress import Progress
 
 LOOK = 1.0  # seconds between two looks at an engine
+SHOW = 0.2  # seconds between two changes of the line of progress
 TELL = 30.0  # seconds between two lines of progress where there is no terminal
 Part = tuple[int, int]  # a share and the number of shares, the first being 1
 
@@ -51,6 +53,7 @@ class Drive:
     _planned: int = 0
     _began: float = field(default_factory=time.monotonic)
     _told: float = field(default_factory=time.monotonic)
+    _shown: float = -math.inf
 
     def run(self) -> bool:
         """Compute what is missing; False where the share of another part is waited for."""
@@ -160,7 +163,10 @@ class Drive:
 
     def _show(self) -> None:
         """The place of the map, and an estimate of what is left."""
-        now, failed = time.monotonic(), int(np.sum(self.store.states == FAILED))
+        now = time.monotonic()
+        if now - self._shown < SHOW:
+            return
+        self._shown, failed = now, int(np.sum(self.store.states == FAILED))
         left = max(self._planned - self.computed, 0)
         seconds = (now - self._began) / max(self.computed, 1)
         known = int(np.sum(self.store.states != UNKNOWN))

@@ -5,6 +5,7 @@ Every engine runs the same function, `casadi_skin.maps.workers.compute`, whose w
 
 from __future__ import annotations
 
+import errno
 import math
 import time
 from collections.abc import Callable
@@ -63,7 +64,11 @@ def dask_engine(address: str) -> Engine:
         raise ImportError(
             'dask is not installed; it comes with the extra: pip install "casadi-skin[cluster]"'
         ) from error
-    client: Any = distributed.Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
+    try:
+        client: Any = distributed.Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
+    except OSError as error:
+        words = f"no scheduler answers within {CONNECT_LIMIT:g} s ({' '.join(str(error).split())})"
+        raise OSError(errno.ETIMEDOUT, words, address) from None
     known, asked = 0, -math.inf
 
     def workers() -> int:

@@ -159,6 +159,15 @@ class Grid:
             settings = self.settings(found[0][1])
             yield Task(tuple(cell for _, cell in found), settings, tuple(S for S, _ in found))
 
+    def family(self, cell: int) -> Cells:
+        """The cells of the coarsest grid that are one task with a cell of it."""
+        if self.amplitude is None:
+            return np.array([cell], dtype=np.int64)
+        axis, places = self.axes[self.amplitude], self.places(np.array([cell]))
+        same = np.repeat(places, len(range(0, len(axis.values), axis.stride)), axis=0)
+        same[:, self.amplitude] = range(0, len(axis.values), axis.stride)
+        return np.asarray(np.ravel_multi_index(tuple(same.T), self.shape), dtype=np.int64)
+
     def settings(self, cell: int) -> tuple[tuple[Path, Any], ...]:
         """Where values go in the scene of a cell, and the values, but for S of a family."""
         places = zip(self.axes, np.unravel_index(cell, self.shape), strict=True)

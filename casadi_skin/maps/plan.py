@@ -22,14 +22,14 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     check_boundary(scene, grid)
     assert table is not None
     cells = grid.coarsest
-    tasks = list(grid.tasks(cells))
-    middle = tasks[len(tasks) // 2]
+    family = grid.family(int(cells[len(cells) // 2]))
+    (middle,), tasks = grid.tasks(family), len(cells) // len(family)
     computer = Computer(Job(plain(scene), str(path.resolve()), table.growth))
     result = computer.compute(middle)
     if result.seconds < SHORT:
         result = computer.compute(middle)
     sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
-    families = f", orbits of {len(tasks)} families" if grid.amplitude is not None else ""
+    families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
     finest = (
         f"; refined where {', '.join(table.watch or ('stable', 'end'))} change, to {grid.size}" if grid.refined else ""
     )
@@ -37,7 +37,7 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
         ("map", ", ".join(_axis_words(grid, i) for i in range(len(grid.axes)))),
         ("cells", f"{sizes} = {cells.size}{families}{finest}"),
     ]
-    one, all_of_them = result.seconds / len(middle.cells), result.seconds * len(tasks)
+    one, all_of_them = result.seconds / len(middle.cells), result.seconds * tasks
     failed = f"; it failed: {result.reason}" if result.kind else ""
     words = (
         f"{duration(one)} for one (measured on {grid.name(middle.cells[0])}{failed}); {duration(all_of_them)} for all"

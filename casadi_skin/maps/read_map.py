@@ -10,7 +10,6 @@ from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.grid import Grid
 from casadi_skin.maps.result import Map
 from casadi_skin.maps.store import Store
-from casadi_skin.maps.watch import Watch
 from casadi_skin.progress import Progress
 from casadi_skin.runs.directory import SCENE
 from casadi_skin.scene import SceneError, parse_scene, read_text
@@ -42,7 +41,7 @@ def read_map(directory: str | Path) -> Map:
         grid = Grid.of(scene)
     except SceneError as error:
         raise ValueError(f"{path}: {error}; {ACCEPTED}") from None
-    with Progress() as progress, Store(path, grid, None, Watch(grid, scene.map.watch), progress.tell) as store:
+    with Progress() as progress, Store(path, grid, scene, None, progress.tell) as store:
         columns = Columns(store, scene.map.quantities)
     try:
         boundary = read_boundary(grid, path / BOUNDARY)

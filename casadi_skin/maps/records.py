@@ -46,10 +46,16 @@ class TaskRecord(msgspec.Struct, frozen=True, tag="task"):
     neighbour: int = -1
 
 
+class MapHead(msgspec.Struct, frozen=True, tag="map"):
+    """The first record of a journal: a digest of the scene whose map it is of."""
+
+    digest: bytes
+
+
 class MeaningsRecord(msgspec.Struct, frozen=True, tag="meanings"):
     """What quantities mean by name, in the order in which they came."""
 
     meanings: dict[str, str]
 
 
-MapRecord = TaskRecord | MeaningsRecord
+MapRecord = TaskRecord | MeaningsRecord | MapHead

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -23,7 +24,6 @@ from casadi_skin.maps.names import check_quantities
 from casadi_skin.maps.pictures import write_pictures
 from casadi_skin.maps.result import Map
 from casadi_skin.maps.store import UNKNOWN, Store
-from casadi_skin.maps.watch import Watch
 from casadi_skin.maps.writing import CSV, NETCDF, write_map, write_table
 from casadi_skin.progress import Progress
 from casadi_skin.runs.binding import bind
@@ -42,6 +42,8 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import origin
 from casadi_skin.scene import MapTable, Scene, SceneError, parse_scene, read_text
 from casadi_skin.threads import one_thread
+
+ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
 
 
 @dataclass(frozen=True)
@@ -165,8 +167,12 @@ def check_ways(ways: Ways) -> None:
     check_workers("workers", ways.workers)
     if ways.executor is not None:
         given_engine(ways.executor)
-    if ways.scheduler is not None and (not isinstance(ways.scheduler, str) or not ways.scheduler):
-        raise TypeError(f"scheduler: given {short_repr(ways.scheduler)}; accepted: an address, such as tcp://host:8786")
+    if ways.scheduler is not None:
+        words = f"scheduler: given {short_repr(ways.scheduler)}; accepted: an address, such as tcp://host:8786"
+        if not isinstance(ways.scheduler, str):
+            raise TypeError(words)
+        if not ADDRESS.fullmatch(ways.scheduler):
+            raise ValueError(words)
     given = [name for name in ("scheduler", "executor") if getattr(ways, name) is not None]
     if len(given) > 1:
         raise ValueError("executor: given beside scheduler; accepted: one of them")
@@ -194,7 +200,7 @@ def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress)
         engine = None if ways.collect else _engine(ways)
         try:
             _prepare(mapped, directory, ways)
-            store = Store(directory, mapped.grid, own, Watch(mapped.grid, mapped.table.watch), progress.tell)
+            store = Store(directory, mapped.grid, mapped.scene, own, progress.tell)
         except BaseException:
             _closed(engine)
             raise

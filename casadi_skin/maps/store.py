@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Self
 
@@ -16,15 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.maps.grid import Cells, Grid, Task
-from casadi_skin.maps.records import OUTSIDE, MapRecord, MeaningsRecord, Result, Row, TaskRecord
+from casadi_skin.maps.records import OUTSIDE, MapHead, MapRecord, MeaningsRecord, Result, Row, TaskRecord
 from casadi_skin.maps.refine import needed
 from casadi_skin.maps.watch import Watch
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
+from casadi_skin.runs.directory import DirectoryError
+from casadi_skin.scene import Scene
 
 DECODER = msgspec.msgpack.Decoder(MapRecord)
 JOURNALS = "journal*.msgpack"
 UNKNOWN, DONE, ENDED, FAILED = 0, 1, 2, 3  # states of a cell
 ATTEMPTS = 2  # at a cell
+
+
+def digest(scene: Scene) -> bytes:
+    """What a journal has of the scene of its map: the same for the same cells with the same results."""
+    asked = msgspec.structs.replace(scene, title="")
+    return sha256(msgspec.json.encode(asked, order="sorted")).digest()
 
 
 class Store:
@@ -37,8 +46,9 @@ class Store:
         seconds, finished: time that tasks took, and number of cells that they gave, in all journals.
     """
 
-    def __init__(self, directory: Path, grid: Grid, own: str | None, watch: Watch, tell: Callable[[str], None]) -> None:
-        self.directory, self.grid, self.watch = directory, grid, watch
+    def __init__(self, directory: Path, grid: Grid, scene: Scene, own: str | None, tell: Callable[[str], None]) -> None:
+        watched = None if scene.map is None else scene.map.watch
+        self.directory, self.grid, self.watch, self._digest = directory, grid, Watch(grid, watched), digest(scene)
         self.states = np.zeros(grid.size, dtype=np.int8)
         self.attempts = np.zeros(grid.size, dtype=np.int8)
         self._places = np.zeros(grid.size, dtype=np.int64)
@@ -52,6 +62,8 @@ class Store:
             self._journal = Journal(directory / own, DECODER, partial(self._index, 0))
             if self._journal.fault:
                 tell(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
+            if self._journal.end == 0:
+                self._append(MapHead(self._digest))
         for path, fault in self.refresh().items():
             tell(f"{path}: {fault}; what follows it is not read")
 
@@ -108,6 +120,11 @@ class Store:
         self._index(0, place, record)
 
     def _index(self, source: int, place: int, record: MapRecord) -> None:
+        if place == 0 and not (isinstance(record, MapHead) and record.digest == self._digest):
+            words = "accepted: that of this scene, or --overwrite"
+            raise DirectoryError(f"{self._paths[source]}: is the journal of another scene; {words}")
+        if isinstance(record, MapHead):
+            return
         if isinstance(record, MeaningsRecord):
             self.meanings |= {name: words for name, words in record.meanings.items() if name not in self.meanings}
             return

@@ -17,6 +17,7 @@ ACCEPTED = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
 MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # what cells may ask for
 TOGETHER = ","  # between the names of parameters that one axis moves
+MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
 Path = tuple[str, ...]
 
 
@@ -29,6 +30,9 @@ def with_axes(raw: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(given, dict):
         raise refusal("[map] axes", with_kind(given), accepted_words(MapTable, "axes"))
     named = {name: value for name, value in table.items() if name not in OPTIONS}
+    twice = next((name for name in named if name in given), None)
+    if twice is not None:
+        raise refusal(f"[map] {cut(twice)}", "again in its axes", "each parameter once")
     axes = {**given, **named}
     for name, value in axes.items():
         _check_axis(name, value)
@@ -91,6 +95,13 @@ def check_map(scene: Scene) -> None:
             if path in seen:
                 raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
             seen[path] = name
+    cells = math.prod(
+        (axis.points - 1) * _stride(axis) + 1 if isinstance(axis, RangeTable) else len(axis)
+        for axis in table.axes.values()
+    )
+    if cells > MOST_CELLS:
+        finest = " at its finest" if any(getattr(axis, "resolution", None) for axis in table.axes.values()) else ""
+        raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
     if table.growth and scene.stability is None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
 
@@ -101,6 +112,8 @@ def _check_range(name: str, axis: RangeTable) -> None:
         raise refusal(place, "a range for several parameters", "a list of lists")
     if axis.start == axis.to:
         raise refusal(f"{place}, to", f"{axis.to!r}, where it starts", "another number")
+    if not math.isfinite(axis.to - axis.start):
+        raise refusal(f"{place}, to", f"{axis.to!r}, farther from {axis.start!r} than numbers reach", "a nearer one")
     if axis.log and not (axis.start > 0 and axis.to > 0):
         raise refusal(f"{place}, log", f"true from {axis.start!r} to {axis.to!r}", "with numbers > 0")
     if axis.resolution is not None and axis.log and axis.resolution <= 1:
@@ -187,12 +200,7 @@ def values_of(axis: AxisTable) -> tuple[tuple[Any, ...], int]:
     """All values of an axis at its finest, and how many of them lie between two neighbours of the coarsest."""
     if not isinstance(axis, RangeTable):
         return axis, 1
-    stride = 1
-    if axis.resolution is not None:
-        length = abs(math.log(axis.to / axis.start)) if axis.log else abs(axis.to - axis.start)
-        finest = math.log(axis.resolution) if axis.log else axis.resolution
-        while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12):
-            stride *= 2
+    stride = _stride(axis)
     count = (axis.points - 1) * stride
     if (
         isinstance(axis.start, int)
@@ -202,6 +210,17 @@ def values_of(axis: AxisTable) -> tuple[tuple[Any, ...], int]:
     ):
         return (*range(axis.start, axis.to, (axis.to - axis.start) // count), axis.to), stride
     return tuple(_between(axis, k, count) for k in range(count + 1)), stride
+
+
+def _stride(axis: RangeTable) -> int:
+    """Values of a range at its finest from one of its coarsest to the next; no more than those of too many cells."""
+    stride = 1
+    if axis.resolution is not None:
+        length = abs(math.log(axis.to / axis.start)) if axis.log else abs(axis.to - axis.start)
+        finest = math.log(axis.resolution) if axis.log else axis.resolution
+        while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12) and stride <= MOST_CELLS:
+            stride *= 2
+    return stride
 
 
 def _between(axis: RangeTable, k: int, count: int) -> float:

@@ -55,7 +55,7 @@ class MapTable(Table, frozen=True):
         Meta(title="Quantities kept and drawn", description=f"{_NAMES} (left out: all that the scene has)"),
     ] = None
     watch: Annotated[
-        tuple[_Text, ...] | dict[str, tuple[Finite, ...]] | None,
+        Annotated[tuple[_Text, ...], Meta(min_length=1)] | dict[str, tuple[Finite, ...]] | None,
         Meta(
             title="Quantities where whose changes cells are refined",
             description=f"{_NAMES}, or a table of lists of levels by name (left out: stable and end)",

@@ -22,7 +22,7 @@ import os, sys, time
 from pathlib import Path
 from casadi_skin.runs.locking import in_use
 with in_use(Path(sys.argv[1]), print):
-    if os.fork():
+    if not os.fork():
         print("held", flush=True)
     time.sleep(100.0)
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -23,7 +24,9 @@ from casadi_skin.maps.boundary import check_boundary, read_boundary, write_bound
 from casadi_skin.maps.cell import Computer, Job
 from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
+from casadi_skin.maps.records import Result, Row
 from casadi_skin.maps.refine import UNKNOWN, needed
+from casadi_skin.maps.store import Store
 from casadi_skin.runs.binding import bind
 from casadi_skin.scene import SceneError, parse_scene
 from casadi_skin.scene.map_reading import values_of
@@ -47,6 +50,12 @@ REFUSED = {
     'gamma = [0.1]\nquantities = ["Omga"]': '[map] quantities: given "Omga"; did you mean "Omega"?',
     'gamma = [0.1]\nwatch = ["stabel"]': '[map] watch: given "stabel"; did you mean "stable"?',
     "gamma = [0.1]\nboundary = true": "[map] boundary: given without two ranges; accepted: beside two ranges",
+    "gamma = [0.1]\n[map.axes]\ngamma = [0.2]": "[map] gamma: given again in its axes; accepted: each parameter once",
+    "gamma = { from = 0.1, to = 0.2, points = 3, resolution = 1e-300 }": "[map]: given more than 10000000 cells at its",
+    "gamma = { from = 0.1, to = 0.2, points = 100000 }\nN = { from = 2, to = 102, points = 101 }": "[map]: given more",
+    "g = { from = -1.7e308, to = 1.7e308, points = 3 }": "[map] g, to: given 1.7e+308, farther from -1.7e+308 than",
+    'gamma = [0.1]\n"chain.gamma" = [0.2]': "[map] chain.gamma: given the same parameter as gamma; accepted: each",
+    "gamma = [0.1]\nwatch = []": "[map] watch: ",
     "gamma = [0.1]\nS = [0.1, 0.1]": "[map] S: given 0.1 as item 2 again; accepted: each value once",
     "": "[map]: no axis; accepted: a parameter of the scene with a table { from, to, points }, or a list of values",
 }
@@ -76,6 +85,10 @@ def test_a_boundary_is_of_one_family_a_cell() -> None:
     ("words", "told"),
     [
         (["--part", "1/3", "--overwrite"], "map: --overwrite: given beside part, whose directory holds other shares;"),
+        (
+            ["--scheduler", "nonsense"],
+            "map: --scheduler: given 'nonsense'; accepted: an address, such as tcp://host:8786",
+        ),
         (["--part", "4/3"], "map: --part: given (4, 3); accepted: K/N with 1 <= K <= N <= 32767"),
         (["--part", "x"], "map: given --part x; accepted: K/N, such as 3/20"),
         (["--workers", "0"], "map: --workers: given 0; accepted: a whole number from 1 to 256"),
@@ -155,6 +168,47 @@ def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFix
         read.plot("Omga")
 
 
+def test_a_journal_of_another_scene_or_with_damage_is_not_taken_for_results(tmp_path: Path) -> None:
+    """Cells of another scene, a flipped bit and a cut: none is taken silently, and what is whole is kept."""
+
+    def begun(name: str, text: str) -> tuple[Path, Callable[[], Store]]:
+        (tmp_path / name).mkdir()
+        scene = parse_scene(text)
+        (tmp_path / name / "scene.toml").write_text(text, encoding="utf-8")
+        return tmp_path / name / "journal.msgpack", lambda: Store(
+            tmp_path / name, Grid.of(scene), scene, "journal.msgpack", told.append
+        )
+
+    told: list[str] = []
+    journal, opened = begun("one", TINY)
+    with opened() as store:
+        for number, task in enumerate(store.grid.tasks(store.grid.coarsest)):
+            rows = tuple(Row({"Omega": float(cell)}) for cell in task.cells)
+            store.add(task, 1, Result(rows, seconds=float(number)))
+    other, _ = begun("other", TINY.replace("gamma = 0.25", "gamma = 0.24"))
+    other.write_bytes(journal.read_bytes())
+    with pytest.raises(ValueError, match=r"journal.msgpack: is the journal of another scene; accepted:"):
+        read_map(tmp_path / "other")
+    titled, _ = begun("titled", f'title = "another"\n{TINY}')
+    titled.write_bytes(journal.read_bytes())
+    assert read_map(tmp_path / "titled").complete
+    whole = journal.read_bytes()
+    damaged = bytearray(whole)
+    damaged[len(whole) // 2] ^= 1
+    for data, reason in (
+        (bytes(damaged), "a damaged record"),
+        (whole[:-1], "a record that is cut off"),
+    ):
+        journal.write_bytes(data)
+        with opened() as store:
+            assert 0 < np.sum(store.states == 1) < store.grid.size
+        (words,) = told
+        assert words.startswith(f"{journal}: {reason} at byte ")
+        assert words.endswith("; what follows it is dropped and computed again")
+        assert whole.startswith(journal.read_bytes())
+        told.clear()
+
+
 def test_a_map_that_is_none_is_not_read(tmp_path: Path) -> None:
     for text, told in (("", "holds no scene.toml"), (BASE, "its scene.toml has no .map."), ("[", "scene.toml: ")):
         if text:
@@ -188,7 +242,7 @@ def test_a_plan_tells_cells_and_cost_and_xarray_opens_the_map(
     assert main(["check", str(scene)]) == 0
     plan = capsys.readouterr().out
     assert "3 gamma x 2 S x 2 mode = 12, orbits of 6 families" in plan
-    assert "for one (measured on gamma = 0.2, S = 0.05, mode = 2); " in plan
+    assert "for one (measured on gamma = 0.2, S = 0.05, mode = 1); " in plan
     found = run_map(scene, tmp_path / "out", quiet=True)
     xarray = pytest.importorskip("xarray")
     with xarray.open_dataset(tmp_path / "out" / "map.nc") as opened:
