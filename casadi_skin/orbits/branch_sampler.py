@@ -8,7 +8,7 @@ resolution, to round-off, so that everything is smooth in the coordinate, whatev
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,13 @@ STEPS = 6  # of Newton's method
 SOLVED = 1e-8  # a step of Newton's method whose square is round-off
 NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
 NEIGHBOURS = 4  # points that an orbit is predicted from
+NEARER = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
+NEAREST = 1e-4  # of that way, at least
+ADDED = 24  # orbits that are added for one that is not found, at most
+UNEVEN = 2.0  # responses to rounding within a piece, one over another, beyond which the larger is looked at as well
 ORBIT_SAFETY = 2.0
+GAIN = 0.5  # of an error on one level of resolution: what is left of it on the next, unless it is rounding
+ROUGH = 1e-8  # error that is more than rounding, however slowly it falls from level to level
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,17 @@ class _Section:
         chosen = slice(first, first + NEIGHBOURS)
         curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
         return curve(place), float(self.places[right] - self.places[right - 1])
+
+    def neighbours(self, place: float) -> tuple[float, float]:
+        """The places of the points on either side."""
+        right = int(np.clip(np.searchsorted(self.places, place), 1, self.places.size - 1))
+        return float(self.places[right - 1]), float(self.places[right])
+
+    def denser(self, place: float, z: Array, slope: Array) -> _Section:
+        """The section with another orbit."""
+        i = int(np.searchsorted(self.places, place))
+        places = np.insert(self.places, i, place)
+        return replace(self, places=places, z=np.insert(self.z, i, z, 0), slopes=np.insert(self.slopes, i, slope, 0))
 
 
 class OrbitSampler:
@@ -129,16 +146,8 @@ class OrbitSampler:
     def _section(self, points: Sequence[Point], offset: float) -> _Section:
         """Points of a section as solutions of one problem that is fine enough for all of them."""
         hardest = max(range(len(points)), key=lambda i: (points[i].problem.resolution, i))
-        problem = points[hardest].problem
-        while True:
-            row = self._direction(problem, points)
-            solved, solve = self._solved(problem, points[hardest].problem.prolong(points[hardest].z, problem), row)
-            error = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
-            finer = self.levels.finer(problem)
-            enough = error.relative(problem.frequency(solved)) <= max(self._tolerance, error.round_off)
-            if enough or finer is None or self.levels.finer(finer) is None:
-                break
-            problem = finer
+        problem = self._fine_enough(points, points[hardest])
+        row = self._direction(problem, points)
         z, slopes = [], []
         for point in points:
             solved, solve = self._solved(problem, point.problem.prolong(point.z, problem), row)
@@ -146,6 +155,22 @@ class OrbitSampler:
             slopes.append(solve(np.append(np.zeros(problem.size - 1), 1.0)))
         places = np.array(z) @ row
         return _Section(problem, row, places, np.array(z), np.array(slopes), offset)
+
+    def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
+        """The problem on the coarsest level that solves the hardest point, or beyond which only rounding is left."""
+        problem, before = hardest.problem, np.inf
+        coarser = problem
+        while True:
+            row = self._direction(problem, points)
+            solved, solve = self._solved(problem, hardest.problem.prolong(hardest.z, problem), row)
+            estimate = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
+            error = estimate.relative(problem.frequency(solved))
+            finer = self.levels.finer(problem)
+            if error <= max(self._tolerance, estimate.round_off) or finer is None or self.levels.finer(finer) is None:
+                return problem
+            if GAIN * before < error <= ROUGH:
+                return coarser
+            problem, coarser, before = finer, problem, error
 
     def _direction(self, problem: Problem, points: Sequence[Point]) -> Array:
         """The row of a section: from its first point to its last, of unit length in the metric."""
@@ -185,24 +210,59 @@ class OrbitSampler:
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates of one section (see `BranchSampler`)."""
         middle = float(np.mean(coordinates))
-        section = min(self._sections, key=lambda s: max(s.ends[0] - middle, middle - s.ends[1]))
-        problem, solved = section.problem, []
-        for coordinate in coordinates.tolist():
-            place = section.place(coordinate)
-            guess, distance = section.predicted(place)
-            guess += (place - section.row @ guess) * section.row / (section.row @ section.row)
-            solved.append(self._solved(problem, guess, section.row, NEARBY * distance))
+        number = min(range(len(self._sections)), key=lambda i: _away(self._sections[i], middle))
+        solved = [self._at(number, coordinate) for coordinate in coordinates.tolist()]
+        section = self._sections[number]
+        problem = section.problem
         states = [OrbitState(problem, z) for z, _ in solved]
-        k = len(states) // 2
-        states[k] = self._with_better(problem, *solved[k])
+        responses = np.array([self._response(problem, z, solve) for z, solve in solved])
+        k, worst = len(states) // 2, int(np.argmax(responses))
+        if responses[worst] <= UNEVEN * responses[k]:
+            worst = k
+        for i in {k, worst}:
+            states[i] = self._with_better(problem, *solved[i])
         transitions = self.flow.transitions(states)
+        errors = np.stack([_error(transition) for transition in transitions]) + _orbit_error(transitions[k])
+        if worst != k:
+            errors += (responses / responses[worst])[:, None, None] * _orbit_error(transitions[worst])
         return Samples(
             transitions=np.stack([transition.matrix for transition in transitions]),
-            errors=np.stack([_error(transition) for transition in transitions]) + _orbit_error(transitions[k]),
+            errors=errors,
             directions=self._directions(section, states),
             S=np.array([self._amplitude(state.parameter) for state in states]),
             Omega=np.array([state.Omega for state in states]),
         )
+
+    def _at(self, number: int, coordinate: float) -> tuple[Array, Solve]:
+        """The orbit at a coordinate of a section; where it is not found, orbits nearer to the points come first."""
+        place, share, added = self._sections[number].place(coordinate), 1.0, 0
+        while True:
+            try:
+                return self._predicted_orbit(self._sections[number], place)
+            except OrbitNotFoundError:
+                share *= NEARER
+                if share < NEAREST or added >= ADDED:
+                    raise
+            before, after = self._sections[number].neighbours(place)
+            for target in (before + share * (place - before), after - share * (after - place)):
+                try:
+                    z, solve = self._predicted_orbit(self._sections[number], target)
+                except OrbitNotFoundError:
+                    continue
+                slope = solve(np.append(np.zeros(z.size - 1), 1.0))
+                self._sections[number] = self._sections[number].denser(target, z, slope)
+                share, added = 1.0, added + 1
+
+    def _predicted_orbit(self, section: _Section, place: float) -> tuple[Array, Solve]:
+        """The orbit at a place of a section near where its points predict it."""
+        guess, distance = section.predicted(place)
+        guess += (place - section.row @ guess) * section.row / (section.row @ section.row)
+        return self._solved(section.problem, guess, section.row, NEARBY * distance)
+
+    def _response(self, problem: Problem, z: Array, solve: Solve) -> float:
+        """What rounding of the residual does to an orbit, in the metric."""
+        moved = solve(np.append(problem.rounding(z) * problem.probe, 0.0))
+        return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * moved**2)))
 
     def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
         """What spans the trivial direction: q'' at phase zero, or how positions there change along the branch.
@@ -223,7 +283,7 @@ class OrbitSampler:
 
     def amplitude(self, coordinate: float) -> float:
         """S near a coordinate, between the points of the branch."""
-        section = min(self._sections, key=lambda s: max(s.ends[0] - coordinate, coordinate - s.ends[1]))
+        section = min(self._sections, key=lambda section: _away(section, coordinate))
         z, _ = section.predicted(section.place(coordinate))
         return self._amplitude(float(z[section.problem.parameter_index]))
 
@@ -231,6 +291,11 @@ class OrbitSampler:
         """An orbit with a better one, whose difference shows the error that orbits of the section make."""
         better = self.levels.refined(problem, z, self.point_solver.tangent(problem, z, solve))[1]
         return OrbitState(problem, z, None if better is None else OrbitState(better.problem, better.z))
+
+
+def _away(section: _Section, coordinate: float) -> float:
+    """How far outside a section a coordinate is, negative inside."""
+    return max(section.ends[0] - coordinate, coordinate - section.ends[1])
 
 
 def _error(transition: Transition) -> Array:

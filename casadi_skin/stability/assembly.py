@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.stability.interpolation import Piece
+from casadi_skin.stability.interpolation import Gap, Piece
 from casadi_skin.stability.rotation import Tracks
 from casadi_skin.stability.small_blocks import Edge, Segment
 from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
@@ -16,7 +16,7 @@ from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, To
 SAME = 0.05  # distance of two mu at the end of an interval that may be one
 SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
 ZOOMS = 2
-LOOSE = 1e-9  # of an interval: error of an edge at its very end that neither side finds
+DISAGREEMENT = "intervals that touch disagree on whether a multiplier is off the circle"
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,11 @@ class _Union:
         self._parents[self.root(j)] = self.root(i)
 
 
-def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> list[Group]:
-    """Join segments that continue one another; beyond the coordinates `unknown` nothing is known on one side."""
+def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[list[Group], list[Gap]]:
+    """Join segments that continue one another; beyond the coordinates `unknown` nothing is known on one side.
+
+    The second result are stretches on either side of a place where a segment ends that neither side has an edge for.
+    """
     order = sorted(segments, key=lambda segment: (segment.start, segment.end))
     union, ends = _Union(len(order)), set(unknown)
     by_edge: dict[int, int] = {}
@@ -84,6 +87,7 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> list[Gro
                 union.join(by_edge.setdefault(id(edge), i), i)
     dropped: set[int] = set()
     added: dict[int, Edge] = {}
+    gaps: list[Gap] = []
     for coordinate, lefts, rights in _boundaries(order):
         loose_lefts = [i for i in lefts if order[i].end_edge is None]
         loose_rights = [i for i in rights if order[i].start_edge is None]
@@ -98,12 +102,18 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> list[Gro
                 twin = twins[0][1]
                 union.join(i, twin)
                 dropped.add(id(order[twin].start_edge if i in loose_lefts else order[twin].end_edge))
+                continue
+            edge = order[i].edge_at(coordinate)
+            if edge is not None:
+                added[i] = edge
             else:
-                added[i] = _loose_edge(order[i], coordinate)
+                length = order[i].block.end - order[i].block.start
+                gaps.append(Gap(coordinate - length, coordinate + length, DISAGREEMENT))
     members: dict[int, list[int]] = defaultdict(list)
     for i in range(len(order)):
         members[union.root(i)].append(i)
-    return sorted((_group(order, m, dropped, added) for m in members.values()), key=lambda group: group.start)
+    groups = sorted((_group(order, m, dropped, added) for m in members.values()), key=lambda group: group.start)
+    return groups, gaps
 
 
 def _group(order: Sequence[Segment], members: Sequence[int], dropped: set[int], added: dict[int, Edge]) -> Group:
@@ -140,15 +150,6 @@ def _match(
             if distance <= SAME:
                 pairs.append((i, nearest))
     return pairs
-
-
-def _loose_edge(segment: Segment, coordinate: float) -> Edge:
-    """The edge at the end of an interval that neither of its sides finds inside."""
-    error = LOOSE * (segment.block.end - segment.block.start)
-    mu = complex(np.mean(segment.block.unstable_mu(segment, coordinate)))
-    if segment.is_complex:
-        return Edge(coordinate, error, "complex", mu.real, (1, -1) if segment.block.noise.size == 3 else ())
-    return Edge(coordinate, error, "real", float(np.round(mu.real)), ())
 
 
 # Tongues ------------------------------------------------------------------------------------------------------------

@@ -16,9 +16,13 @@ MIDDLE = DEGREE // 2
 ITERATIONS = 60
 CONVERGED = 1e-13
 SETTLED = 1e-9  # a step that rounding keeps from becoming smaller: its square is nothing to a block
-CONTRACTING = 0.5  # of the first step to the last of a few more, for all mu
-STEPS = 3
-SMALL = 1e-3  # steps below this contract
+CONTRACTING = 0.5  # of a step to the next one
+PROBES = np.arange(0, DEGREE + 1, DEGREE // 4)  # nodes at which it is asked whether all mu stay apart
+STEPS = 12  # at most, until all of one are small
+SMALL = 1e-3  # steps below this converge
+LARGEST = 1e3  # step of an iteration that converges
+BETWEEN = 32  # degree of the nodes at which distances are looked at between the probes
+NEARER = 0.25  # of the least square of a distance at the probes: the least one between them
 
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.int64]
@@ -34,17 +38,40 @@ def _weights(K: Numbers, same: Booleans) -> Numbers:
 
 
 def contracts(K: Numbers, same: Booleans) -> Booleans:
-    """Whether the iteration for T converges for all mu of an interval, by its first steps at the ends."""
-    K = K[:, [0, -1]]
+    """Whether the iteration for T converges for all mu of an interval, and no two mu of different blocks meet.
+
+    It is asked at five nodes, the middle among them; between these the squares of distances are polynomials.
+    """
+    K = K[:, PROBES]
     weights, inside = _weights(K, same), same[:, None]
-    first = T = K * weights
-    for _ in range(STEPS):
-        product = K + K @ T
-        block = np.where(inside, product, 0.0)
-        step = (product - block - T @ block) * weights
-        T = T + step
-    before, after = np.max(np.abs(first), axis=2), np.max(np.abs(step), axis=2)
-    return np.asarray(np.all(after <= CONTRACTING * np.maximum(before, SMALL), axis=(1, 2)))
+    fine = np.ones(len(K), dtype=bool)
+    T = K * weights
+    values = np.empty(K.shape[:3], dtype=K.dtype)
+    active = np.arange(len(K))
+    for count in range(STEPS):
+        with np.errstate(over="ignore", invalid="ignore"):
+            product = K[active] + K[active] @ T
+            block = np.where(inside[active], product, 0.0)
+            step = (product - block - T @ block) * weights[active]
+            T = T + step
+            largest = np.max(np.abs(step), axis=(1, 2, 3))
+        values[active] = np.diagonal(block, axis1=2, axis2=3)
+        going = (largest > SMALL) | (count == 0)
+        fine[active[~(largest < LARGEST)]] = False
+        active, T = active[going & fine[active]], T[going & fine[active]]
+        if not active.size:
+            break
+    fine[active] = False
+    fine[fine] = _stay_apart(values[fine], same[fine])
+    return fine
+
+
+def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
+    """Whether mu of different blocks, (intervals, probes, m), stay apart between the probes as well."""
+    squares = (values[:, :, :, None] - values[:, :, None, :]) ** 2
+    least = np.min(np.abs(squares), axis=1)
+    between = np.tensordot(chebyshev.refinement(len(PROBES) - 1, BETWEEN), squares, (1, 1))
+    return np.asarray(np.all((np.min(np.abs(between), axis=0) >= NEARER * least) | same, axis=(1, 2)))
 
 
 def decoupled(

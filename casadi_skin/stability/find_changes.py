@@ -39,7 +39,8 @@ def find_changes(
     """
     power = POWERS[branch.fraction]
     known, found = _looked_at(branch, tolerance, work, progress)
-    groups = groups_of(found.segments, _unknown(known, found))
+    groups, disagreements = groups_of(found.segments, _unknown(known, found))
+    found.gaps += disagreements
     tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
     tongues = tongues_of(groups, known.pieces, power, tracks)
     decided = [i for i, tongue in enumerate(tongues) if tongue.decided]

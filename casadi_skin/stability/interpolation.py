@@ -27,6 +27,8 @@ LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degre
 SHORTER, LONGER = 0.6, 2.5  # lengths of a piece after one that failed and after one that did not, at most
 MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
 PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
+LEVEL = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
+DEVIATIONS = 3.0  # of that noise
 NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # what orbits, flows and linear algebra raise
 
@@ -277,6 +279,18 @@ def _piece(
     if missed > tolerance and not noisy:
         return None, sizes
     noise = np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2)))
+    noise += _of_plateau(coefficients)
     noise += EPSILON * np.max(np.sqrt(np.sum(values**2, axis=(2, 3))), axis=0) * degree
     series = MatrixSeries(start, end, coefficients, errors, noise)
     return Piece(series, scalars[:, 0], scalars[:, 1]), sizes
+
+
+def _of_plateau(coefficients: Array) -> Array:
+    """Frobenius norms of what orbits that differ by rounding add, (degree + 1, 3 or 1, m, m) -> (3 or 1,).
+
+    Noise at the nodes is in all coefficients alike: where these do not fall in the second half, the series has it all.
+    """
+    degree = len(coefficients) - 1
+    squares = np.sum(coefficients**2, axis=(2, 3))
+    third, last = (np.sqrt(np.mean(part, axis=0)) for part in np.split(squares[-2 * (degree // 4) :], 2))
+    return np.where(third <= LEVEL * last, DEVIATIONS * np.sqrt(0.5 * degree) * last, 0.0)

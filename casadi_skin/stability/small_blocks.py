@@ -51,6 +51,17 @@ class Segment:
     is_complex: bool
     outside: int
 
+    def edge_at(self, coordinate: float) -> Edge | None:
+        """The edge that errors allow at the end of its interval, where none is seen; None where they allow none."""
+        width = self.block.edge_width(coordinate)
+        if width is None:
+            return None
+        mu = complex(np.mean(self.block.unstable_mu(self, coordinate)))
+        error = 0.5 * (self.block.end - self.block.start) * width
+        if self.is_complex:
+            return Edge(coordinate, error, "complex", mu.real, (1, -1) if self.block.noise.size == 3 else ())
+        return Edge(coordinate, error, "real", float(np.round(mu.real)) + 0.0, ())
+
 
 def growth_of(mu: ComplexArray) -> Array:
     """log |lambda(M)| >= 0 of each mu, with lambda + 1/lambda = 2 + 4 mu."""
@@ -117,6 +128,12 @@ class Block:
     def is_quiet(self) -> bool:
         """Whether it is stable on the whole interval."""
         return all(f.excludes_zero for f in self.functions) and not self.states(np.zeros(1))[1].any()
+
+    def edge_width(self, coordinate: float) -> float | None:
+        """How far from an end of the interval an edge may be, in half-lengths; None where errors allow none there."""
+        x = -1.0 if coordinate == self.start else 1.0
+        near = [f for f in self.functions if not f.is_nothing and abs(float(f(x))) <= SAFETY * f.error(x)]
+        return max((f.width(x) for f in near), default=None)
 
     def unstable_mu(self, segment: Segment, coordinate: float) -> ComplexArray:
         """Those mu of the block that are unstable on a segment, at a coordinate."""

@@ -63,11 +63,11 @@ class Function:
         Function.find_zeros([self])
         assert self._places is not None
         changes, near = self._places
-        found = [(x, self._width(x), True) for x in changes.tolist()]
-        found += [(x, self._width(x), False) for x in near.tolist() if abs(self(x)) <= self.error(x)]
+        found = [(x, self.width(x), True) for x in changes.tolist()]
+        found += [(x, self.width(x), False) for x in near.tolist() if abs(self(x)) <= self.error(x)]
         return sorted(found)
 
-    def _width(self, x: float) -> float:
+    def width(self, x: float) -> float:
         """How far a zero moves when the function changes by its error: by slope, or by curvature where that is more."""
         degree = len(self.coefficients) - 1
         matrix, error = chebyshev.derivative(degree), self.error(x)

@@ -244,3 +244,17 @@ def one_sided(sites: int) -> OdeModel:
     force = bonds[1:] - bonds[:-1] - q**3 + 1.5 * ca.vertcat(0, q[:-1]) ** 2 * q
     signs = (1,) * sites + (-1,) * sites
     return OdeModel("one-sided", q, force, order=2, velocity=v, reversal=signs, half_period=(-1,) * (2 * sites))
+
+
+@pytest.mark.slow
+def test_beyond_a_fold_a_pair_meets_where_it_does() -> None:
+    """By a scan that shares nothing with the package it is at S = 0.9493916867, next to the fold at 0.9523."""
+    diagram = diagram_of(Chain(16, 0.5, 0.14, -1.0), 1, 0.97, 1e-6)
+    assert diagram.complete
+    near = [edge for edge in diagram.changes if 0.93 < edge.S < 0.96 and edge.stable_before]
+    assert [edge.kind for edge in near] == ["complex"]
+    assert abs(near[0].S - 0.9493916867) <= near[0].S_error + 1e-10
+    at_the_tip = [
+        edge for edge in diagram.changes if edge.S < 0.49 and edge.place.coordinate > near[0].place.coordinate
+    ]
+    assert [(edge.stable_before, edge.stable_after) for edge in at_the_tip] == [(False, True)]

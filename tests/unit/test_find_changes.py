@@ -289,3 +289,16 @@ def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytes
     assert diagram.unresolved
     assert all("did not converge" in gap.reason for gap in diagram.unresolved)
     assert any(gap.S_start <= 0.62 <= gap.S_end for gap in diagram.unresolved)
+
+
+@pytest.mark.parametrize("noise", [1e-10, 1e-12])
+def test_noise_of_the_matrices_is_among_the_errors_whatever_the_flow_says(noise: float) -> None:
+    """Orbits that differ by rounding make matrices whose series do not fall beyond it."""
+    blocks = [collision(cubic(-0.6, 2.0), 0.01), real(cubic(-0.7, 1.0), cubic(-0.71, 1.0)), FAR]
+    exact = list(interpolate(SymplecticFamily(blocks), 1e-11, Interpolated()))
+    for piece in interpolate(SymplecticFamily(blocks, noise=noise), 1e-11, Interpolated()):
+        for s in np.linspace(piece.matrices.start, piece.matrices.end, 101).tolist():
+            true = next(p for p in exact if s <= p.matrices.end)
+            off = np.linalg.norm((piece.matrices.at(np.array([s])) - true.matrices.at(np.array([s])))[0], axis=(1, 2))
+            assert np.all(off <= piece.matrices.noise)
+            assert np.all(piece.matrices.noise <= 100.0 * noise)

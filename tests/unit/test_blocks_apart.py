@@ -1,0 +1,82 @@
+"""Multipliers that meet are kept in one block, and what two intervals do not agree on is no edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casadi_skin.stability import chebyshev
+from casadi_skin.stability.assembly import DISAGREEMENT, groups_of
+from casadi_skin.stability.blocks import comes_apart
+from casadi_skin.stability.decoupling import DEGREE, PROBES, contracts
+from casadi_skin.stability.small_blocks import Segment, SingleBlock
+
+Array = np.ndarray
+ALONE = np.eye(3, dtype=bool)[None]
+
+
+def linear(middle: list[float], slopes: list[float], couplings: list[list[float]]) -> Array:
+    """A matrix that changes linearly, at the nodes of an interval, in the eigenvectors at its middle."""
+    change = np.diag(slopes) + np.array(couplings)
+    return np.diag(middle) + chebyshev.nodes(DEGREE)[:, None, None] * change
+
+
+@pytest.mark.parametrize(
+    ("middle", "slopes", "couplings"),
+    [
+        ([0.0, 1.0, 3.4], [0.1, 0.2, -0.1], [[0.0, 0.2, -0.8], [-0.2, 0.0, 0.6], [0.8, 0.6, 0.0]]),
+        ([0.0, 1.0, 3.4], [0.3, 0.3, -0.1], [[0.0, -0.3, 1.0], [0.3, 0.0, 0.0], [-1.0, 0.0, 0.0]]),
+        ([0.0, 1.0, 3.9], [-0.3, -0.2, -0.2], [[0.0, -0.3, 1.0], [0.3, 0.0, 0.3], [-1.0, 0.3, 0.0]]),
+    ],
+)
+def test_two_that_meet_by_way_of_a_third_do_not_come_apart(
+    middle: list[float], slopes: list[float], couplings: list[list[float]]
+) -> None:
+    K = linear(middle, slopes, couplings)
+    assert np.abs(np.linalg.eigvals(K[-1]).imag).max() > 0.05
+    assert not comes_apart(K)
+
+
+def test_couplings_that_leave_all_apart_come_apart() -> None:
+    K = linear([0.0, 1.0, 3.4], [0.1, 0.2, -0.1], [[0.0, 0.02, -0.1], [-0.02, 0.0, 0.1], [0.1, 0.1, 0.0]])
+    assert comes_apart(K)
+
+
+def test_two_that_meet_and_part_between_the_nodes_that_are_asked_do_not_come_apart() -> None:
+    """(mu_1 - mu_2)^2 = (s - s_1)(s - s_2), with both zeros between two of the nodes, beside a third mu."""
+    low, high = chebyshev.nodes(DEGREE)[PROBES][[3, 4]]
+    squares = np.poly1d([low + 0.3 * (high - low), low + 0.6 * (high - low)], r=True)(chebyshev.nodes(DEGREE))
+    mu = 0.5 * np.sqrt(squares.astype(complex))
+    K = np.zeros((1, DEGREE + 1, 3, 3), dtype=complex)
+    K[0, :, 0, 0], K[0, :, 1, 1], K[0, :, 2, 2] = mu, -mu, 4.0
+    assert not contracts(K, ALONE)[0]
+    K[0, :, 0, 0], K[0, :, 1, 1] = 1.0 + mu, -1.0 - mu
+    assert contracts(K, ALONE)[0]
+
+
+def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> SingleBlock:
+    parts = np.zeros((DEGREE + 1, 3, 1, 1))
+    parts[:, 1, 0, 0], parts[:, 2, 0, 0] = pi, kappa
+    return SingleBlock(start, end, parts, np.full(parts.shape, error), np.zeros(3), np.zeros(3))
+
+
+def test_an_edge_that_neither_of_two_intervals_has_is_not_invented() -> None:
+    """A mu outside up to the end of its interval, and nothing beside it: that is not known, and no edge."""
+    ones = np.ones(DEGREE + 1)
+    outside = block_of(0.0, 1.0, 0.1 * ones, 0.1 * ones)
+    segment = Segment(outside, 0.0, 1.0, None, None, False, 1)
+    groups, gaps = groups_of([segment], {0.0})
+    assert groups[0].edges == ()
+    assert [(gap.start, gap.end, gap.reason) for gap in gaps] == [(0.0, 2.0, DISAGREEMENT)]
+
+
+def test_an_edge_at_the_end_of_an_interval_that_errors_hide_is_there() -> None:
+    ones, x = np.ones(DEGREE + 1), chebyshev.nodes(DEGREE)
+    outside = block_of(0.0, 1.0, 0.1 * ones, 1.0 - x + 1e-12, error=1e-11)
+    segment = Segment(outside, 0.0, 1.0, None, None, False, 1)
+    groups, gaps = groups_of([segment], {0.0})
+    assert not gaps
+    (edge,) = groups[0].edges
+    assert edge.coordinate == 1.0
+    assert 1e-12 < edge.error < 1e-10
+    assert (edge.kind, edge.mu) == ("real", 0.0)
