@@ -39,7 +39,7 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
     return ca.MX(sparsity, values[order.tolist()])
 
 
-class _Buffers:
+class Buffers:
     """Calls of a compiled function without conversions: arguments and results live in arrays given to it once."""
 
     def __init__(self, function: ca.Function) -> None:
@@ -155,19 +155,29 @@ class Problem(ABC):
         arguments = [z, self.constants_symbol]
         return ca.Function("equations", arguments, [ca.densify(residual), jacobian], ["z", "constants"], ["R", "dR_dz"])
 
+    @property
+    def compiled(self) -> ca.Function:
+        """The function that is evaluated, of z and `numbers`; problems that differ in these may have it in common."""
+        return self.function
+
+    @property
+    def numbers(self) -> Array:
+        """The second argument of `compiled`."""
+        return self.constants
+
     @cached_property
     def pattern(self) -> tuple[Indices, Indices]:
         """Rows and columns of the non-zeros of dR/dz, in the order in which `evaluate` returns them."""
-        rows, columns = self.function.sparsity_out(1).get_triplet()
+        rows, columns = self.compiled.sparsity_out(1).get_triplet()
         return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
 
     @cached_property
-    def _buffers(self) -> _Buffers:
-        return _Buffers(self.function)
+    def _buffers(self) -> Buffers:
+        return Buffers(self.compiled)
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual, shape (size - 1,), and the non-zeros of the Jacobian in the order of `pattern`."""
-        return self._buffers.evaluate(z, self.constants)
+        return self._buffers.evaluate(z, self.numbers)
 
     def with_constants(self, constants: Array) -> Self:
         """The same equations with other constants; the compiled function is shared.

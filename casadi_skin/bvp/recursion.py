@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,8 +132,13 @@ class PolynomialForm:
     @classmethod
     def of(cls, model: OdeModel) -> PolynomialForm:
         """The form of a model; raises NotPolynomialError where there is none."""
-        force, norm = (polynomial_terms(e, model.state, model.parameters) for e in (model.rhs, model.normalisation))
-        return cls(force, norm)
+        return _form(model)
+
+
+@lru_cache(maxsize=8)
+def _form(model: OdeModel) -> PolynomialForm:
+    force, norm = (polynomial_terms(e, model.state, model.parameters) for e in (model.rhs, model.normalisation))
+    return PolynomialForm(force, norm)
 
 
 class TaylorRecursion:

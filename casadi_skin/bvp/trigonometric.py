@@ -7,16 +7,23 @@ See Boyd, Chebyshev and Fourier Spectral Methods (2001), sections 3.1 and 8.
 
 from __future__ import annotations
 
-from functools import cache
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import EPSILON, Array, Problem, sparse_matrix
+from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Problem, Scalar, sparse_matrix
 from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.models.lifted import Program, lifted
 from casadi_skin.models.ode import OdeModel
 
+MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
+KEPT = 32  # resolutions of models for which what is built is kept
 ALIASED = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
 
 
@@ -56,6 +63,87 @@ def second_derivative_matrix(harmonics: int) -> Array:
     return np.asarray(rounded)
 
 
+def odd_cosine_equations(
+    harmonics: int, symbols: Sequence[ca.SX], force: ca.SX, normalisation: ca.SX, *numbers: ca.MX
+) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """Unknowns z, residual and Jacobian of the equations of a model at the nodes.
+
+    `symbols` are those of positions, velocities, the free parameter, and of the `numbers` where there are such.
+    """
+    H, N = harmonics, int(symbols[0].numel())
+    states, Omega_index, parameter_index = N * H, N * H + Scalar.OMEGA.value, N * H + Scalar.PARAMETER.value
+    D2, at_zero = second_derivative_matrix(H), ((2.0 / H) * cosine_matrix(H)).sum(axis=0)
+    q, velocity, parameter, *own = symbols
+    slopes = ca.jacobian(force, q), ca.densify(ca.jacobian(force, parameter))
+    rhs = ca.Function("rhs", [q, parameter, *own], [ca.densify(force), *slopes])
+    start = ca.Function(
+        "start", [q, velocity, parameter, *own], [normalisation, ca.densify(ca.jacobian(normalisation, q))]
+    )
+
+    z = ca.MX.sym("z", states + 2)
+    values, Omega, p = ca.reshape(z[:states], H, N), z[Omega_index], z[parameter_index]
+    forces, df_dq, df_dp = rhs.map(H)(values.T, *(ca.repmat(value, 1, H) for value in (p, *numbers)))
+    forces, df_dp = ca.vec(forces.T), ca.vec(df_dp.T)
+    norm, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p, *numbers)
+    residual = ca.vertcat(ca.vec(_second_derivative(values)) - forces / Omega**2, norm)
+
+    rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
+    node = np.repeat(np.arange(H), rows.size)
+    at_nodes = np.tile(rows, H) * H + node, np.tile(columns, H) * H + node
+    every = np.arange(states, dtype=np.int64)
+    n, i, k = (t.ravel() for t in np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij"))
+    met = (i == k) & np.isin(n, rows[rows == columns])  # entries of the derivative that are added to those of the force
+    added = np.where(at_nodes[0] == at_nodes[1], np.diag(D2)[node], 0.0)
+    parts = (
+        ((n * H + i)[~met], (n * H + k)[~met], ca.MX(ca.DM(D2[i, k][~met]))),
+        (*at_nodes, ca.DM(added) - ca.vec(df_dq.nz[:]) / Omega**2),
+        (every, np.full(states, Omega_index), 2 * forces / Omega**3),
+        (every, np.full(states, parameter_index), -df_dp / Omega**2),
+        (np.full(states, states), every, ca.vec(ca.DM(at_zero) @ dn_dq)),
+    )
+    at, into, entries = zip(*parts, strict=True)
+    shape = (states + 1, states + 2)
+    return z, residual, sparse_matrix(shape, np.concatenate(at), np.concatenate(into), ca.vertcat(*entries))
+
+
+def _second_derivative(values: ca.MX) -> ca.MX:
+    """Second derivatives at the nodes, shape (harmonics, sites).
+
+    Sums over entries of size H^2 are left to what is beyond cos(theta): their rounding would show in Omega.
+    """
+    H = values.shape[0]
+    cosine = ca.DM(cosine_matrix(H)[:, 0])
+    amplitude = ca.DM((2.0 / H) * cosine_matrix(H)[0]).T @ values
+    return ca.DM(second_derivative_matrix(H)) @ (values - cosine @ amplitude) - cosine @ amplitude
+
+
+@lru_cache(maxsize=8)
+def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
+    """The force and the normalisation of a model without their numbers, and these; None where they are long."""
+    return lifted([model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], MOST)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """What is built for all models of one program, at one resolution."""
+
+    function: ca.Function
+    buffers: Buffers
+    shared: dict[Any, Any]
+
+
+@lru_cache(maxsize=KEPT)
+def _kept(program: Program, harmonics: int, thread: int) -> _Kept:
+    """Those of a thread: the arguments of functions are arrays of their own."""
+    sizes = (program.inputs[0], program.inputs[1], program.inputs[2], program.numbers)
+    symbols = tuple(ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True))
+    force, normalisation = program.expressions(symbols[:3], symbols[3])
+    numbers = ca.MX.sym("numbers", program.numbers)
+    z, residual, jacobian = odd_cosine_equations(harmonics, symbols, force, normalisation, numbers)
+    function = ca.Function("equations", [z, numbers], [ca.densify(residual), jacobian])
+    return _Kept(function, Buffers(function), {})
+
+
 class TrigonometricProblem(OrbitProblem):
     """Equations q''(theta) - f(q, p)/Omega^2 = 0 at the nodes; unknowns ordered by site, then node.
 
@@ -63,6 +151,7 @@ class TrigonometricProblem(OrbitProblem):
     """
 
     holds_linear_modes = True
+    lifts = True  # whether the equations are those of the model alone, with its numbers as symbols
 
     def __init__(self, model: OdeModel, harmonics: int) -> None:
         even_positions = model.reversal == (1,) * model.size + (-1,) * model.size
@@ -82,43 +171,33 @@ class TrigonometricProblem(OrbitProblem):
         return self.states + 2
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        H, N = self.resolution, self.model.size
-        D2, at_zero = second_derivative_matrix(H), self._to_coefficients.sum(axis=0)
-        z = ca.MX.sym("z", self.size)
-        values, Omega, p = ca.reshape(z[: self.states], H, N), z[self.Omega_index], z[self.parameter_index]
-        rhs = self.model.rhs_and_jacobian()
-        force, df_dq, df_dp = rhs.map(H)(values.T, ca.repmat(p, 1, H))
-        force, df_dp = ca.vec(force.T), ca.vec(df_dp.T)
-
         model = self.model
-        start = ca.Function(
-            "start",
-            [model.state, model.velocity, model.parameters],
-            [model.normalisation, ca.densify(ca.jacobian(model.normalisation, model.state))],
-        )
-        normalisation, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p)
-        residual = ca.vertcat(ca.vec(self._second_derivative(values)) - force / Omega**2, normalisation)
+        symbols = model.state, model.velocity, model.parameters
+        return odd_cosine_equations(self.resolution, symbols, model.rhs, model.normalisation)
 
-        rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
-        node = np.repeat(np.arange(H), rows.size)
-        at_nodes = np.tile(rows, H) * H + node, np.tile(columns, H) * H + node
-        every = np.arange(self.states, dtype=np.int64)
-        n_index, i_index, k_index = (
-            t.ravel() for t in np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij")
-        )
-        # Entries of the derivative that meet those of the force are added to them.
-        met = (i_index == k_index) & np.isin(n_index, rows[rows == columns])
-        own = np.where(at_nodes[0] == at_nodes[1], np.diag(D2)[node], 0.0)
-        parts = (
-            ((n_index * H + i_index)[~met], (n_index * H + k_index)[~met], ca.MX(ca.DM(D2[i_index, k_index][~met]))),
-            (*at_nodes, ca.DM(own) - ca.vec(df_dq.nz[:]) / Omega**2),
-            (every, np.full(self.states, self.Omega_index), 2 * force / Omega**3),
-            (every, np.full(self.states, self.parameter_index), -df_dp / Omega**2),
-            (np.full(self.states, self.states), every, ca.vec(ca.DM(at_zero) @ dn_dq)),
-        )
-        at, into, values = zip(*parts, strict=True)
-        shape = (self.size - 1, self.size)
-        return z, residual, sparse_matrix(shape, np.concatenate(at), np.concatenate(into), ca.vertcat(*values))
+    # What is built is kept for other models that differ in numbers alone -------------------------------------------
+
+    @cached_property
+    def _kept(self) -> _Kept | None:
+        lifted = _lifted(self.model) if self.lifts else None
+        return None if lifted is None else _kept(lifted[0], self.resolution, threading.get_ident())
+
+    @cached_property
+    def compiled(self) -> ca.Function:
+        return self.function if self._kept is None else self._kept.function
+
+    @cached_property
+    def numbers(self) -> Array:
+        lifted = None if self._kept is None else _lifted(self.model)
+        return self.constants if lifted is None else lifted[1]
+
+    @cached_property
+    def _buffers(self) -> Buffers:
+        return Buffers(self.compiled) if self._kept is None else self._kept.buffers
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        return super().shared if self._kept is None else self._kept.shared
 
     def place(self, equation: int) -> str:
         """Where an equation, counted from 0, holds, in words."""
@@ -126,16 +205,6 @@ class TrigonometricProblem(OrbitProblem):
             return super().place(equation)
         site, node = divmod(equation, self.resolution)
         return f"site {site + 1}, node {node + 1} of {self.resolution}"
-
-    def _second_derivative(self, values: ca.MX) -> ca.MX:
-        """Second derivatives at the nodes, shape (harmonics, sites).
-
-        Sums over entries of size H^2 are left to what is beyond cos(theta): their rounding would show in Omega.
-        """
-        H = self.resolution
-        cosine = ca.DM(cosine_matrix(H)[:, 0])
-        amplitude = ca.DM(self._to_coefficients[0]).T @ values
-        return ca.DM(second_derivative_matrix(H)) @ (values - cosine @ amplitude) - cosine @ amplitude
 
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
         theta = (np.arange(self.resolution) + 0.5) * np.pi / (2 * self.resolution)

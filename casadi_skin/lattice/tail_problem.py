@@ -73,6 +73,8 @@ class CoreWithTailProblem(TrigonometricProblem):
     Equations of that site are those of its harmonics, times cos(psi): regular where the tail resonates.
     """
 
+    lifts = False
+
     def __init__(self, model: OdeModel, harmonics: int, tail: TailUnknown, attached: int = 0) -> None:
         super().__init__(model, harmonics)
         self.tail, self.attached = tail, attached

@@ -31,22 +31,22 @@ class _Blocks:
         self._problem, self._count, size = problem, count, problem.size
         z = ca.MX.sym("z", size, count)
         held = ca.MX.sym("held", size + 2, count)  # of each a row, its value, and the scale of the residuals
-        constants = ca.MX.sym("constants", problem.constants.size)
+        numbers = ca.MX.sym("numbers", problem.numbers.size)
         rows, values, scales = held[:size, :], held[size, :], held[size + 1, :]
-        residual, jacobian = problem.function.map(count)(z, ca.repmat(constants, 1, count))
-        nonzeros = problem.function.sparsity_out(1)
+        residual, jacobian = problem.compiled.map(count)(z, ca.repmat(numbers, 1, count))
+        nonzeros = problem.compiled.sparsity_out(1)
         entries = ca.reshape(jacobian.nz[:], nonzeros.nnz(), count) / ca.repmat(scales, nonzeros.nnz(), 1)
         closing = ca.MX(ca.diagcat(*[ca.Sparsity.dense(1, size)] * count), ca.vec(rows))
         jacobians = ca.vertcat(ca.MX(ca.diagcat(*[nonzeros] * count), ca.vec(entries)), closing)
         constraints = ca.vertcat(ca.vec(residual / ca.repmat(scales, size - 1, 1)), ca.vec(ca.sum1(rows * z) - values))
-        x, p = ca.MX.sym("x", size * count), ca.MX.sym("p", (size + 2) * count + problem.constants.size)
-        blocks = ca.Function("blocks", [z, held, constants], [constraints, jacobians])
+        x, p = ca.MX.sym("x", size * count), ca.MX.sym("p", (size + 2) * count + problem.numbers.size)
+        blocks = ca.Function("blocks", [z, held, numbers], [constraints, jacobians])
         parts = ca.vertsplit(p, [0, (size + 2) * count, p.numel()])
         results = blocks(ca.reshape(x, size, count), ca.reshape(parts[0], size + 2, count), parts[1])
         jac_g = ca.Function("jac_g", [x, p], results, ["x", "p"], ["g", "jac_g_x"])
         self._attached = Attached(square_solver(x, p, results[0], jac_g, tolerance, ITERATIONS))
 
-    def __call__(self, points: Sequence[HeldState], constants: Array) -> tuple[Array, str, int]:
+    def __call__(self, points: Sequence[HeldState], numbers: Array) -> tuple[Array, str, int]:
         """What Ipopt makes of up to `count` points, its words, and its iterations; the last one fills up the rest."""
         size, count = self._problem.size, self._count
         guess = self._attached.guess.reshape(count, size)
@@ -55,7 +55,7 @@ class _Blocks:
             z, row, value = points[min(k, len(points) - 1)]
             guess[k], held[k, :size], held[k, size] = z, row, value
             held[k, size + 1] = max(1.0, float(np.max(np.abs(z[: self._problem.states]))))
-        self._attached.held[(size + 2) * count :] = constants
+        self._attached.held[(size + 2) * count :] = numbers
         found, words, iterations = self._attached.solve()
         return found.reshape(count, size)[: len(points)], words, iterations
 
@@ -69,7 +69,7 @@ class ConfirmedCorrector:
     def __init__(self, problem: Problem, tolerance: float = 1e-12, together: int = 1) -> None:
         self.problem, self.tolerance, self.together = problem, tolerance, together
         self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
-        self._built: dict[str, IpoptCorrector | _Blocks] = {}
+        self._one: list[IpoptCorrector] = []  # none before it is needed; the list is that of all copies
 
     def on(self, problem: Problem) -> ConfirmedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
@@ -79,18 +79,16 @@ class ConfirmedCorrector:
 
     def _ipopt(self) -> IpoptCorrector:
         """Ipopt on one orbit, built when it is first needed."""
-        if "one" not in self._built:
-            self._built["one"] = IpoptCorrector(self.problem, self.tolerance, ITERATIONS)
-        found = self._built["one"]
-        assert isinstance(found, IpoptCorrector)
-        return found.on(self.problem)
+        if not self._one:
+            self._one.append(IpoptCorrector(self.problem, self.tolerance, ITERATIONS))
+        return self._one[0].on(self.problem)
 
     def _blocks(self) -> _Blocks:
         """Ipopt on several orbits, built when it is first needed."""
-        if "several" not in self._built:
-            self._built["several"] = _Blocks(self.problem, self.tolerance, self.together)
-        found = self._built["several"]
-        assert isinstance(found, _Blocks)
+        shared, key = self.problem.shared, ("several", self.tolerance, self.together)
+        if key not in shared:
+            shared[key] = _Blocks(self.problem, self.tolerance, self.together)
+        found: _Blocks = shared[key]
         return found
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
@@ -106,7 +104,7 @@ class ConfirmedCorrector:
         for first in range(0, len(points), self.together):
             some = points[first : first + self.together]
             heed(f"Ipopt, {self.problem.size * self.together} unknowns")
-            found, words, iterations = self._blocks()(some, self.problem.constants)
+            found, words, iterations = self._blocks()(some, self.problem.numbers)
             if STATUS.get(words) is Status.CONVERGED and np.all(np.isfinite(found)):
                 corrections = [Correction(z, Status.CONVERGED, iterations, words) for z in found]
             else:

@@ -118,9 +118,14 @@ class SplittingFlow(SteppedFlow):
     def _build(self, steps: int) -> SplittingMap:
         return SplittingMap(self.jacobian, steps)
 
+    def _splitting(self, steps: int) -> SplittingMap:
+        found = self.step_map(steps)
+        assert isinstance(found, SplittingMap)
+        return found
+
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
         """As that of other flows, all at once where they fit into the cache."""
-        maps = [self._build(steps) for steps, _ in wanted]
+        maps = [self._splitting(steps) for steps, _ in wanted]
         runs = [
             step_map.run(self._linearised(orbits, step_map.fractions), self._durations(orbits))
             for step_map, (_, orbits) in zip(maps, wanted, strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -16,7 +17,10 @@ from scipy.integrate import solve_ivp
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.models.lifted import lifted
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.request import family_request
 from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
 
 Array = NDArray[np.float64]
@@ -204,3 +208,73 @@ def test_a_model_with_no_normalisation_or_another_number_of_parameters_is_refuse
         TrigonometricProblem(oscillators(normalisation=None), 4)
     with pytest.raises(ValueError, match="one free parameter and a normalisation"):
         TrigonometricProblem(replace(model, parameters=ca.vertcat(model.parameters, ca.SX.sym("other"))), 4)
+
+
+# Equations that models have in common --------------------------------------------------------------------------------
+
+
+def test_a_problem_of_shared_functions_is_that_of_its_model() -> None:
+    """Residual and Jacobian by the functions that chains share, and by those made of one chain's own expressions."""
+    generator = np.random.default_rng(5)
+    for chain in (Chain(5, 1.0, 0.3, -1.0), Chain(5, 1.7, -0.2, 2.0), Chain(5, 0.5, 0.0, 1.0)):
+        problem = TrigonometricProblem(chain.gauge_model(), 6)
+        z = generator.normal(size=problem.size)
+        z[problem.Omega_index] = 1.3
+        residual, nonzeros = problem.evaluate(z)
+        own_residual, own_jacobian = problem.function(z, problem.constants)
+        np.testing.assert_allclose(residual, np.array(own_residual).ravel(), rtol=0, atol=1e-12)
+        jacobian = np.zeros((problem.size - 1, problem.size))
+        np.add.at(jacobian, problem.pattern, nonzeros)
+        np.testing.assert_allclose(jacobian, np.array(ca.DM(own_jacobian)), rtol=0, atol=1e-12)
+
+
+def test_chains_that_differ_in_numbers_share_what_is_built() -> None:
+    chains = Chain(4, 1.0, 0.3, -1.0), Chain(4, 2.0, 0.1, 3.0), Chain(5, 1.0, 0.3, -1.0)
+    one, other, longer = (TrigonometricProblem(chain.gauge_model(), 6) for chain in chains)
+    assert one.shared is other.shared
+    assert one.compiled is other.compiled
+    assert one.shared is not longer.shared
+    assert not np.array_equal(one.numbers, other.numbers)
+
+
+def test_families_followed_by_turns_are_those_followed_one_by_one() -> None:
+    """What they share keeps nothing of either."""
+
+    def points(gamma: float) -> Iterator[float]:
+        tools = Family(family_request(Chain(4, 1.0, gamma, -1.0), 1, 1.5, tolerance=1e-9))
+        return (point.Omega for point in tools.continuation((tools.start,)))
+
+    alone = [list(points(gamma)) for gamma in (0.2, 0.4)]
+    both = [points(gamma) for gamma in (0.2, 0.4)]
+    turns = [[next(walk) for walk in both] for _ in range(min(map(len, alone)))]
+    for k in range(2):
+        assert [turn[k] for turn in turns] == alone[k][: len(turns)]
+
+
+def results(x: ca.SX, y: ca.SX, c: list[float]) -> list[ca.SX]:
+    return [ca.vertcat(c[0] * ca.sin(x[0]) + y / c[1], ca.fmin(x[1], c[2]) ** 2), c[3] * x[0] * x[1] - 0.25]
+
+
+@pytest.mark.parametrize("numbers", [[0.3, 1.2, 1.1, 2.5], [5.0, 5.0, 5.0, 5.0], [1.0, 0.7, 2.0, 1.0]])
+def test_expressions_with_numbers_as_symbols_are_the_same(numbers: list[float]) -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    found = lifted([x, y], results(x, y, numbers), 100)
+    assert found is not None
+    program, values = found
+    c = ca.SX.sym("c", values.size)
+    symbolic = ca.Function("symbolic", [x, y, c], program.expressions([x, y], c))
+    exact = ca.Function("exact", [x, y], results(x, y, numbers))
+    for one, other in zip(symbolic([0.3, 1.2], -0.7, values), exact([0.3, 1.2], -0.7), strict=True):
+        np.testing.assert_allclose(np.array(one), np.array(other), rtol=1e-14)
+
+
+def test_programs_are_equal_where_numbers_alone_differ() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    cases = [0.3, 1.2, 1.1, 2.5], [7.1, -0.2, 3.3, 9.0], [1.0, 1.2, 1.1, 2.5]
+    first, other, shorter = (lifted([x, y], results(x, y, case), 100) for case in cases)
+    assert first is not None
+    assert other is not None
+    assert shorter is not None
+    assert first[0] == other[0]
+    assert first[0] != shorter[0]  # of a product with 1 no instruction is left
+    assert lifted([x, y], results(x, y, cases[0]), 3) is None
