@@ -17,7 +17,7 @@ from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, NotLocatedError
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError
 from casadi_skin.stability.reduction import ComplexArray
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
@@ -35,7 +35,7 @@ Test = Callable[[Point], float]
 
 def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
-    if space.kind in (EDGE, BRANCH_POINT):
+    if space.kind == BRANCH_POINT:
         return
     if space.shrinks(before, after):
         end = shrunk(space, before, after)

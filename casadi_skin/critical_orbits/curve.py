@@ -9,11 +9,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from casadi_skin.arguments import check_name
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.critical_orbits.codimension_two import ENDS, special_on_curve
-from casadi_skin.critical_orbits.edges import located_edge
+from casadi_skin.critical_orbits.edge_curve import edge_curve, parameters_of
+from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
 from casadi_skin.critical_orbits.normal_forms import on_circle
@@ -21,6 +23,7 @@ from casadi_skin.critical_orbits.systems import KAPPA, PUSH, Critical
 from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
@@ -144,30 +147,43 @@ def curve(
     back_to: float | None = None,
     until: Callable[[Any], bool] | None = None,
     progress: Callable[[Any], None] | None = None,
-) -> Branch:
+) -> Branch | EdgeCurve:
     """A special point followed in a second parameter, with that in which it was found free.
 
     Arguments:
         point: a fold, a Hopf point or, where something keeps it, a branch point of equilibria; of orbits a fold, a
-            period doubling, a torus or, where something keeps it, a branch point; of a family the edge of a real tongue
+            period doubling, a torus or, where something keeps it, a branch point; of a family the edge of a tongue
             (`Branch.edge`), with S free.
         parameter: name of the second parameter.
         to: its value at which the curve ends.
         at, max_points, max_step, back_to, until, progress: as in `follow`.
 
     Returns:
-        The curve as a branch; its special points are those of codimension two: of equilibria "cusp", "bogdanov-takens",
-        "zero-hopf", "generalized hopf", "hopf-hopf"; of orbits "cusp of cycles", "generalized period doubling",
-        "chenciner", "1:1 resonance" to "1:4 resonance", "fold-flip", "fold-torus", "flip-torus", "torus-torus". It also
-        ends where it comes back to the value that it started from, Hopf points at a Bogdanov-Takens point, tori at the
-        resonances 1:1 and 1:2, and orbits where they shrink to an equilibrium.
+        The curve as a branch, of edges as an `EdgeCurve`; its special points are those of codimension two: of
+        equilibria "cusp", "bogdanov-takens", "zero-hopf", "generalized hopf", "hopf-hopf"; of orbits "cusp of cycles",
+        "generalized period doubling", "chenciner", "1:1 resonance" to "1:4 resonance", "fold-flip", "fold-torus",
+        "flip-torus", "torus-torus". It also ends where it comes back to the value that it started from, Hopf points at
+        a Bogdanov-Takens point, tori at the resonances 1:1 and 1:2, and orbits where they shrink to an equilibrium.
 
     Raises:
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError, BoundaryError: the curve cannot be started.
     """
+    if point.kind == EDGE:
+        return _curve_of_edges(point, parameter, to, at, max_points, max_step, until, progress)
     space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
+
+
+def _curve_of_edges(
+    point: SpecialPoint, parameter: str, to: float, at: Sequence[float], max_points: int, max_step: float,
+    until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
+) -> EdgeCurve:  # fmt: skip
+    """The edge of a tongue of a family in a parameter of the model; raises ValueError as `curve` does."""
+    orbit = cast(Orbit, point.solution)
+    check_name("parameter", parameter, parameters_of(cast(Family, orbit.space)))
+    settings = following_settings(orbit, parameter, to, at=at, max_points=max_points, max_step=max_step)
+    return edge_curve(orbit, point.parameters[point.parameter], parameter, to, at, settings, until, progress)
 
 
 def curve_space(
@@ -176,11 +192,6 @@ def curve_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
-    if point.kind == EDGE:
-        orbit, edge = located_edge(point, parameter)
-        settings = following_settings(orbit, parameter, to, **options)
-        unit = orbit.parameters[edge.critical.first]
-        return _space(cast(BoundarySpace, orbit.space), edge, unit, orbit.parameters, parameter, to, at, settings)
     solution = point.solution
     plain = isinstance(solution, Orbit) and type(solution.space) is BoundarySpace
     if not (plain and point.kind in KINDS):

@@ -1,48 +1,93 @@
-"""Edges of real tongues of instability of a family, as special orbits that can be followed in a second parameter.
-
-A multiplier leaves the unit circle through 1 or -1 where the linearised equations of a symmetric orbit have a solution
-in one of its four symmetry classes: even or odd at the start, and at the end of the part of the period that is unknown.
-"""
+"""The edge of a tongue of instability in a second parameter, as a result."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import cast
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.symmetry import pinned_components
-from casadi_skin.critical_orbits.location import LocatedOrbit, solved
-from casadi_skin.critical_orbits.starting import component_sizes
-from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import End
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.restating import restated
-from casadi_skin.orbits.special_points import EDGE, SpecialPoint
-
-AMPLITUDE = -2  # place of S among the parameters of a restated orbit: the period is the last
-REACH = 1e-6  # of S: how far from the edge that is known the located one may be
+from casadi_skin.result import Result
+from casadi_skin.stability.tongues import StabilityEdge
 
 
-def located_edge(point: SpecialPoint, parameter: str) -> tuple[Orbit, LocatedOrbit]:
-    """The edge, solved for as an orbit of the model in its own coordinates; raises ArithmeticError."""
-    orbit = restated(cast(Orbit, point.solution), parameter)
-    space, first = cast(BoundarySpace, orbit.space), list(orbit.parameters)[AMPLITUDE]
-    known, problem = orbit.parameters[first], orbit.problem
-    for critical in _candidates(space, orbit, first):
-        found = solved(space, critical, orbit.point, known)
-        if found is not None and abs(found.value - known) <= REACH * abs(known):
-            return orbit, found
-    raise ArithmeticError(f"{space.model.name}: the edge is not found again on {problem.resolution} intervals")
+@dataclass(frozen=True, eq=False)
+class EdgePoint:
+    """A point of a curve of edges.
+
+    Attributes:
+        orbit: of the family, at the edge.
+        edge: what is known of it, with the error of S.
+        parameters: of the model by name, and S.
+    """
+
+    orbit: Orbit
+    edge: StabilityEdge
+    parameters: Mapping[str, float]
 
 
-def _candidates(space: BoundarySpace, orbit: Orbit, first: str) -> list[Critical]:
-    """What an edge may be: the velocity is of the class that is odd where the orbit is even."""
-    pinned = pinned_components(space.model, space.symmetry)
-    odd = [tuple(place for place in range(space.model.full_size) if place not in part) for part in pinned]
-    even = [tuple(part) for part in pinned]
-    sizes = component_sizes(orbit.states)
-    plain = Critical(EDGE, space.statement, first, sizes, np.zeros(sizes.size))
-    classes = ((even[0], odd[1]), (odd[0], even[1]), (even[0], even[1]))
-    joined = replace(plain, parity=(even[0], even[1]), joined=True)
-    return [joined, *(replace(plain, parity=parity) for parity in classes)]
+@dataclass(frozen=True, eq=False)
+class EdgeCurve(Result):
+    """The edge of a tongue of a family in a second parameter.
+
+    Attributes:
+        parameter: that is followed.
+        points: in order.
+        end: why it ended; None where it was stopped.
+        detail: more about that.
+    """
+
+    parameter: str
+    points: tuple[EdgePoint, ...]
+    end: End | None
+    detail: str = ""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __iter__(self) -> Iterator[EdgePoint]:
+        return iter(self.points)
+
+    def __getitem__(self, name: str) -> Array:
+        """Values of a parameter, or of S, along the curve, shape (points,)."""
+        return np.array([point.parameters[name] for point in self.points])
+
+    def __repr__(self) -> str:
+        values = self[self.parameter]
+        return (
+            f"<EdgeCurve: {len(self)} points, {self.parameter} from {values[0]:.6g} to {values[-1]:.6g}; {self.reason}>"
+        )
+
+    @property
+    def kind(self) -> str:
+        """What leaves the unit circle: "real" through 1 or -1, "complex" where two multipliers meet."""
+        return self.points[0].edge.kind
+
+    @property
+    def solutions(self) -> tuple[Orbit, ...]:
+        """The orbits at the edge."""
+        return tuple(point.orbit for point in self.points)
+
+    @property
+    def S(self) -> Array:
+        """Amplitudes, shape (points,)."""
+        return self["S"]
+
+    @property
+    def errors(self) -> Array:
+        """Estimated errors of S, shape (points,)."""
+        return np.array([point.edge.error for point in self.points])
+
+    @property
+    def complete(self) -> bool:
+        """Whether the curve reached what was asked, or was stopped."""
+        return self.end in (None, End.REACHED)
+
+    @property
+    def reason(self) -> str:
+        """How the curve ended, in a sentence."""
+        words = "stopped where the condition holds" if self.end is None else str(self.end.value)
+        return f"{words}: {self.detail}" if self.detail else words

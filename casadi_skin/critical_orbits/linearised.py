@@ -18,7 +18,6 @@ from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
-from casadi_skin.critical_orbits.systems import Parity
 
 Vector = NDArray[Any]  # of real or complex numbers
 ROUNDS = 4  # of inverse iteration
@@ -91,15 +90,6 @@ class Linearised:
         number = factor.real if factor.imag == 0.0 else factor
         places = (np.tile(np.arange(n), 2), np.concatenate([np.arange(n), self.states - n + np.arange(n)]))
         closing = coo_matrix((np.repeat([-number, 1.0], n), places), shape=(n, self.states))
-        return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
-
-    def reflected(self, parity: Parity) -> Any:
-        """The derivative of the equations of the state alone, for components that vanish at the ends, sparse."""
-        from scipy.sparse import coo_matrix, vstack
-
-        n, first = self.components, self.states - self.components
-        columns = np.array([*parity[0], *(first + place for place in parity[1])])
-        closing = coo_matrix((np.ones(n), (np.arange(n), columns)), shape=(n, self.states))
         return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
 
     def _at_stages(self, v: Vector) -> tuple[Vector, Vector]:

@@ -8,7 +8,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 
 RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 
@@ -24,9 +24,6 @@ def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float
     elif critical.kind == DOUBLING:
         v, added = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n), np.zeros(0)
         size = np.sqrt(_mean(problem, v / critical.sizes))
-    elif critical.kind == EDGE:
-        v, added = _of_edge(critical, linear), np.zeros(0)
-        size = 1.0 if critical.joined else np.sqrt(_mean(problem, v / critical.sizes))
     else:
         v, added, size = _of_torus(critical, problem, z, angle)
     added = np.append(np.cos(angle), added[1:] / size) if critical.kind == TORUS else added / size
@@ -66,28 +63,6 @@ def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: flo
     if critical.autonomous:
         added.append(float(np.real(turn * shift)) * 2.0 * (np.cos(angle) - 1.0))
     return np.hstack([v1, v2]), np.array(added), float(np.sqrt(_mean(problem, v1 / critical.sizes)))
-
-
-def _of_edge(critical: Critical, linear: Linearised) -> Array:
-    """The null vector of the class of an edge; where a pair meets the trivial one v1 and v2 side by side."""
-    from scipy.sparse import diags
-    from scipy.sparse.linalg import splu
-
-    n, matrix = critical.states, linear.reflected(critical.parity)
-    if not critical.joined:
-        return null_vectors(matrix)[0].reshape(-1, n)
-    still = np.zeros(n)
-    moving = velocities(linear.problem, linear.z)
-    first = splu(matrix).solve(np.concatenate([linear.velocity(moving.ravel()), still]))
-    every = range(n)
-    odd = tuple(tuple(place for place in every if place not in part) for part in critical.parity)
-    right = np.concatenate([-linear.velocity(first), still])
-    singular = linear.reflected((odd[0], odd[1]))
-    shifted = singular + 1e-12 * abs(singular).max() * diags(np.ones(right.size))
-    second = splu(shifted.tocsc()).solve(right)
-    start = moving[0] / critical.sizes
-    second = second - moving.ravel() * ((second[:n] / critical.sizes) @ start) / (start @ start)
-    return np.hstack([first.reshape(-1, n), second.reshape(-1, n)])
 
 
 def component_sizes(values: Array) -> Array:

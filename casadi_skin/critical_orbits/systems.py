@@ -7,10 +7,6 @@ multipliers. The last stays real, and regular where kappa goes through 1 and -1 
 Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the velocity, across which v1 starts, as the
 trivial multiplier is 1 as well.
 
-Of the edge of a real tongue of symmetric orbits along v in one of the three symmetry classes that the velocity x' is
-not in; or, where a pair meets the trivial one, along v1 = dx/dT and v2 with v2' = J v2 - v1 in the class of x': four
-multipliers are the same then. One parameter more is free.
-
 Of a branch point along a null vector v1, and v2 by which the orbits of the branch change with the parameter, orthogonal
 to it; the field is pushed by a multiple of v1 that comes back as zero (after Moore 1980; regular where exactly two
 branches cross transversally, whether a symmetry is lost there or not).
@@ -27,10 +23,9 @@ from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 
 KAPPA, SHIFT, PUSH = "cosine of the angle", "shift along the orbit", "push along the null vector"
-Parity = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -49,13 +44,11 @@ class Critical:
     """What makes the extended statement of critical orbits.
 
     Attributes:
-        kind: "fold", "period doubling", "torus", "branch point" or the edge of a tongue.
+        kind: "fold", "period doubling", "torus" or "branch point".
         orbit: the statement of the orbits themselves.
         first: name of the parameter that is found with the orbit.
         sizes: what components of v are measured by, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
-        parity: of an edge: which components of v vanish at the start and at the end.
-        joined: of an edge: whether a pair meets the trivial one.
     """
 
     kind: str
@@ -63,8 +56,6 @@ class Critical:
     first: str
     sizes: Array
     normal: Array
-    parity: Parity = ((), ())
-    joined: bool = False
 
     @property
     def changes(self) -> tuple[str, ...]:
@@ -89,7 +80,7 @@ class Critical:
     @property
     def copies(self) -> int:
         """How many linearised states there are."""
-        return 2 if self.kind in (TORUS, BRANCH_POINT) or self.joined else 1
+        return 2 if self.kind in (TORUS, BRANCH_POINT) else 1
 
     @property
     def states(self) -> int:
@@ -115,8 +106,6 @@ class Critical:
             rows[row] = rows[row] + ca.jtimes(field, p, self._change(p, row))
         if self.kind == BRANCH_POINT:
             rows[0] = rows[0] + p[-1] * x[n : 2 * n]
-        if self.joined:
-            rows[1:] = [rows[1] + field, rows[2] - x[n : 2 * n]]
         names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
         return _Joined(
             inner.name, x, ca.vertcat(*rows), p, time=s, forcing_period=1.0, checked=False,
@@ -161,12 +150,6 @@ class Critical:
                 conditions.append(sum(at_ends) + ca.jtimes(rows, p, self._change(p, copy)))
         elif self.kind == DOUBLING:
             conditions.append(v1 + v0)
-        elif self.kind == EDGE:
-            conditions += [v0[list(self.parity[0])], v1[list(self.parity[1])]]
-            if self.joined:
-                even = [[place for place in range(n) if place not in part] for part in self.parity]
-                conditions += [first[2 * n :][even[0]], last[2 * n :][even[1]]]
-                conditions.append(self._along(first, p, first[2 * n :]))
         else:
             w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
             closing = w1 - 2 * kappa * w0 + v0
@@ -191,8 +174,6 @@ class Critical:
             stacked = ca.vertcat(*(ca.vec(e) for e in orbit.integrals))
             along = orbit.along("means", stacked)(start + s * (end - start), x[:n], p[:count])
             means.append((end - start) * along)
-        if self.joined:  # v1 has its size by itself
-            return means
         whole = means[0] if means else None
         for copy in range(1, 1 + self.copies if self.changes and whole is not None else 1):
             means.append(ca.jtimes(whole, x, self._direction(x, copy)) + ca.jtimes(whole, p, self._change(p, copy)))

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_skin.arguments import check_name, short_repr
 from casadi_skin.bvp.problem import Array
+from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
@@ -127,6 +128,13 @@ def _along(branch: Branch, name: str) -> Array:
             return np.array([solution.evaluate(0.0)[0, place] for solution in solutions])
         return np.array([extremes(solution)[1][place] for solution in solutions])
     return np.array([getattr(solution, name) for solution in solutions])
+
+
+@draw.register(EdgeCurve)
+def _(result: EdgeCurve, axes: Axes, colour: Any = None) -> None:
+    dashes = "-" if result.kind == "real" else "--"
+    axes.plot(*smooth(np.column_stack([result[result.parameter], result.S])).T, ls=dashes, lw=1.8, color=colour)
+    axes.set(xlabel=plain(result.parameter), ylabel=amplitude_label(result.points[0].orbit.model))
 
 
 @draw.register(Solution)

@@ -184,7 +184,7 @@ class Branch(Result):
         return None if tongue is None else tongue.start
 
     def edge(self, number: int = 0) -> SpecialPoint:
-        """The edge of a real tongue of a family as a special point, to be followed in a second parameter.
+        """The edge of a tongue of a family as a special point, to be followed in a second parameter.
 
         Arguments:
             number: place of the edge among `changes`, from 0.
@@ -193,14 +193,18 @@ class Branch(Result):
             The point; its `curve` follows the edge with S free.
 
         Raises:
-            ValueError: the branch is no family, or there is no such change through 1 or -1.
+            ValueError: the branch is no family, or has no such change.
         """
-        known = [str(k) for k, c in enumerate(self.changes) if isinstance(c, StabilityEdge) and c.kind == "real"]
-        if str(number) not in known:
-            accepted = ", ".join(known) or "none: no multiplier of a family passes 1 or -1"
+        count = sum(isinstance(change, StabilityEdge) for change in self.changes)
+        if str(number) not in map(str, range(count)):
+            accepted = (
+                f"0 to {count - 1}, the places in changes" if count else "none: no change of stability of a family"
+            )
             raise ValueError(f"number: given {number!r}; accepted: {accepted}")
         change = self.changes[number]
-        orbit = self.at(S=change.value)
+        orbit = self._at_edge(change) if isinstance(change, StabilityEdge) else None
+        if orbit is None:
+            raise ArithmeticError(f"no orbit is found at the change of stability at S = {change.value:.10g}")
         values = {**orbit.parameters, self.parameter: change.value}
         return SpecialPoint(EDGE, self.parameter, values, change.error, orbit)
 

@@ -35,21 +35,37 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
         Changes of stability, tongues, and what is not decided or not resolved.
     """
     whole = family.whole
-    request, coordinates = replace(whole.request, tolerance=flow_tolerance), whole.coordinates
-    squares = linear_spectrum(request.model, coordinates.parameters).squares
+    squares = linear_spectrum(whole.request.model, whole.coordinates.parameters).squares
     frequencies = np.sqrt(np.maximum(squares, 0.0))
-    others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != coordinates.mode_number}
+    others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != whole.coordinates.mode_number}
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
-        sampler = OrbitSampler(
-            whole.point_solver,
-            [family.on_all_positions(point) for point in points],
-            Family(request).flow,
-            whole.accelerations,
-            request.S_of,
-            ORBIT_TOLERANCE,
-            whole.symmetry.value,
-            coordinates.symplectic,
-            coordinates.S_rate,
-        )
-        return find_changes(sampler, others if oscillate else None)
+        return find_changes(_sampler(family, points, flow_tolerance), others if oscillate else None)
+
+
+def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:
+    """Every change of stability on a short stretch of a family, without names of modes.
+
+    Arguments:
+        family: the family, of any amplitude.
+        points: of the stretch in order, or guesses of them.
+    """
+    with one_thread():
+        return find_changes(_sampler(family, points, FLOW_TOLERANCE), short=True)
+
+
+def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float) -> OrbitSampler:
+    """Orbits and transition matrices anywhere between points of a family."""
+    whole = family.whole
+    request = replace(whole.request, tolerance=flow_tolerance)
+    return OrbitSampler(
+        whole.point_solver,
+        [family.on_all_positions(point) for point in points],
+        Family(request).flow,
+        whole.accelerations,
+        request.S_of,
+        ORBIT_TOLERANCE,
+        whole.symmetry.value,
+        whole.coordinates.symplectic,
+        whole.coordinates.S_rate,
+    )

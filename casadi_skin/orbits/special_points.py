@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
 HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
-EDGE = "edge of a tongue"  # of instability of a family, through 1 or -1
+EDGE = "edge of a tongue"  # of instability of a family
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 

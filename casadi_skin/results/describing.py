@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.arguments import cut
+from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
@@ -90,6 +91,15 @@ def _(result: Diagram) -> tuple[str, Rows]:
     rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
     rows += [("special points", _listed(special)), ("not started", _listed(result.failures))]
     return f"Diagram of {model_name(result.branches[0].space.model)} in {result.branches[0].parameter}", rows
+
+
+@words.register
+def _(result: EdgeCurve) -> tuple[str, Rows]:
+    rows = [("points", str(len(result))), ("kind", result.kind)]
+    for name, values in ((result.parameter, result[result.parameter]), ("S", result.S)):
+        rows.append((name, f"{values[0]:.8g} to {values[-1]:.8g}, within {values.min():.8g} to {values.max():.8g}"))
+    rows += [("error of S", f"up to {np.max(result.errors):.1e}"), ("end", result.reason)]
+    return f"Edge of a tongue of {model_name(result.points[0].orbit.model)}", rows
 
 
 @words.register

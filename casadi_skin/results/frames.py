@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.equilibria.diagram import Diagram
 from casadi_skin.equilibria.equilibrium import Equilibrium
@@ -85,6 +86,19 @@ def _(result: Equilibrium) -> tuple[str, str, Columns]:
     values = {name: [value] for name, value in result.parameters.items() if name not in states}
     known = {"stable": [result.stable], "error": [result.error]}
     return "equilibrium", "an equilibrium", {"equilibrium": [0], **values, **states, **known}
+
+
+@table.register
+def _(result: EdgeCurve) -> tuple[str, str, Columns]:
+    return "point", "the edge of a tongue of instability", edge_columns(result)
+
+
+def edge_columns(curve: EdgeCurve) -> Columns:
+    """Columns of a curve of edges: parameters, S with its error, Omega, mu and the kind."""
+    columns: Columns = {"point": np.arange(len(curve))}
+    columns |= {name: curve[name] for name in curve.points[0].parameters}
+    columns |= {"S_error": curve.errors, "Omega": np.array([point.edge.Omega for point in curve])}
+    return columns | {"mu": np.array([point.edge.mu for point in curve])}
 
 
 @table.register

@@ -6,7 +6,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from casadi_skin.stability.assembly import edges_of, groups_of, place_at, tongues_of
 from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
-from casadi_skin.stability.interpolation import BranchSampler, Gap, Interpolated, Piece, interpolate, joined
+from casadi_skin.stability.interpolation import (
+    FIRST_LENGTH,
+    BranchSampler,
+    Gap,
+    Interpolated,
+    Piece,
+    interpolate,
+    joined,
+)
 from casadi_skin.stability.rotation import TWO_PI, Tracks, follow_angles
 from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
 
@@ -22,6 +30,7 @@ def find_changes(
     tolerance: float = INTERPOLATION,
     work: float = WORK,
     progress: Callable[[float], None] | None = None,
+    short: bool = False,
 ) -> StabilityDiagram:
     """Find every change of stability along a branch of periodic orbits of a reversible model.
 
@@ -33,12 +42,13 @@ def find_changes(
         work: limit of `Crossings.work`, the sum of m^3 and more over the problems of m multipliers; the rest of the
             branch is then unresolved. The default is a minute or two.
         progress: called with the coordinate up to which everything is looked at.
+        short: whether one piece of the lowest degree is tried on each section of the branch first.
 
     Returns:
         Changes of stability and tongues, with what is not decided and what is not known.
     """
     power = POWERS[branch.fraction]
-    known, found = _looked_at(branch, tolerance, work, progress)
+    known, found = _looked_at(branch, tolerance, work, progress, short)
     groups, disagreements = groups_of(found.segments, _unknown(known, found))
     found.gaps += disagreements
     tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
@@ -64,11 +74,11 @@ def find_changes(
 
 
 def _looked_at(
-    branch: BranchSampler, tolerance: float, work: float, progress: Callable[[float], None] | None
+    branch: BranchSampler, tolerance: float, work: float, progress: Callable[[float], None] | None, short: bool
 ) -> tuple[Interpolated, Crossings]:
     """Pieces of the branch one after the other, and what happens on them, as far as the work allows."""
     known, found = Interpolated(), Crossings()
-    for piece in interpolate(branch, tolerance, known):
+    for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
         for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
         find_crossings(piece.matrices, found, work - for_orbits, progress)
         end = branch.sections[-1][1]

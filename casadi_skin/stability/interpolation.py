@@ -174,11 +174,12 @@ class _Plan:
     radius: float = np.inf
     longest: float = np.inf
     lowest: int = DEGREES[0]
+    first: float = FIRST_LENGTH
 
     def next(self, remaining: float) -> tuple[float, int]:
         """Length and degree of the next piece: the rest of the section in equal pieces of the lowest degree."""
         if self.radius == np.inf and self.longest == np.inf:
-            return FIRST_LENGTH * remaining, self.lowest
+            return self.first * remaining, self.lowest
         for degree in DEGREES:
             needed = remaining if degree == DEGREES[-1] else LOWER * remaining
             if degree >= self.lowest and self._length(degree) >= needed:
@@ -206,18 +207,21 @@ class _Plan:
             self.longest = SHORTER * length
 
 
-def interpolate(branch: BranchSampler, tolerance: float, known: Interpolated) -> Iterator[Piece]:
+def interpolate(
+    branch: BranchSampler, tolerance: float, known: Interpolated, first: float = FIRST_LENGTH
+) -> Iterator[Piece]:
     """The matrices along a branch, to `tolerance` relative to their largest entry, piece by piece.
 
     Arguments:
         branch: what gives transition matrices at any coordinate.
         tolerance: of the interpolation, relative to the largest entry of the matrices.
+        first: length of the first piece, as a share of the section.
         known: gets the pieces; where orbits or transition matrices are not to be had, or do not converge, gaps.
 
     Returns:
         Pieces in order.
     """
-    plan = _Plan(tolerance)
+    plan = _Plan(tolerance, first=first)
     for start, end in branch.sections:
         at, shortest = start, SHORTEST * (end - start)
         while at < end:

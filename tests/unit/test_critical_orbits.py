@@ -12,7 +12,6 @@ from equilibrium_models import lorenz, symbols
 from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
-from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End
 from casadi_skin.orbits.special_points import SpecialPoint
 
@@ -231,23 +230,56 @@ def test_tori_of_a_forced_oscillator_have_the_multipliers_of_their_resonances() 
 
 
 @pytest.mark.slow
-def test_the_edge_of_a_tongue_of_a_chain_is_followed_in_gamma() -> None:
-    """Against the search for every change of stability at each gamma, which shares nothing with it but the chain."""
+@pytest.mark.parametrize(("sites", "g", "gamma", "to", "most"), [(4, 1.0, 0.2, 0.25, 1.3), (16, -1.0, 0.3, 0.32, 1.0)])
+def test_edges_of_tongues_of_a_chain_are_followed_in_gamma(
+    sites: int, g: float, gamma: float, to: float, most: float
+) -> None:
+    """Real ones and Krein collisions, against every change of stability of the whole family at the other gamma.
 
-    def edges(gamma: float) -> tuple[Branch, Array]:
-        chain = Chain(sites=4, alpha=0.5, gamma=gamma, g=1.0)
-        branch = follow_family(chain, mode=1, amplitude_max=1.3, stability=True)
-        return branch, np.array([change.S for change in branch.changes if change.kind == "real"])
+    Those of 16 sites go on to where the chain is unstable on both sides, or beyond S = 1.
+    """
 
-    branch, known = edges(0.2)
-    there = edges(0.25)[1]
-    for number, (S, S_there) in enumerate(zip(known, there, strict=True)):
-        curve = branch.edge(number).curve("gamma", 0.25)
+    def family(gamma: float, most: float) -> Branch:
+        chain = Chain(sites=sites, alpha=0.5, gamma=gamma, g=g)
+        return follow_family(chain, mode=1, amplitude_max=most, stability=True)
+
+    branch = family(gamma, most)
+    curves = [branch.edge(number).curve("gamma", to) for number in range(len(branch.changes))]
+    assert {curve.kind for curve in curves} == ({"real"} if sites == 4 else {"real", "complex"})
+    diagram = family(to, 1.2 * max(curve.S[-1] for curve in curves)).stability_diagram
+    known = np.array([edge.S for edge in (*diagram.changes, *diagram.further)])
+    for curve, change in zip(curves, branch.changes, strict=True):
         assert curve.complete
-        assert abs(curve["S"][0] - S) < 1e-9
-        assert abs(curve["S"][-1] - S_there) < 1e-9
-    with pytest.raises(ValueError, match="number: given 7; accepted: 0, 1"):
-        branch.edge(7)
+        assert curve.S[0] == pytest.approx(change.S, rel=1e-10)
+        assert np.min(np.abs(known - curve.S[-1])) <= 1e-10 * curve.S[-1]
+    with pytest.raises(ValueError, match="number: given 70; accepted: 0 to "):
+        branch.edge(70)
+
+
+def test_edges_of_lames_equation_are_followed_in_the_coupling() -> None:
+    """Two equal Duffing oscillators in phase: Lame's equation of degree 2, whose edges are known in closed form.
+
+    Its solutions with h = 4 + k^2 and 2 (1 + k^2) + 2 sqrt(1 - k^2 + k^4) in u'' + (h - 6 k^2 sn^2) u = 0 are periodic
+    (Ince 1940); k^2 = S/4 / (1 + S/2), and 2 c = (1 + S/2) (h - 6 k^2) - 1.
+    """
+    y, v, c = ca.SX.sym("y", 2), ca.SX.sym("v", 2), ca.SX.sym("c")
+    rhs = -y - y**3 + c * (y[::-1] - y)
+    model = OdeModel(
+        "two oscillators", y, rhs, c, order=2, velocity=v, nominal=(1.9,), reversal=[1, 1, -1, -1],
+        half_period=[-1, -1, -1, -1],
+    )  # fmt: skip
+    branch = follow_family(model, 1, 2.5, stability=True)
+    assert len(branch.changes) == 2
+    for number in (0, 1):
+        curve = branch.edge(number).curve("c", 2.1, at=[2.0])
+        assert curve.complete
+        assert 2.0 in curve["c"]
+        k2 = curve.S / 4.0 / (1.0 + curve.S / 2.0)
+        ends = [4.0 + k2, 2.0 * (1.0 + k2) + 2.0 * np.sqrt(1.0 - k2 + k2**2)]
+        known = [0.5 * ((1.0 + curve.S / 2.0) * (h - 6.0 * k2) - 1.0) for h in ends]
+        assert min(np.max(np.abs(curve["c"] - exact)) for exact in known) < 1e-9
+    with pytest.raises(ValueError, match="parameter: given 'd'; accepted: c"):
+        branch.edge(0).curve("d", 2.0)
 
 
 def test_a_curve_of_orbits_tells_what_it_accepts() -> None:
