@@ -32,7 +32,6 @@ LONG = (
     "fmu",
     "how_orbits_are_found",
     "lattices",
-    "maps",
     "periodic_orbits_of_any_model",
     "promises",
     "proved_orbits",
@@ -53,8 +52,9 @@ amplitude_max = 1.0
 [stability]
 
 [map]
-gamma = [0.2, 0.5]
-S = [0.5, 1.0]
+gamma = { from = 0.2, to = 0.5, points = 2 }
+S = { from = 0.5, to = 1.0, points = 2 }
+"g, mode" = [[-1.0, "first"], [1.0, "last"]]
 quantities = ["stable", "max_abs_multiplier"]
 """
 
