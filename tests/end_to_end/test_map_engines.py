@@ -66,6 +66,8 @@ def test_what_dies_hangs_or_fails_is_told_tried_twice_and_left(tmp_path: Path) -
     assert found.status.tolist() == [1, 3, 3, 3]
     reasons = dict(found.failures())
     assert reasons["model.name = hangs"] == "took longer than 4 s"
+    late = [task.seconds for task in tasks(tmp_path / "out" / JOURNAL) if task.kind == "late"]
+    assert max(late) < 8.0  # the limit, and what a loaded machine adds
     assert reasons["model.name = dies"] == "its worker ended by signal 9"
     assert "RuntimeError: never" in reasons["model.name = fails"]
     attempts = [(task.cells[0], task.attempt, task.kind) for task in tasks(tmp_path / "out" / JOURNAL)]
