@@ -23,7 +23,7 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes
-from casadi_skin.orbits.branch_points import branch_point_between
+from casadi_skin.orbits.branch_points import branch_points_between
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
@@ -145,18 +145,23 @@ class BoundarySpace:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         The later point itself where the period grows without bound there. Of a boundary-value problem that is no orbit
-        the branch point too, which is a fold as well where both are one.
+        the branch points too, which are folds as well where both are one.
         """
-        crossed = None
+        crossed = []
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
-            crossed = branch_point_between(self.point_solver, before, after)
-        if crossed is not None:
-            left = self.point_solver.along(before, crossed, 1.0 - BESIDE)
-            right = self.point_solver.along(crossed, after, BESIDE)
-            yield from () if left is None else self.special_between(before, left)
-            yield crossed
-            yield from () if right is None else self.special_between(right, after)
-            return
+            crossed = branch_points_between(self.point_solver, before, after)
+        first: Point | None = before
+        for point in crossed:
+            left = None if first is None else self.point_solver.along(first, point, 1.0 - BESIDE)
+            if first is not None and left is not None:
+                yield from self._turns_between(first, left)
+            yield point
+            first = self.point_solver.along(point, after, BESIDE)
+        if first is not None:
+            yield from self._turns_between(first, after)
+
+    def _turns_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """The same on a stretch without branch points."""
         unbounded = self._unbounded(before, after)
         if unbounded is not None:
             yield unbounded
@@ -165,11 +170,10 @@ class BoundarySpace:
         hopf: Point | None = None
         if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        end = hopf if self.left is None or hopf is not None else self.left.rejoined(self, before, after)
-        passed = parts if end is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
         yield from (self._fold_between(*part) for part in passed)
-        if end is not None:
-            yield end
+        if hopf is not None:
+            yield hopf
 
     def _fold_between(self, before: Point, after: Point) -> Point:
         """The fold between two points; of orbits as a solution of its extended equations."""

@@ -1,14 +1,15 @@
 """Branch points of boundary-value problems: where the Jacobian bordered by the tangent is singular.
 
-Its determinant changes its sign where an odd number of branches crosses. The place is found by halving, on one level of
-resolution after the other: the null vector may need a finer mesh than the solution, so that the error is the difference
-of two levels.
+How many branches cross a stretch is counted (see `crossed_branches`), and the stretch parted until one does alone, or
+several in one place. From there the sign of the determinant gives the place, on one level of resolution after the
+other: the null vector may need a finer mesh than the solution, so that the error is the difference of two levels.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,11 +17,19 @@ from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.crossed_branches import Bordered, closed, crossings, outer_eigenvalues, quiet
 from casadi_skin.orbits.special_points import BRANCH_POINT
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 HALVINGS = 36
 NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side
 FINER = 6  # levels that are tried
+ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in one place
+PARTED = 0.4823  # of a stretch: where it is parted, seldom at a branch point
+BEYOND = 1e-6  # of a step: where a branch point itself is looked at
+DIFFERENCE = 1e-4  # of a step: that of derivatives along it
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +40,8 @@ class _Stretch:
     problem: Problem
     curve: LocalCurve
     length: float
+    known: dict[float, Bordered] = field(default_factory=dict)
+    known_rates: dict[float, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, point_solver: PointSolver, before: Point, after: Point, problem: Problem) -> _Stretch:
@@ -54,42 +65,95 @@ class _Stretch:
         z, row = found
         return self.point_solver.levels.solver(self.problem).orientation(self.problem.evaluate(z)[1], row)
 
-    def root(self) -> float | None:
-        """The fraction at which the sign changes; None where it does not."""
-        first, last = self.side(0.0), self.side(1.0)
-        if not first * last < 0.0:
-            return None
-        low, high = 0.0, 1.0
+    def bordered(self, fraction: float) -> Bordered:
+        """The Jacobian with its border at a fraction of the way; raises SingularError where it is not known."""
+        if fraction not in self.known:
+            try:
+                self.known[fraction] = self._bordered(fraction)
+            except SingularError:  # at a branch point itself
+                self.known[fraction] = self._bordered(fraction + BEYOND)
+        return self.known[fraction]
+
+    def _bordered(self, fraction: float) -> Bordered:
+        found = self.at(fraction)
+        if found is None:
+            raise SingularError("no point of the branch there")
+        z, row = found
+        nonzeros = self.problem.evaluate(z)[1].copy()
+        solve = self.point_solver.levels.solver(self.problem).factor(z, nonzeros, row)
+        return Bordered.at(self.problem, nonzeros, row, solve)
+
+    def rates(self, fraction: float) -> Array:
+        """Rates along the way of the eigenvalues that are 1 at a fraction of it; raises SingularError."""
+        if fraction not in self.known_rates:
+            change = (self._predicted(fraction + DIFFERENCE) - self._predicted(fraction - DIFFERENCE)) / (
+                2.0 * DIFFERENCE
+            )
+            self.known_rates[fraction] = outer_eigenvalues(self.bordered(fraction), change)
+        return self.known_rates[fraction]
+
+    def _predicted(self, fraction: float) -> csc_matrix:
+        guess, slope = self.curve.at(fraction * self.length), self.curve.slope(fraction * self.length)
+        row = self.point_solver.metric(self.problem, guess) * slope
+        return closed(self.problem, self.problem.evaluate(guess)[1], row)
+
+    def roots(self, low: float = 0.0, high: float = 1.0) -> list[float]:
+        """The fractions of the way at which branches cross, in order; raises SingularError."""
+        count, way = crossings(self.bordered(low), self.bordered(high)), high - low
+        if count < 2 or way < ONE_PLACE:
+            found = [self._place(low, high, count)] if count else []
+            before = (found[0] - low) / way if found else None
+            after = (high - found[0]) / way if found else None
+            if way < ONE_PLACE or (quiet(self.rates(low), way, before) and quiet(-self.rates(high), way, after)):
+                return found
+        middle = low + PARTED * way
+        return [*self.roots(low, middle), *self.roots(middle, high)]
+
+    def _place(self, low: float, high: float, count: int) -> float:
+        """Where branches cross within a part of the way, one or an even number of them in one place."""
+        first = self.side(low)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            here = self.side(middle)
-            if here == 0.0 or high - low < NOISE:
-                return middle
-            low, high = (middle, high) if here == first else (low, middle)
-        return 0.5 * (low + high)
+            if high - low < NOISE:
+                break
+            if count % 2:
+                here = self.side(middle)
+                if here == 0.0:
+                    break
+                before = here != first
+            else:
+                try:
+                    before = crossings(self.bordered(low), self.bordered(middle)) > 0
+                except SingularError:  # which the place itself is
+                    break
+            low, high = (low, middle) if before else (middle, high)
+        return middle
 
 
-def branch_point_between(point_solver: PointSolver, before: Point, after: Point) -> Point | None:
-    """The branch point between two points, on the level that its null vector needs; None where there is none."""
-    problem, found = after.problem, None
+def branch_points_between(point_solver: PointSolver, before: Point, after: Point) -> list[Point]:
+    """The branch points between two points in order, on the level of resolution that their null vectors need.
+
+    Where the corrector fails on a level they are those of the level before.
+    """
+    problem: Problem | None = after.problem
+    found: list[Point] = []
     for _ in range(FINER):
+        assert problem is not None
         stretch = _Stretch.of(point_solver, before, after, problem)
         try:
-            root = stretch.root()
+            located = [_point(stretch, after, root, found) for root in stretch.roots()]
         except SingularError:
-            return None
-        if root is None:
-            return None
-        point = _point(stretch, after, root, found)
-        found = point or found
-        finer = point_solver.levels.finer(problem)
-        if point is None or finer is None or point.error.parameter <= point_solver.settings.tolerance:
-            return found
-        problem = finer
+            break
+        found = [point for point in located if point is not None]
+        if all(point.error.parameter <= point_solver.settings.tolerance for point in found):
+            break
+        problem = point_solver.levels.finer(problem)
+        if problem is None:
+            break
     return found
 
 
-def _point(stretch: _Stretch, after: Point, root: float, coarser: Point | None) -> Point | None:
+def _point(stretch: _Stretch, after: Point, root: float, coarser: Sequence[Point]) -> Point | None:
     """The branch point at a fraction of the way, with the difference to that of the coarser level for its error."""
     problem, place = stretch.problem, stretch.problem.parameter_index
     state = next((found for off in (0.0, 1e-8, -1e-8, 1e-6, -1e-6) if (found := stretch.at(root + off))), None)
@@ -98,7 +162,7 @@ def _point(stretch: _Stretch, after: Point, root: float, coarser: Point | None) 
     z, slope = stretch.curve.at(root * stretch.length), stretch.curve.slope(root * stretch.length)
     z = np.where(np.arange(z.size) == place, z, state[0])
     tangent = slope / np.sqrt(np.sum(stretch.point_solver.metric(problem, z) * slope**2))
-    apart = 1.0 if coarser is None else abs(float(z[place]) - coarser.parameter)
+    apart = min((abs(float(z[place]) - point.parameter) for point in coarser), default=1.0)
     moved = 2.0 * apart + NOISE * stretch.length * abs(float(tangent[place]))
     error = replace(after.error, parameter=moved / problem.parameter_size(z))
     step = stretch.point_solver.settings.first_step
