@@ -7,17 +7,22 @@ beyond it 1/(lambda (sigma + m)^2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, above, below, rounded_up
 from casadi_skin.certify.bounds import proved_radius
+from casadi_skin.certify.eigenpair import Eigenpair
 from casadi_skin.certify.linearised import Linearised
 from casadi_skin.orbits.certificate import Constants
 from casadi_skin.stability.reduction import ComplexArray
+
+if TYPE_CHECKING:
+    from flint import acb
 
 LARGEST = 2500  # rows of the finite part
 FIRST = 8
@@ -28,17 +33,18 @@ REACH = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the E
 
 def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, float] | None:
     """An exponent near `sigma` with a proved radius; None where no finite part of up to LARGEST rows proves one."""
-    highest, last = FIRST, np.inf
+    highest, last = FIRST, Constants(np.inf, np.inf, np.inf, REACH)
     while problem.harmonics(highest).size * problem.positions <= LARGEST:
         pair = _Pair.near(problem, sigma, highest)
         if pair is not None:
             constants = pair.constants()
             radius = proved_radius(constants)
             if radius is not None:
-                return pair.sigma, radius
-            if constants.Z < 0.5 and 0.5 * last < constants.Y:  # it is rounding, or another exponent is too near
-                return None
-            last = constants.Y
+                return pair.sigma, above(pair.exact.rounding(pair.sigma) + radius)
+            small = constants.Z < 0.5
+            if (0.5 * last.Y < constants.Y) if small else (0.8 * last.Z < constants.Z):
+                return None  # it is rounding, or another exponent is too near
+            last = constants if small else replace(constants, Y=np.inf)
         highest = problem.grown(highest, GROWTH)
     return None
 
@@ -49,8 +55,9 @@ class _Pair:
 
     problem: Linearised
     highest: int
-    sigma: complex
-    w: ComplexArray  # shape (harmonics, positions)
+    exact: Eigenpair
+    sigma: complex  # the double nearest
+    w: ComplexArray  # doubles nearest, shape (harmonics, positions)
     inverse: ComplexArray
 
     @classmethod
@@ -72,7 +79,8 @@ class _Pair:
             return None
         if not (np.isfinite(sigma) and np.all(np.isfinite(inverse))):
             return None
-        return cls(problem, highest, sigma, w.reshape(-1, problem.positions), np.asarray(inverse, dtype=complex))
+        exact = Eigenpair.refined(problem, sigma, w.reshape(-1, problem.positions), np.asarray(inverse, dtype=complex))
+        return cls(problem, highest, exact, *exact.doubles(), np.asarray(inverse, dtype=complex))
 
     @cached_property
     def shifts(self) -> ComplexArray:
@@ -119,26 +127,14 @@ class _Pair:
 
     def _Y(self) -> float:
         """Upper bound of |A F|."""
-        problem, n = self.problem, self.problem.positions
-        wide = self.highest + problem.step * (len(problem.blocks) - 1)
-        G = _toeplitz(problem, wide, self.highest)
-        w = self.w.ravel()
-        values, moduli = G @ w, np.abs(G) @ np.abs(w)
-        beyond = (wide - self.highest) // problem.step * n
-        finite = slice(beyond, beyond + w.size)
-        square = float(problem.square.mid())
-        kinetic = square * self.shifts**2 * w
-        error = (2 * w.size + 32) * ROUNDING * moduli
-        error[finite] += 32 * ROUNDING * np.abs(kinetic)
-        values[finite] += kinetic
-        residual = np.concatenate([[np.vdot(w, w) - 1.0], values[finite]])
-        unsure = np.concatenate([[(2 * w.size + 8) * ROUNDING * float(np.vdot(w, w).real)], error[finite]])
-        image = self._image(slice(None), residual[:, None], unsure[:, None])[0]
-        outside = np.delete(np.abs(values) + error, np.arange(finite.start, finite.stop))
-        length = float(rounded_up(np.abs(w).sum(), w.size))
-        moved = problem.radius * length + self._doubt * float(rounded_up(np.abs(self.shifts**2 * w).sum(), w.size))
-        total = image + self.tail * rounded_up(outside.sum(), outside.size) + self.size * moved
-        return float(rounded_up(np.asarray(total), 16))
+        problem, n, total = self.problem, self.problem.positions, len(self.inverse)
+        finite, outside = self.exact.residual(problem, self.w.conj())
+        middle = np.array([complex(value.mid()) for value in finite])
+        radius = np.array([above(abs(value - m)) for value, m in zip(finite, _balls(middle), strict=True)])
+        image = self._image(slice(None), middle[:, None], radius[:, None])[0]
+        beyond = sum(above(abs(value)) for value in outside)
+        length = float(rounded_up(np.abs(self.w).sum(), self.w.size + 4))
+        return float(rounded_up(np.asarray(image + self.tail * beyond + self.size * problem.moved * length), total + n))
 
     @cached_property
     def _doubt(self) -> float:
@@ -177,6 +173,12 @@ class _Pair:
         linear = max(float(np.max(self.norms[1:] * np.abs(self.shifts))), float(beyond))
         total = above(self.problem.square) * (2.0 * linear + self.size * (REACH + 2.0 * (length + REACH)))
         return float(rounded_up(np.asarray(total), 32))
+
+
+def _balls(values: ComplexArray) -> list[acb]:
+    from flint import acb
+
+    return [acb(value.real, value.imag) for value in values.ravel().tolist()]
 
 
 def _toeplitz(problem: Linearised, highest_row: int, highest_column: int) -> Array:

@@ -7,6 +7,7 @@ G_-p = G_p real. The orbit itself is known within a radius of the centre, which 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,8 @@ class Linearised:
         square: ball of lambda.
         symmetric: whether blocks and truth are symmetric matrices.
         step: of p and of the harmonics of solutions, 2 or 1.
+        exact: by row and column balls of the entries of G_0, G_step, ... about the orbit's centre.
+        moved: what `radius` holds of the orbit's own.
     """
 
     blocks: Array
@@ -40,6 +43,8 @@ class Linearised:
     square: arb
     symmetric: bool
     step: int = 2
+    exact: Mapping[tuple[int, int], Sequence[arb]] | None = None
+    moved: float = 0.0
 
     def harmonics(self, highest: int) -> Array:
         """m from -highest to highest, multiples of the step as `highest` is."""
@@ -71,10 +76,12 @@ def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Li
     scale = [arb(1)] * n if scale is None else scale
     rows = [series.derivatives(m) for m in range(n)]
     count = max((len(g) for row in rows for g in row.values()), default=1)
+    exact = dict[tuple[int, int], list[arb]]()
     blocks, radii = np.zeros((count, n, n)), np.zeros((count, n, n))
     for m, row in enumerate(rows):
         for k, g in row.items():
-            enclosed = Enclosed.of([value * scale[m] / scale[k] for value in g])
+            exact[m, k] = [value * scale[m] / scale[k] for value in g]
+            enclosed = Enclosed.of(exact[m, k])
             blocks[: len(g), m, k], radii[: len(g), m, k] = enclosed.middle, enclosed.radius
     if symmetric:  # the true matrices are, so that the other triangle encloses an entry as well
         lower = np.tril(blocks) + np.tril(blocks, -1).swapaxes(1, 2)
@@ -87,7 +94,8 @@ def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Li
         / arb(min(map(below, scale)))
     )
     doubt = above(arb(float(_norms(own[None])[0])) + moved)
-    return Linearised(blocks, doubt, series.square + arb(0, radius), symmetric, series.system.step)
+    square = series.square + arb(0, radius)
+    return Linearised(blocks, doubt, square, symmetric, series.system.step, exact, above(moved))
 
 
 def _symmetric_scale(system: CosineSystem) -> list[arb] | None:

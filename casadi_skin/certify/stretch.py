@@ -15,7 +15,7 @@ from scipy.fft import dct
 from casadi_skin.arguments import number
 from casadi_skin.bvp.problem import Array
 from casadi_skin.certify import balls
-from casadi_skin.certify.attempt import LARGEST, attempt_near, cosine_coefficients, distance, refined
+from casadi_skin.certify.attempt import attempt_near, cosine_coefficients, distance, refined
 from casadi_skin.certify.bounds import FiniteInverse, holds, proved_radius
 from casadi_skin.certify.certify import WEIGHT, best_attempt, provable, reason_of, step_of
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 DEGREE = 10  # of the polynomials of a piece
 WIDER, SHORTER = 1.6, 0.6  # widths of pieces after one that is proved, and after one that is not
 SHORTEST = 1e-4  # of the end: pieces below are given up
+MOST = 2000  # unknowns: the matrices at all nodes take 350 megabytes
 FEWEST = 3  # harmonics
 GROWTH = 1.25
 ENOUGH_Z, ENOUGH_Y = 0.15, 0.02  # Z and Y W at the far end of a piece, by which harmonics are chosen
@@ -82,7 +83,7 @@ class _Stretch:
     def harmonics(self, parameter: float, fewest: int) -> int | None:
         """How many harmonics a piece needs that ends at a parameter; None where there are not enough."""
         H = fewest
-        while 1 + self.system.positions * H <= LARGEST:
+        while 1 + self.system.positions * H <= MOST:
             c = attempt_near(self.orbit_near(parameter, H), self.nu).constants
             if c.Z < ENOUGH_Z and c.Y * c.W < ENOUGH_Y:
                 return H
@@ -173,7 +174,7 @@ def _proved(stretch: _Stretch, start: float, end: float, low: float) -> ProvedSt
             if width < SHORTEST * stretch.end:
                 reason = f"no piece beyond S = {_S(stretch, reached):.9g} is proved and joined to the last"
                 if needed is None:
-                    reason += f": more than {LARGEST} unknowns would be needed"
+                    reason += f": more than {MOST} unknowns would be needed"
                 elif not pieces:
                     reason = _fault(stretch, piece, start) or reason
     if not reason:

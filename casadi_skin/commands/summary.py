@@ -149,10 +149,20 @@ def _print_proofs(branches: list[Branch]) -> None:
             width = max((c.Omega[1] - c.Omega[0] for c in proved), default=0.0)
             words = f"; Omega enclosed to {width:.1e}, orbits to {max(c.radius for c in proved):.1e}" if proved else ""
             print(f"mode {mode_of(branch)}: {len(proved)} of {len(asked)} orbits proved to exist{words}")
+        if asked and isinstance(branch.space, Family) and branch.space.request.certify == "all":
+            print(f"mode {mode_of(branch)}: {_proved_curve(branch)}")
         if asked and branch.with_stability:
             verdicts = [orbit.proved_stability.verdict for orbit in asked]
             counts = ", ".join(f"{verdicts.count(v)} {v}" for v in (STABLE, UNSTABLE, UNDECIDED))
             print(f"mode {mode_of(branch)}: proved stability: {counts}")
+
+
+def _proved_curve(branch: Branch) -> str:
+    """How far a family is proved to be one curve from its linear mode."""
+    try:
+        return repr(branch.certify(0.0, float(branch.S[-1])))
+    except ValueError as error:
+        return f"not proved to be one curve: {error}"
 
 
 def _points(run: Run, branch: Branch) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ EVENT_COLUMNS = (
     "mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width",
     "S_error", "multiplier_real", "multiplier_imaginary", "signatures", "tongue", "tongue_width", "tongue_growth",
 )  # fmt: skip
+PROVED_COLUMNS = ("proved_S_lower", "proved_S_upper")  # of events.csv, where proofs are asked for
 TONGUE_COLUMNS = (
     "mode", "tongue", "kind", "S_start", "S_start_error", "S_end", "S_end_error", "width", "growth",
     "max_abs_multiplier", "S_deepest", "modes", "order", "decided",
@@ -20,9 +21,20 @@ TONGUE_COLUMNS = (
 UNRESOLVED = "unresolved"  # kind of the rows of stretches that are not known
 
 
-def event_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
-    """Rows of events.csv: changes of stability in order, and stretches on which some may be missing."""
+def event_rows(
+    mode: int,
+    diagram: StabilityDiagram,
+    prove: Callable[[StabilityEdge], tuple[float, float] | None] | None = None,
+) -> list[dict[str, Cell]]:
+    """Rows of events.csv: changes of stability in order, and stretches on which some may be missing.
+
+    With `prove`, which gives two S between which a change is proved or None, they have the columns for it.
+    """
     rows = [*_edge_rows(mode, diagram, diagram.changes), *(_unresolved(mode, u) for u in diagram.unresolved)]
+    if prove is not None:
+        brackets = [prove(edge) for edge in diagram.changes] + [None] * len(diagram.unresolved)
+        for row, ends in zip(rows, brackets, strict=True):
+            row.update(zip(PROVED_COLUMNS, ends or ("", ""), strict=True))
     return sorted(rows, key=lambda row: row["S"] if isinstance(row["S"], float) else -1.0)
 
 

@@ -23,6 +23,7 @@ from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv,
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.stability_tables import (
     EVENT_COLUMNS,
+    PROVED_COLUMNS,
     TONGUE_COLUMNS,
     event_rows,
     further_rows,
@@ -68,14 +69,19 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     """events.csv with the tables beside it, and the pictures of families."""
     stability = request.scene.stability
     if stability is not None and stability.events:
-        diagrams = [(mode_of(b), b.stability_diagram) for b in branches]
-        known = [(mode, diagram) for mode, diagram in diagrams if diagram is not None]
-        for name, columns, rows in (
-            ("events", EVENT_COLUMNS, event_rows),
+        diagrams = [(b, b.stability_diagram) for b in branches]
+        known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
+        if request.scene.accuracy.certify:
+            rows_of = [event_rows(mode_of(b), diagram, b.certify_change) for b, diagram in diagrams if diagram]
+            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS)
+            write_csv(directory / "events.csv", columns, [row for rows in rows_of for row in rows])
+        else:
+            write_csv(directory / "events.csv", EVENT_COLUMNS, [row for each in known for row in event_rows(*each)])
+        for name, names, make in (
             ("further_events", EVENT_COLUMNS, further_rows),
             ("tongues", TONGUE_COLUMNS, tongue_rows),
         ):
-            write_csv(directory / f"{name}.csv", columns, [row for each in known for row in rows(*each)])
+            write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
     picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:

@@ -104,3 +104,15 @@ def test_orbits_that_are_not_proved_are_told_with_exit_status_1(tmp_path, capsys
     assert "[accuracy] certify: mode 1: 2 of 2 orbits are not proved, the first at S = 0.2: " in captured.err
     assert "no proof that there is no orbit" in captured.err
     assert [row["proved"] for row in read_rows(out / "family.csv") if row["requested"] == "1"] == ["0", "0"]
+
+
+@pytest.mark.slow
+def test_changes_of_stability_have_proved_brackets_and_families_are_one_curve(tmp_path, capsys):
+    path = scene(tmp_path, '"all"', sites=3, family="[family]\nmode = 2\namplitude_max = 1.0\n[stability]\n")
+    path.write_text(path.read_text().replace("g = -1.0", "g = 1.0"))
+    out = tmp_path / "out"
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    (change,) = read_rows(out / "events.csv")
+    lower, S, upper = (float(change[name]) for name in ("proved_S_lower", "S", "proved_S_upper"))
+    assert lower < S < upper < lower + 1e-4
+    assert "mode 2: proved from S = 0.0 to 1.0 in" in capsys.readouterr().out
