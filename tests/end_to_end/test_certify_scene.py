@@ -37,6 +37,7 @@ def test_orbits_asked_for_or_all_have_proved_columns(tmp_path, capsys, certify):
     assert f"{len(proved)} of {len(proved)} orbits proved to exist" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_orbits_of_an_infinite_chain_are_proved_above_the_threshold(tmp_path, capsys):
     out = tmp_path / "out"
     family = FAMILY.replace("mode = 1", 'mode = "first"').replace("amplitude_max = 1.0", "amplitude_max = 1.2")

@@ -43,9 +43,9 @@ def test_a_chain_s_family_is_proved_from_its_linear_mode(g):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("g", "mode"), [(-1.0, 18), (-1.0, 24), (1.0, 6)])
+@pytest.mark.parametrize(("g", "mode"), [(-1.0, 18), (1.0, 6)])
 def test_families_of_figure_3_are_one_curve_each(g, mode):
-    """In two of them the largest site changes, and with it the sign of what is shown."""
+    """In the first the largest site changes, and with it the sign of what is shown."""
     proof = family(Chain(24, 1.0, 0.25, g), 3.0, mode=mode).certify(0.0, 3.0)
     assert proof.complete
     assert proof.pieces < 8
