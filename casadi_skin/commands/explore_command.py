@@ -16,11 +16,11 @@ def add_explore(commands: Commands) -> None:
     """Add the command to those of a parser."""
     parser = commands.add_parser(
         "explore",
-        help="a page that shows a run in a browser",
-        description="Write one HTML file with linked pictures of the branches of a run; it needs no network.",
+        help="a page that shows a run or a map in a browser",
+        description="Write one HTML file with linked pictures of the branches of a run, or of a map, without network.",
         epilog="Example: casadi-skin explore results/chain",
     )
-    parser.add_argument("directory", type=Path, metavar="DIR", help="the directory of a run")
+    parser.add_argument("directory", type=Path, metavar="DIR", help="the directory of a run or of a map")
     parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"the file (default: DIR/{PAGE})")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(act=explore)

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.results.netcdf import read_name
-
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
 POINTS = 3000  # of a curve
 NUMBERS = 400_000  # of wave forms, in all
 PHASES, STATES = 49, 24  # of a wave form
+CHANGE = "stability changes"
 FILL = 9e36  # values from here on are empty
 ACCEPTED = f"accepted: the directory of a run, with one of {', '.join(FILES)}"
 
@@ -41,19 +40,31 @@ def page_data(directory: Path) -> dict[str, Any]:
 
 
 def _read(path: Path) -> tuple[dict[str, str], Variables]:
-    """Attributes that are text, and variables; characters become names."""
+    """Attributes that are text, and variables, with what the tables beside the file add."""
+    attributes, variables, _, _ = read_netcdf(path)
+    return attributes, {**variables, **_kinds(path.with_suffix(".csv")), **_events(path)}
+
+
+def read_netcdf(
+    path: Path,
+) -> tuple[dict[str, str], dict[str, NDArray[Any]], dict[str, tuple[str, ...]], dict[str, str]]:
+    """Attributes that are text; variables, in which characters become names; their dimensions; their meanings."""
     from scipy.io import netcdf_file
 
     with netcdf_file(path, "r", mmap=False) as file:
         known: dict[str, Any] = vars(file)["_attributes"]
         attributes = {k: v.decode() for k, v in known.items() if isinstance(v, bytes)}
-        variables: dict[str, NDArray[Any]] = {read_name(n): np.array(held[:]) for n, held in file.variables.items()}
+        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in file.variables.items()}
+        dimensions = {name: tuple(variable.dimensions) for name, variable in file.variables.items()}
+        meanings = {n: v.long_name.decode() for n, v in file.variables.items() if hasattr(v, "long_name")}
     for name, values in variables.items():
         if values.dtype.kind == "S":
-            variables[name] = np.array([b"".join(row).decode().rstrip() for row in values])
+            rows = values.reshape(-1, values.shape[-1])
+            texts = [b"".join(row).decode().rstrip("\0 ") for row in rows]
+            variables[name] = np.array(texts).reshape(values.shape[:-1])
         elif values.dtype.kind == "f":
             variables[name] = np.where(np.abs(values) > FILL, np.nan, values).astype(float)
-    return attributes, variables | _kinds(path.with_suffix(".csv"))
+    return attributes, variables, dimensions, meanings
 
 
 def _kinds(path: Path) -> dict[str, NDArray[Any]]:
@@ -65,6 +76,24 @@ def _kinds(path: Path) -> dict[str, NDArray[Any]]:
     return {"special": np.array([row["special"] for row in rows])} if rows and "special" in rows[0] else {}
 
 
+def _events(path: Path) -> dict[str, NDArray[Any]]:
+    """Changes of stability of families, from the table of events beside them, with the mode of each."""
+    table = path.with_name("events.csv")
+    if path.stem != "family" or not table.exists():
+        return {}
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    words = {("1", "0"): "stability lost", ("0", "1"): "stability regained"}
+    return {
+        "event_mode": np.array([int(row["mode"]) for row in rows], dtype=int),
+        "event_S": np.array([float(row["S"]) for row in rows]),
+        "event_Omega": np.array([float(row["Omega"]) for row in rows]),
+        "event_words": np.array(
+            [f"{words[row['stable_before'], row['stable_after']]} ({row['kind']})" for row in rows], dtype=str
+        ),
+    }
+
+
 def _split(stem: str, variables: Variables) -> Iterator[tuple[str, Variables]]:
     """The families of a file one by one; another branch as it is."""
     if "mode" not in variables:
@@ -73,9 +102,10 @@ def _split(stem: str, variables: Variables) -> Iterator[tuple[str, Variables]]:
     count = variables["mode"].size
     for mode in dict.fromkeys(variables["mode"].tolist()):
         chosen = variables["mode"] == mode
+        events = {n: v[variables["event_mode"] == mode] for n, v in variables.items() if n.startswith("event_")}
         yield (
             f"mode {mode}",
-            {n: v[chosen] if v.ndim and len(v) == count and n != "site" else v for n, v in variables.items()},
+            {n: v[chosen] if v.ndim and len(v) == count and n != "site" else v for n, v in variables.items()} | events,
         )
 
 
@@ -92,10 +122,10 @@ def _branch(name: str, variables: Variables, share: int) -> dict[str, Any]:
         "count": count,
         "x": x,
         "y": y,
-        "columns": {"point": kept.tolist(), **{n: _short(v[kept]) for n, v in columns.items()}},
+        "columns": {"point": kept.tolist(), **{n: short_numbers(v[kept]) for n, v in columns.items()}},
         "stable": variables["stable"][kept].astype(int).tolist() if "stable" in variables else None,
         "requested": [int(i) for i in np.flatnonzero(variables.get("requested", np.zeros(count))[kept])],
-        "special": [{"point": int(np.searchsorted(kept, i)), "kind": kind} for i, kind in special.items()],
+        "special": _listed(columns, x, kept, special, variables),
         "detail": _detail(variables, detailed, kept),
     }
 
@@ -113,6 +143,7 @@ def _columns(variables: Variables) -> dict[str, NDArray[Any]]:
     if "end" in variables and "phase" in variables:
         found["period"] = variables["end"] - variables["start"]
     size = next(v for n, v in variables.items() if n in ("requested", "mode")).size
+    variables = {n: v for n, v in variables.items() if not n.startswith("event_")}
     skipped = {"mode", "index", "requested", "stable", "fold", "start", "end"}
     plain = {n: v for n, v in variables.items() if v.ndim == 1 and v.size == size and v.dtype.kind in "fi"}
     return found | {n: v.astype(float) for n, v in plain.items() if n not in skipped and not n.endswith("_name")}
@@ -125,8 +156,42 @@ def _special(variables: Variables, count: int) -> dict[int, str]:
     if "stable" in variables:
         changes = np.flatnonzero(np.diff(variables["stable"].astype(int)))
         near = {j for i in found for j in (i - 1, i, i + 1)}
-        found |= {int(i) + 1: "change of stability" for i in changes if not near & {int(i), int(i) + 1}}
+        found |= {int(i) + 1: CHANGE for i in changes if not near & {int(i), int(i) + 1}}
     return dict(sorted(found.items()))
+
+
+def _listed(
+    columns: Mapping[str, NDArray[Any]],
+    x: str,
+    kept: NDArray[np.int64],
+    special: Mapping[int, str],
+    variables: Variables,
+) -> list[dict[str, Any]]:
+    """Special points by place, between points too, with the nearest point kept and words for a list."""
+    places = [(float(i), kind, columns[x][i]) for i, kind in special.items()]
+    if "event_S" in variables:
+        places = [place for place in places if place[1] != CHANGE]
+        events = zip(variables["event_S"], variables["event_Omega"], variables["event_words"], strict=True)
+        for S, Omega, words in events:
+            places.append((_between(columns["S"], columns["Omega"], S, Omega), str(words), S))
+    found = []
+    for place, kind, value in sorted(places, key=lambda known: known[0]):
+        after = int(np.clip(np.searchsorted(kept, place), 1, kept.size - 1))
+        gap = float(kept[after] - kept[after - 1])
+        where = float(after - 1 + (place - kept[after - 1]) / gap)
+        label = f"{kind}: {x} = {value:.8g}"
+        found.append({"point": round(where), "place": round(where, 4), "kind": kind, "label": label})
+    return found
+
+
+def _between(S: NDArray[Any], Omega: NDArray[Any], at: float, height: float) -> float:
+    """The place between two points of a family at which it passes an amplitude, the nearest in frequency."""
+    k = np.flatnonzero((S[:-1] - at) * (S[1:] - at) <= 0.0)
+    if not k.size:
+        return float(np.argmin(np.abs(S - at)))
+    part = (at - S[k]) / np.where(S[k + 1] == S[k], 1.0, S[k + 1] - S[k])
+    best = int(np.argmin(np.abs(Omega[k] + part * (Omega[k + 1] - Omega[k]) - height)))
+    return float(k[best] + part[best])
 
 
 def _chosen(count: int, most: int, special: Mapping[int, str], variables: Variables) -> NDArray[np.int64]:
@@ -140,14 +205,13 @@ def _detail(variables: Variables, chosen: NDArray[np.int64], kept: NDArray[np.in
     """Wave forms over the period and multipliers of chosen points, by their place among those kept."""
     chosen = chosen[np.isin(chosen, kept)]
     detail: dict[str, Any] = {"point": np.searchsorted(kept, chosen).tolist(), "names": [], "waves": None}
-    if "multipliers" in variables:
-        detail["multipliers"] = [_short(pairs) for pairs in variables["multipliers"][chosen].reshape(chosen.size, -1)]
-    if "eigenvalues" in variables:
-        detail["eigenvalues"] = [_short(pairs) for pairs in variables["eigenvalues"][chosen].reshape(chosen.size, -1)]
+    for name in ("multipliers", "eigenvalues"):
+        if name in variables:
+            detail[name] = [short_numbers(pairs) for pairs in variables[name][chosen].reshape(chosen.size, -1)]
     waves, names = _waves(variables, chosen)
     if waves is not None:
         moving = np.sort(np.argsort(-np.max(np.ptp(waves, axis=1), axis=0), kind="stable")[:STATES])
-        detail["waves"] = [[_short(state) for state in wave[:, moving].T] for wave in waves]
+        detail["waves"] = [[short_numbers(state) for state in wave[:, moving].T] for wave in waves]
         detail["names"] = [names[i] for i in moving]
     return detail
 
@@ -166,6 +230,6 @@ def _waves(variables: Variables, chosen: NDArray[np.int64]) -> tuple[NDArray[np.
     return None, []
 
 
-def _short(values: NDArray[Any]) -> list[float | None]:
+def short_numbers(values: NDArray[Any]) -> list[float | None]:
     """Numbers with as many digits as a screen shows; None where there is none."""
     return [float(f"{v:.7g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float).ravel()]

@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.cli import main
-from casadi_skin.explorer.data import POINTS, page_data
+from casadi_skin.explorer.data import CHANGE, POINTS, page_data
+from casadi_skin.explorer.map_data import CELLS, map_data
 from casadi_skin.results.dataset import Dataset, Variable, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 
@@ -70,6 +72,7 @@ def test_a_long_branch_is_thinned_with_a_note(tmp_path: Path) -> None:
     assert (branch["count"], branch["x"], branch["y"]) == (n, "p", "u")
     assert POINTS <= len(branch["columns"]["p"]) <= POINTS + 3
     (change,) = branch["special"]
+    assert change["label"] == f"{CHANGE}: p = {change['label'].rpartition(' ')[2]}"
     assert branch["columns"]["p"][change["point"]] == pytest.approx(0.5, abs=1e-4)
     assert [branch["columns"]["p"][i] for i in branch["requested"]] == [1.0]
 
@@ -87,31 +90,123 @@ def test_what_is_no_run_is_refused(
     assert words in capsys.readouterr().err
 
 
+def test_changes_of_stability_stand_where_they_are_located(tmp_path: Path) -> None:
+    family = follow_family(Chain(6, 1.0, 0.25, -1.0), 1, 3.0, stability=True, tolerance=1e-6)
+    assert len(family.changes) > 1
+    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
+    rows = [f"1,{c.S!r},{c.Omega!r},{c.kind},{c.stable_before:d},{c.stable_after:d}" for c in family.changes]
+    head = "mode,S,Omega,kind,stable_before,stable_after"
+    (tmp_path / "events.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    (branch,) = page_data(tmp_path)["branches"]
+    listed = [special for special in branch["special"] if special["kind"].startswith("stability")]
+    assert len(listed) == len(family.changes)
+    for special, change in zip(listed, family.changes, strict=True):
+        k, part = divmod(special["place"], 1)
+        S = branch["columns"]["S"]
+        assert S[int(k)] + part * (S[min(int(k) + 1, len(S) - 1)] - S[int(k)]) == pytest.approx(change.S, rel=1e-3)
+        assert special["kind"].startswith("stability lost" if change.stable_before else "stability regained")
+        assert special["label"].endswith(f"S = {change.S:.8g}")
+
+
+def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4) -> np.ndarray:
+    """A map of a product over two ranges and a list; one cell failed."""
+    gamma, S = np.linspace(0.1, 0.3, gammas), np.linspace(0.0, 1.0, amplitudes)
+    values = (gamma[:, None, None] * S[None, :, None]) * np.array([1.0, -1.0])
+    status, reason = np.ones(values.shape, dtype=np.int32), np.full(values.shape, "", dtype="<U9")
+    status[0, 1, 0], reason[0, 1, 0], values[0, 1, 0] = 3, "no orbit", np.nan
+    modes = np.array([list("first"), [*"last", "\0"]], dtype="S1")
+    axes, most = ("gamma", "S", "mode"), 8
+    letters = np.array([[*text.ljust(most, "\0")] for text in reason.ravel()], dtype="S1")
+    with netcdf_file(folder / "map.nc", "w", version=2) as file:
+        file.title = "a map"
+        for name, size in zip((*axes, "letter", "mode_letter"), (*values.shape, most, 5), strict=True):
+            file.createDimension(name, size)
+        for name, kind, dimensions, meaning, stored in (
+            ("gamma", "f8", axes[:1], "nonreciprocity", gamma),
+            ("S", "f8", axes[1:2], "amplitude", S),
+            ("mode", "c", ("mode", "mode_letter"), "mode", modes),
+            ("status", "i4", axes, "state of a cell", status),
+            ("reason", "c", (*axes, "letter"), "why it failed", letters.reshape(*values.shape, most)),
+            ("growth", "f8", axes, "growth of perturbations", np.where(np.isfinite(values), values, 9.96e36)),
+            ("Omega", "f8", axes, "frequency", np.where(np.isfinite(values), 1.0 + values**2, 9.96e36)),
+        ):
+            variable = file.createVariable(name, kind, dimensions)
+            variable[:] = stored
+            variable.long_name = meaning
+    return values
+
+
+def test_a_map_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = write_map(tmp_path)
+    assert main(["explore", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith("wrote ")
+    data = data_in(tmp_path / "explore.html")
+    assert [(axis["name"], axis["numbers"], len(axis["values"])) for axis in data["axes"]] == [
+        ("gamma", True, 3), ("S", True, 4), ("mode", False, 2),
+    ]  # fmt: skip
+    growth, Omega = data["quantities"]
+    assert (growth["name"], growth["words"], Omega["name"]) == ("growth", "growth of perturbations", "Omega")
+    np.testing.assert_allclose(np.array(growth["values"], dtype=float), values.ravel(), rtol=1e-6)
+    assert data["reasons"][2] == "no orbit"
+    assert (data["note"], data["status"][2]) == ("", 3)
+
+
+def test_a_large_map_is_thinned_with_a_note(tmp_path: Path) -> None:
+    write_map(tmp_path, 300, 200)
+    data = map_data(tmp_path)
+    sizes = [len(axis["values"]) for axis in data["axes"]]
+    assert np.prod(sizes) == len(data["status"]) <= CELLS
+    assert data["note"] == f"{np.prod(sizes)} of 120000 cells are shown"
+    assert data["axes"][0]["values"][0] == 0.1
+    assert data["axes"][0]["values"][-1] == 0.3
+
+
 @pytest.fixture
 def browser() -> Iterator[Any]:
     """Chromium of the system, without network; skipped where there is none."""
     sync = pytest.importorskip("playwright.sync_api")
     path = shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
-        pytest.skip("needs chromium")
+        pytest.skip("needs Chromium: apt-get install chromium")
     with sync.sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        quiet = ["--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"]
+        chromium = play.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu", *quiet])
         yield chromium.new_context(viewport={"width": 1366, "height": 768}, offline=True)
         chromium.close()
+
+
+def opened(browser: Any, path: Path) -> tuple[Any, list[str]]:
+    """A page once it is ready, and what it says on the console."""
+    page, said = browser.new_page(), list[str]()
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(f"file://{path}")
+    page.wait_for_selector("html[data-ready=yes]")
+    return page, said
+
+
+def click_at(page: Any, x: float, y: float) -> None:
+    """A click on the largest picture, at values of its axes."""
+    place = page.evaluate(
+        "([x, y]) => { const f = document.getElementById('curve')._fullLayout;"
+        " return [f.xaxis._offset + f.xaxis.l2p(x), f.yaxis._offset + f.yaxis.l2p(y)]; }",
+        [x, y],
+    )
+    box = page.locator("#curve").bounding_box()
+    page.mouse.move(box["x"] + place[0], box["y"] + place[1])
+    page.wait_for_timeout(200)
+    page.mouse.click(box["x"] + place[0], box["y"] + place[1])
+    page.wait_for_timeout(200)
 
 
 @pytest.mark.slow
 def test_a_page_works_in_a_browser(run: Path, browser: Any) -> None:
     assert main(["explore", str(run), "--quiet"]) == 0
-    page, told = browser.new_page(), list[str]()
-    page.on("console", lambda message: told.append(message.text))
-    page.on("pageerror", lambda error: told.append(str(error)))
-    page.goto(f"file://{run / 'explore.html'}")
-    page.wait_for_selector("html[data-ready=yes]")
+    page, told = opened(browser, run / "explore.html")
     values = page.locator("#values")
 
     def drawn() -> str:
-        page.wait_for_function("!pending")
+        page.wait_for_function("!pending && !waiting")
         return str(page.evaluate("document.getElementById('wave').data[0].y.join()"))
 
     first, wave = values.inner_text(), drawn()
@@ -121,15 +216,8 @@ def test_a_page_works_in_a_browser(run: Path, browser: Any) -> None:
     assert drawn() != wave
     page.keyboard.press("ArrowDown")
     assert values.inner_text().startswith("mode 2, ")
-    place = page.evaluate(
-        "(() => { const f = document.getElementById('curve')._fullLayout, c = data.branches[0].columns;"
-        " return [f.xaxis._offset + f.xaxis.l2p(c.S[9]), f.yaxis._offset + f.yaxis.l2p(c.Omega[9])]; })()"
-    )
-    box = page.locator("#curve").bounding_box()
-    page.mouse.move(box["x"] + place[0], box["y"] + place[1])
-    page.wait_for_timeout(200)
-    page.mouse.click(box["x"] + place[0], box["y"] + place[1])
-    page.wait_for_timeout(200)
+    first_branch = page.evaluate("data.branches[0].columns")
+    click_at(page, first_branch["S"][9], first_branch["Omega"][9])
     assert values.inner_text().startswith("mode 1, point 9 of ")
     before = page.evaluate("document.getElementById('profile').data[0].y.join()")
     page.locator("#play").click()
@@ -139,3 +227,50 @@ def test_a_page_works_in_a_browser(run: Path, browser: Any) -> None:
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != dark
     assert told == []
+
+
+@pytest.mark.slow
+def test_special_points_are_listed_and_lead_to_their_place(tmp_path: Path, browser: Any) -> None:
+    family = follow_family(Chain(6, 1.0, 0.25, -1.0), 1, 3.0, stability=True, tolerance=1e-6)
+    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
+    rows = [f"1,{c.S!r},{c.Omega!r},{c.kind},{c.stable_before:d},{c.stable_after:d}" for c in family.changes]
+    text = "\n".join(["mode,S,Omega,kind,stable_before,stable_after", *rows]) + "\n"
+    (tmp_path / "events.csv").write_text(text, encoding="utf-8")
+    assert main(["explore", str(tmp_path), "--quiet"]) == 0
+    page, said = opened(browser, tmp_path / "explore.html")
+    buttons = page.locator("#points button")
+    assert buttons.count() == len(family.changes)
+    buttons.nth(1).click()
+    assert f"S = {family.changes[1].S:.8g}" in page.locator("#values").inner_text()
+    assert buttons.nth(1).get_attribute("aria-current") == "true"
+    page.wait_for_function("!pending && !waiting")
+    ring = page.evaluate("document.getElementById('curve').layout.shapes[0].xanchor")
+    assert ring == pytest.approx(family.changes[1].S, rel=1e-3)
+    page.keyboard.press("s")
+    assert buttons.nth(2 % len(family.changes)).get_attribute("aria-current") == "true"
+    assert said == []
+
+
+@pytest.mark.slow
+def test_a_map_works_in_a_browser(tmp_path: Path, browser: Any) -> None:
+    write_map(tmp_path)
+    assert main(["explore", str(tmp_path), "--quiet"]) == 0
+    page, said = opened(browser, tmp_path / "explore.html")
+    values = page.locator("#values")
+    assert values.inner_text().startswith("gamma = 0.1, S = 0, mode = first: done")
+    page.keyboard.press("ArrowUp")
+    assert "failed (no orbit)" in values.inner_text()
+    page.keyboard.press("End")
+    assert values.inner_text().startswith("gamma = 0.3, S = 0.3333333, mode = first: done")
+    click_at(page, 0.2, 1.0)
+    assert values.inner_text().startswith("gamma = 0.2, S = 1, mode = first: done; growth = 0.2")
+    before = page.evaluate("document.getElementById('curve').layout.images[0].source")
+    page.locator("#others select").select_option("last")
+    page.wait_for_timeout(200)
+    assert "growth = -0.2" in values.inner_text()
+    assert page.evaluate("document.getElementById('curve').layout.images[0].source") != before
+    page.locator("#x").select_option("S")
+    page.wait_for_timeout(200)
+    assert page.evaluate("document.getElementById('along').data[0].x.length") == 4
+    page.locator("#theme").click()
+    assert said == []

@@ -1,11 +1,7 @@
 "use strict";
 // Linked pictures of a run: a curve, and of the chosen point its wave form, profile, multipliers and their angles.
-const data = JSON.parse(document.getElementById("data").textContent);
-const element = (id) => document.getElementById(id);
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c564b", "#7f7f7f"];
-const PANELS = ["curve", "wave", "plane", "profile", "angles"], MOST_ANGLES = 3000;
-const state = { branch: 0, point: 0, phase: 0, playing: false, x: data.branches[0].x, y: data.branches[0].y };
-let dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+const PANELS = ["curve", "wave", "plane", "profile", "angles"], MOST_ANGLES = 3000, PAUSE = 250;  // milliseconds
+const state = { branch: 0, point: 0, special: null, phase: 0, playing: false, x: data.branches[0].x, y: data.branches[0].y };
 
 const branch = () => data.branches[state.branch];
 const known = (name) => data.branches.filter((b) => name in b.columns);
@@ -18,17 +14,11 @@ function detailPlace() {
   return best;
 }
 
-function layout(title, x, y, more = {}) {
-  const style = getComputedStyle(document.documentElement);
-  const ink = style.getPropertyValue("--ink"), line = style.getPropertyValue("--line"), paper = style.getPropertyValue("--paper");
-  const axis = (words) => ({ title: { text: words }, gridcolor: line, zerolinecolor: line, linecolor: line, exponentformat: "power" });
-  const base = { title: { text: title, font: { size: 15 }, x: 0.03, xanchor: "left" }, paper_bgcolor: paper, plot_bgcolor: paper, font: { color: ink, size: 14 },
-    margin: { l: 62, r: 12, t: 34, b: 46 }, showlegend: false, xaxis: axis(x), yaxis: axis(y), hovermode: "closest", uirevision: title + x + y };
-  for (const [name, value] of Object.entries(more)) base[name] = { ...(base[name] || {}), ...value };
-  return base;
+// A quantity at a place between two points.
+function between(values, place) {
+  const k = Math.min(Math.floor(place), values.length - 1), part = place - k;
+  return part > 0 && values[k + 1] !== null ? values[k] * (1 - part) + values[k + 1] * part : values[k];
 }
-const nothing = (words) => layout(words, "", "", { xaxis: { visible: false }, yaxis: { visible: false } });
-const config = { responsive: true, displaylogo: false, scrollZoom: true };
 
 // Curves: stable stretches solid, unstable ones dashed; neighbours share the point between them.
 function curveTraces() {
@@ -42,16 +32,14 @@ function curveTraces() {
       traces.push({ x, y: y.map((v, k) => (shown(k) ? v : null)), mode: "lines", line: { color: colour, dash, width: 2.5 },
         name: `${b.name}, ${b.stable ? word : "stability not computed"}`, customdata: x.map((_, k) => [i, k]), connectgaps: false });
     }
-    const marks = [...b.special.map((s) => [s.point, s.kind, "diamond"]), ...b.requested.map((p) => [p, "requested", "circle-open"])];
-    traces.push({ x: marks.map((m) => x[m[0]]), y: marks.map((m) => y[m[0]]), text: marks.map((m) => m[1]), mode: "markers",
-      marker: { symbol: marks.map((m) => m[2]), size: 9, color: colour, line: { width: 1 } }, name: b.name,
-      customdata: marks.map((m) => [i, m[0]]), hovertemplate: "%{text}<br>%{x}<br>%{y}<extra>%{fullData.name}</extra>" });
+    const marks = [...b.special.map((s, n) => [s.place, s.label, s.kind.startsWith("stability") ? "line-ns" : "diamond", s.point, n]),
+      ...b.requested.map((p) => [p, "requested", "circle-open", p, null])];
+    traces.push({ x: marks.map((m) => between(x, m[0])), y: marks.map((m) => between(y, m[0])), text: marks.map((m) => m[1]), mode: "markers",
+      marker: { symbol: marks.map((m) => m[2]), size: 9, color: colour, line: { width: 1.5, color: colour } }, name: b.name,
+      customdata: marks.map((m) => [i, m[3], m[4]]), hovertemplate: "%{text}<br>%{x}<br>%{y}<extra>%{fullData.name}</extra>" });
   });
   return traces;
 }
-
-const words = { S: "amplitude S", Omega: "frequency \u03a9", Omega_shift: "frequency shift \u03a9 \u2212 \u03c9" };
-const named = (name) => words[name] || name.replaceAll("_", " ");
 
 function drawCurve() {
   return Plotly.react("curve", curveTraces(), { ...layout("branches", named(state.x), named(state.y)), shapes: mark() }, config);
@@ -60,9 +48,10 @@ function drawCurve() {
 // The ring about the chosen point: a shape, which moves without the curves being drawn again.
 function mark() {
   const b = branch(), x = b.columns[state.x], y = b.columns[state.y];
+  const place = state.special === null ? state.point : b.special[state.special].place;
   const color = getComputedStyle(document.documentElement).getPropertyValue("--chosen");
   if (!x || !y || x[state.point] === null || y[state.point] === null) return [];
-  return [{ type: "circle", xsizemode: "pixel", ysizemode: "pixel", xanchor: x[state.point], yanchor: y[state.point],
+  return [{ type: "circle", xsizemode: "pixel", ysizemode: "pixel", xanchor: between(x, place), yanchor: between(y, place),
     x0: -8, x1: 8, y0: -8, y1: 8, line: { width: 3, color } }];
 }
 
@@ -110,6 +99,14 @@ function drawProfile() {
     layout("states at one time", "", "", { yaxis: { range: [-1.1 * top, 1.1 * top] } }), config);
 }
 
+// The profile alone, without its axes: fast enough for every frame.
+function moveProfile() {
+  const detail = branch().detail, waves = detail.waves && detail.waves[detailPlace()];
+  if (!waves) return;
+  const last = waves[0].length - 1, i = Math.floor(state.phase * last) % last;
+  Plotly.animate("profile", { data: [{ y: waves.map((w) => w[i]) }], traces: [0] }, { mode: "immediate", transition: { duration: 0 }, frame: { duration: 0, redraw: false } });
+}
+
 function drawValues() {
   const b = branch(), shown = [];
   for (const [name, values] of Object.entries(b.columns)) {
@@ -117,42 +114,54 @@ function drawValues() {
     if (name === "point" || name.endsWith("_error") || shown.length > 7) continue;
     shown.push(`${named(name)} = ${values[state.point]}${error && error[state.point] > 0 ? ` \u00b1 ${Number(error[state.point]).toPrecision(2)}` : ""}`);
   }
-  const special = b.special.find((s) => s.point === state.point);
+  const special = state.special === null ? b.special.find((s) => s.place === state.point) : b.special[state.special];
   const stability = b.stable ? (b.stable[state.point] ? "stable" : "unstable") : "stability not computed";
   const off = b.detail.point[detailPlace()] === state.point ? "" : " (wave form and multipliers of the nearest point kept)";
-  element("values").textContent = `${b.name}, point ${b.columns.point[state.point]} of ${b.count}: ${stability}${special ? `, ${special.kind}` : ""}; ${shown.join(", ")}${off}`;
+  element("values").textContent = `${b.name}, point ${b.columns.point[state.point]} of ${b.count}: ${stability}${special ? `, ${special.label}` : ""}; ${special && special.place !== state.point ? "nearest point: " : ""}${shown.join(", ")}${off}`;
 }
 
-function fill(select, names, chosen, label = (n) => n) {
-  select.replaceChildren(...names.map((name) => new Option(label(name), name, false, name === chosen)));
-}
-
-function select(place, point) {
-  const other = place !== state.branch;
+function select(place, point, special = null) {
+  const other = place !== state.branch || !element("branch").options.length;
   state.branch = place;
   state.point = Math.max(0, Math.min(point, branch().columns.point.length - 1));
-  if (other || !element("branch").options.length) {
-    fill(element("branch"), data.branches.map((b) => b.name), branch().name);
-    const special = branch().special;
-    element("special").replaceChildren(new Option(special.length ? "choose" : "none", ""), ...special.map((s) => {
-      const value = branch().columns[branch().x][s.point];
-      return new Option(`${s.kind} at ${named(branch().x)} = ${value}`, s.point);
-    }));
-  }
+  state.special = special;
+  if (other) list();
+  [...element("points").children].forEach((item, n) => item.firstChild.setAttribute("aria-current", n === special));
   anglesToo = anglesToo || other;
   if (!pending) requestAnimationFrame(drawChosen);
   pending = true;
   drawValues();
 }
 
-// Keys that come faster than pictures are drawn once.
-let pending = false, anglesToo = false;
+// The branches, and the special points of the chosen one, each a button.
+function list() {
+  fill(element("branch"), data.branches.map((b) => b.name), branch().name);
+  element("points").replaceChildren(...branch().special.map((s, n) => {
+    const item = document.createElement("li"), button = document.createElement("button");
+    button.type = "button";
+    button.textContent = s.label;
+    button.addEventListener("click", () => select(state.branch, s.point, n));
+    item.append(button);
+    return item;
+  }));
+}
+
+// Keys that come faster than pictures are drawn move the marks alone; the pictures of the point follow when they pause.
+let pending = false, anglesToo = false, waiting = 0, drawnAt = 0;
 function drawChosen() {
-  drawPoint();
   if (anglesToo) drawAngles();
   else if (branch().detail.multipliers) Plotly.relayout("angles", { shapes: line() });
   Plotly.relayout("curve", { shapes: mark() });
-  pending = anglesToo = false;
+  clearTimeout(waiting);
+  if (performance.now() - drawnAt > PAUSE) drawNow();
+  else waiting = setTimeout(drawNow, PAUSE);
+  anglesToo = pending = false;
+}
+
+function drawNow() {
+  waiting = 0;
+  drawPoint();
+  drawnAt = performance.now();
 }
 
 function choose() {
@@ -162,14 +171,17 @@ function choose() {
 }
 
 function step(key) {
-  const b = branch(), special = b.special.map((s) => s.point);
+  const b = branch();
   if (key === "ArrowRight") select(state.branch, state.point + 1);
   else if (key === "ArrowLeft") select(state.branch, state.point - 1);
   else if (key === "Home") select(state.branch, 0);
   else if (key === "End") select(state.branch, b.columns.point.length - 1);
   else if (key === "ArrowDown") select((state.branch + 1) % data.branches.length, state.point);
   else if (key === "ArrowUp") select((state.branch + data.branches.length - 1) % data.branches.length, state.point);
-  else if (key === "s") select(state.branch, special.find((p) => p > state.point) ?? special[0] ?? state.point);
+  else if (key === "s" && b.special.length) {
+    const here = state.special === null ? b.special.findIndex((s) => s.place > state.point) : (state.special + 1) % b.special.length;
+    select(state.branch, b.special[Math.max(here, 0)].point, Math.max(here, 0));
+  }
   else if (key === " ") element("play").click();
   else return false;
   return true;
@@ -178,35 +190,26 @@ function step(key) {
 function tick() {
   if (!state.playing) return;
   state.phase = (state.phase + 1 / 96) % 1;
-  drawProfile();
+  moveProfile();
   requestAnimationFrame(tick);
 }
 
 element("branch").addEventListener("change", (event) => select(event.target.selectedIndex, state.point));
 element("x").addEventListener("change", (event) => { state.x = event.target.value; drawCurve(); });
 element("y").addEventListener("change", (event) => { state.y = event.target.value; drawCurve(); });
-element("special").addEventListener("change", (event) => { if (event.target.value !== "") select(state.branch, Number(event.target.value)); });
 element("play").addEventListener("click", () => {
   state.playing = !state.playing;
   element("play").textContent = state.playing ? "pause" : "play";
   tick();
 });
-function themed() { document.documentElement.classList.toggle("dark", dark); document.documentElement.style.colorScheme = dark ? "dark" : "light"; }
-element("theme").addEventListener("click", () => { dark = !dark; themed(); drawCurve(); drawAngles(); drawPoint(); });
-document.addEventListener("keydown", (event) => {
-  if (["SELECT", "BUTTON", "INPUT"].includes(document.activeElement.tagName) && event.key !== "s") return;
-  if (!event.ctrlKey && !event.metaKey && !event.altKey && step(event.key)) event.preventDefault();
-});
 
-themed();
-element("note").textContent = data.note;
+prepare(() => { drawCurve(); drawAngles(); drawPoint(); }, step);
 choose();
 Promise.all([drawCurve(), drawAngles()]).then(() => {
   select(0, 0);
-  new ResizeObserver(() => PANELS.forEach((id) => Plotly.Plots.resize(id))).observe(document.querySelector("main"));
   element("curve").on("plotly_click", (event) => {
     const chosen = event.points.find((p) => p.customdata);
-    if (chosen) select(chosen.customdata[0], chosen.customdata[1]);
+    if (chosen) select(chosen.customdata[0], chosen.customdata[1], chosen.customdata[2] ?? null);
   });
-  document.documentElement.dataset.ready = "yes";
+  ready(PANELS);
 });
