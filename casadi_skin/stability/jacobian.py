@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -122,16 +123,34 @@ class JacobianAlong:
         matrices[..., self.rows(), self.indices] = nonzeros
         return matrices
 
+    @cached_property
+    def half_bandwidth(self) -> int:
+        """Largest distance of a non-zero from the diagonal."""
+        return int(np.max(np.abs(self.rows() - self.indices), initial=0))
+
+    def window(self, first: int, last: int) -> tuple[slice | NDArray[np.bool_], NDArray[np.int32], NDArray[np.int32]]:
+        """Which non-zeros lie in rows and columns first to last - 1, and the `indices` and `indptr` of these."""
+        if last - first == self.size:
+            return slice(None), self.indices, self.indptr
+        rows, columns = self.rows(), self.indices
+        inside = (rows >= first) & (rows < last) & (columns >= first) & (columns < last)
+        counts = np.bincount(rows[inside] - first, minlength=last - first)
+        indptr = np.append(0, np.cumsum(counts)).astype(np.int32)
+        return inside, (columns[inside] - first).astype(np.int32), indptr
+
     def block_matrix(self, points: int) -> csr_array:
         """Block-diagonal matrix of the J of several points; its data is J's non-zeros, point by point."""
-        from scipy.sparse import csr_array
-
-        count = self.indices.size
-        indices = (self.size * np.arange(points, dtype=np.int32)[:, None] + self.indices).ravel()
-        starts = (count * np.arange(points, dtype=np.int32)[:, None] + self.indptr[:-1]).ravel()
-        indptr = np.append(starts, np.int32(points * count))
-        return csr_array((np.zeros(points * count), indices, indptr), shape=(points * self.size,) * 2)
+        return repeated(self.indices, self.indptr, points)
 
     def rows(self) -> NDArray[np.intp]:
         """Row of each non-zero."""
         return np.repeat(np.arange(self.size), np.diff(self.indptr))
+
+
+def repeated(indices: NDArray[np.int32], indptr: NDArray[np.int32], count: int) -> csr_array:
+    """Block-diagonal matrix of square blocks of one pattern; its data is theirs, block by block."""
+    from scipy.sparse import csr_array
+
+    size, nonzeros, each = indptr.size - 1, indices.size, np.arange(count, dtype=np.int32)[:, None]
+    starts = np.append((nonzeros * each + indptr[:-1]).ravel(), np.int32(count * nonzeros))
+    return csr_array((np.zeros(count * nonzeros), (size * each + indices).ravel(), starts), shape=(count * size,) * 2)

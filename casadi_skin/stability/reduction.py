@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 
 ComplexArray = NDArray[np.complex128]
+BLOCK = 128  # columns of a product of which zeros are left out
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Reflections:
 def half_cosines(transitions: Array) -> Array:
     """B^T C of Phi = [[A, B], [C, D]], shape (points, 2n, 2n) -> (points, n, n)."""
     n = transitions.shape[1] // 2
-    return np.asarray(transitions[:, :n, n:].swapaxes(1, 2) @ transitions[:, n:, :n])
+    return _transposed_product(transitions[:, :n, n:], transitions[:, n:, :n])
 
 
 def half_cosine_errors(transitions: Array, errors: Array) -> Array:
@@ -51,7 +52,27 @@ def half_cosine_errors(transitions: Array, errors: Array) -> Array:
     n = transitions.shape[1] // 2
     B, C = transitions[:, :n, n:], transitions[:, n:, :n]
     dB, dC = errors[:, :n, n:], errors[:, n:, :n]
-    return np.asarray(dB.swapaxes(1, 2) @ C + B.swapaxes(1, 2) @ dC)
+    return _transposed_product(dB, C) + _transposed_product(B, dC)
+
+
+def _transposed_product(left: Array, right: Array) -> Array:
+    """left^T right of matrices (points, n, n), of long chains without the zeros far from the diagonal."""
+    n = left.shape[1]
+    if n <= BLOCK:
+        return np.asarray(left.swapaxes(1, 2) @ right)
+    product = np.zeros((len(left), n, n))
+    for start in range(0, n, BLOCK):
+        columns = slice(start, start + BLOCK)
+        rows = _extent(np.any(left[:, :, columns] != 0.0, axis=(0, 2)))
+        others = _extent(np.any(right[:, rows] != 0.0, axis=(0, 1)))
+        product[:, columns, others] = left[:, rows, columns].swapaxes(1, 2) @ right[:, rows, others]
+    return product
+
+
+def _extent(chosen: NDArray[np.bool_]) -> slice:
+    """From the first place that is chosen to the last."""
+    places = np.flatnonzero(chosen)
+    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
 
 
 @dataclass(frozen=True)

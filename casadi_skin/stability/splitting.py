@@ -18,7 +18,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.flow import OrbitState
-from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.jacobian import JacobianAlong, repeated
 from casadi_skin.stability.stepping import SteppedFlow
 
 if TYPE_CHECKING:
@@ -59,38 +59,60 @@ class SplittingMap:
 
 
 def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> list[Array]:
-    """Transition matrices of several runs, each (points, 2n, 2n), by the drifts of the one with most steps."""
-    n = jacobian.size
-    order = sorted(range(len(runs)), key=lambda i: -len(runs[i].stages))
+    """Transition matrices of several runs, each (points, 2n, 2n), by the drifts of the one with most steps.
+
+    A kick reaches as far as J's band: what is farther from a column's component than all kicks reach stays zero, and is
+    left out.
+    """
+    n, order = jacobian.size, sorted(range(len(runs)), key=lambda i: -len(runs[i].stages))
     ordered = [runs[i] for i in order]
-    h = np.repeat(np.concatenate([run.steps for run in ordered]), n)
-    last, kicks = 0, []  # (matrix, its data) of each kick: of the runs that are not done before it
-    for active in range(len(ordered), 0, -1):
-        first, last = last, len(ordered[active - 1].stages)
-        if last > first:
-            parts = [run.stages[first:last].reshape(last - first, -1) for run in ordered[:active]]
-            matrix = jacobian.block_matrix(sum(run.steps.size for run in ordered[:active]))
-            kicks += [(matrix, data) for data in np.concatenate(parts, axis=1)]
-    result, width = np.empty((h.size // n, 2, n, 2 * n)), max(1, CACHED // h.size)
-    for start in range(0, 2 * n, width):
-        result[..., start : start + width] = _columns(kicks, drifts, h, n, start, min(width, 2 * n - start))
+    points, reach = sum(run.steps.size for run in runs), jacobian.half_bandwidth * len(ordered[0].stages)
+    width = n
+    while width > 1 and points * min(n, width + 2 * reach) * 2 * width > CACHED:
+        width = (width + 1) // 2
+    result = np.zeros((points, 2, n, 2 * n))
+    for start in range(0, n, width):
+        end = min(n, start + width)
+        first, last = max(0, start - reach), min(n, end + reach)
+        kicks = _kicks(jacobian, ordered, first, last)
+        h = np.repeat(np.concatenate([run.steps for run in ordered]), last - first)
+        found = _columns(kicks, drifts, h, last - first, start - first, end - start)
+        result[:, :, first:last, start:end] = found[..., : end - start]
+        result[:, :, first:last, n + start : n + end] = found[..., end - start :]
     ends = np.cumsum([run.steps.size for run in ordered])
     parts = np.split(result.reshape(-1, 2 * n, 2 * n), ends[:-1])
-    found = dict(zip(order, parts, strict=True))
-    return [found[i] for i in range(len(runs))]
+    return [part for _, part in sorted(zip(order, parts, strict=True), key=lambda item: item[0])]
+
+
+def _kicks(
+    jacobian: JacobianAlong, runs: Sequence[SplittingRun], first: int, last: int
+) -> list[tuple[csr_array, Array]]:
+    """The matrix of each kick and its data, of components first to last - 1, and of the runs that are not done yet."""
+    inside, indices, indptr = jacobian.window(first, last)
+    done, kicks = 0, []
+    for active in range(len(runs), 0, -1):
+        start, done = done, len(runs[active - 1].stages)
+        if done > start:
+            parts = [run.stages[start:done][..., inside].reshape(done - start, -1) for run in runs[:active]]
+            matrix = repeated(indices, indptr, sum(run.steps.size for run in runs[:active]))
+            kicks += [(matrix, data) for data in np.concatenate(parts, axis=1)]
+    return kicks
 
 
 def _columns(
     kicks: Sequence[tuple[csr_array, Array]], drifts: Array, h: Array, n: int, first: int, count: int
 ) -> Array:
-    """Some columns of all transition matrices, shape (points, 2, n, count); h is that of each row."""
+    """What follows from unit positions, then velocities, of some components: shape (points, 2, n, 2 count).
+
+    `h` is the step of each row.
+    """
     from scipy.linalg.blas import daxpy
 
     # Velocities are multiplied by the step h, so that no orbit's step is in the drifts.
-    state = np.zeros((2, h.size, count))
-    for k in range(first, first + count):
-        part, component = divmod(k, n)
-        state[part, component::n, k - first] = h[component::n] if part else 1.0
+    state = np.zeros((2, h.size, 2 * count))
+    for k in range(count):
+        state[0, first + k :: n, k] = 1.0
+        state[1, first + k :: n, count + k] = h[first + k :: n]
     x, v = state
     for i, (matrix, data) in enumerate(kicks):
         matrix.data, rows = data, matrix.shape[0]
@@ -98,7 +120,7 @@ def _columns(
             daxpy(v[:rows].ravel(), x[:rows].ravel(), a=drifts[i - 1])
         daxpy((matrix @ x[:rows]).ravel(), v[:rows].ravel())
     v /= h[:, None]
-    return state.reshape(2, -1, n, count).swapaxes(0, 1)
+    return state.reshape(2, -1, n, 2 * count).swapaxes(0, 1)
 
 
 class SplittingFlow(SteppedFlow):

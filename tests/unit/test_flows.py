@@ -28,10 +28,10 @@ from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.perturbation import couplings, eigenvalue_errors
-from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems
+from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
-from casadi_skin.stability.splitting import SplittingFlow
+from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import SteppedFlow, extrapolation
 
 Array = NDArray[np.float64]
@@ -131,6 +131,35 @@ def test_orbits_together_and_columns_by_themselves_change_nothing(cached: int, m
     monkeypatch.setattr(splitting, "CACHED", cached)  # 432 numbers of four orbits: all, or each by itself, in columns
     for found, expected in zip(flow.several([(4, [first]), (9, others)]), alone, strict=True):
         np.testing.assert_allclose(found, np.stack(expected), rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("cached", [10**6, 20_000, 3000])
+def test_what_kicks_do_not_reach_is_left_out_of_long_chains(cached: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In 3 steps 34 kicks; columns of all sites from one end to the other, whatever blocks they are taken in."""
+    chain, steps = Chain(150, 1.0, 0.2, -1.0), 3
+    jacobian = JacobianAlong(chain.gauge_model())
+    generator = np.random.default_rng(7)
+    flow = SplittingMap(jacobian, steps)
+    durations = np.array([1.3])
+    states, parameters = generator.normal(size=(flow.fractions.size, 150)), np.full(flow.fractions.size, -0.8)
+    nonzeros = jacobian(states, parameters)[None]
+    x, v, h = np.eye(150, 300), np.eye(150, 300, 150) * durations[0] / steps, durations[0] / steps
+
+    def kick(i: int, x: Array, v: Array) -> Array:
+        return v + h * h * flow.sequence.kicks[i] * (jacobian.dense(nonzeros[0, i]) @ x)
+
+    x, v = flow.sequence.apply(x, v, kick, lambda a, x, v: x + a * v)
+    monkeypatch.setattr(splitting, "CACHED", cached)
+    np.testing.assert_allclose(flow(nonzeros, durations)[0], np.vstack([x, v / h]), rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [5, 300])
+def test_products_of_matrices_with_a_band_are_those_of_full_ones(size: int) -> None:
+    generator = np.random.default_rng(8)
+    blocks = [np.triu(np.tril(generator.normal(size=(2, size, size)), 40), -17) for _ in range(4)]
+    blocks[0][:, :, 140:] = 0.0  # columns of nothing
+    transitions = np.block([[blocks[2], blocks[0]], [blocks[1], blocks[3]]])
+    np.testing.assert_allclose(half_cosines(transitions), blocks[0].swapaxes(1, 2) @ blocks[1], rtol=0, atol=1e-12)
 
 
 def test_extrapolation_cancels_the_errors_it_is_told() -> None:
