@@ -34,7 +34,7 @@ ROUNDING = 1e-13  # what rounding makes of CVODES' steps, relative to the larges
 
 
 class ShootingError(SingularError):
-    """The equations have no value: CVODES cannot follow a segment; the message tells what it returned."""
+    """The equations have no value: CVODES cannot follow a segment; the message has what it returned."""
 
 
 class ShootingProblem(FirstOrderProblem):

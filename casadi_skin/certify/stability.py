@@ -56,7 +56,7 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
 
 
 def certify_change(branch: Branch, change: StabilityEdge) -> tuple[float, float] | None:
-    """Prove that a family changes its stability between two values of S, as near to a change as proofs tell them apart.
+    """Prove that a family changes its stability between two values of S, as near to a change as proofs separate them.
 
     Arguments:
         branch: a family of a model that `certify` accepts.

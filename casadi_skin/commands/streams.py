@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 
 class OutputError(Exception):
-    """Standard output cannot be written; the message tells why."""
+    """Standard output cannot be written; the message says why."""
 
 
 class _Stream:

@@ -232,7 +232,7 @@ class Cycle:
 
 
 class EvolutionError(ArithmeticError):
-    """A time evolution that could not be followed to its end: the message tells how far and why in one line.
+    """A time evolution that could not be followed to its end: the message says how far and why in one line.
 
     `evolution` is what was computed before, None where that is nothing.
     """

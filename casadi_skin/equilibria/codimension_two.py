@@ -101,7 +101,7 @@ class _Search(Search):
 
 
 def _tests(space: Followed, start: Point) -> Iterator[tuple[str, Test]]:
-    """Functions of a point that vanish at points of some kinds; of others eigenvalues tell."""
+    """Functions of a point that vanish at points of some kinds; others are found from eigenvalues."""
     if space.kind == FOLD:
         yield CUSP, _quadratic(space, start)
     if space.kind != HOPF:

@@ -1,4 +1,4 @@
-"""Special points on a stretch of a branch of equilibria: told apart by their eigenvalues, then located one by one.
+"""Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one.
 
 The parameter turns back at a fold; the Jacobian closed by the tangent changes the sign of its determinant at a branch
 point; a pair of complex eigenvalues crosses the imaginary axis at a Hopf point. A stretch is looked at in between, and
@@ -37,7 +37,7 @@ class Found:
 
 
 class UnresolvedWarning(UserWarning):
-    """Several eigenvalues cross the imaginary axis on a stretch of a branch that is too short to tell them apart."""
+    """Several eigenvalues cross the imaginary axis on a stretch of a branch that is too short to separate them."""
 
 
 def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point]:

@@ -27,7 +27,7 @@ class Search(ABC):
 
     @abstractmethod
     def unresolved(self, stretch: Stretch) -> Iterator[Point]:
-        """What is told of a part that can be divided no further."""
+        """The description of a part that can be divided no further."""
 
     def sample(self, point: Point) -> Sample:
         """What is known at a point."""

@@ -107,7 +107,7 @@ class Stretch:
 
     @cached_property
     def quantities(self) -> tuple[Array, Array]:
-        """Leading quantities, then what is told of each eigenvalue; and derivatives; (sample, quantity)."""
+        """Leading quantities, then the quantities of each eigenvalue; and derivatives; (sample, quantity)."""
         told, rates, noisy, many = [], [], [], self.leading
         for sample, order in zip(self.samples, self.orders, strict=True):
             scale, rate, curved = sample.along(self.first.row)

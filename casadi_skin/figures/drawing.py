@@ -199,7 +199,7 @@ def _(result: Floquet, axes: Axes) -> None:
 
 
 def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
-    """Points in the complex plane, unstable ones told apart by their marks too."""
+    """Points in the complex plane, unstable ones distinguished by their marks too."""
     for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
         if np.any(chosen):
             axes.plot(values[chosen].real, values[chosen].imag, mark, ms=4.5, mfc="none", label=label, zorder=3)

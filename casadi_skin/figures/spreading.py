@@ -18,7 +18,7 @@ MOST_COLUMNS = 2000  # more samples than that no page resolves
 
 
 def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
-    """Energies of the sites in time as colour, and below them three numbers that tell where they are.
+    """Energies of the sites in time as colour, and below them three numbers that locate them.
 
     Arguments:
         found: of a time evolution.

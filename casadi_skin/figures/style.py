@@ -63,7 +63,7 @@ def blank(width: float, height: float) -> Figure:
 
 
 def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False) -> Figure:
-    """The figure with one legend of all panels below them, laid out; in black where colours tell families apart."""
+    """The figure with one legend of all panels below them, laid out; in black where colours distinguish families."""
     handles: dict[str, Artist] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):

@@ -1,4 +1,4 @@
-"""Stability along a family as its diagram knows it: the frequency curve, multipliers through tongues, their angles."""
+"""Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Trajectory:
 
 
 class IntegrationError(ArithmeticError):
-    """An integrator gave up: the message tells where and why in one line, `trajectory` holds the states before that."""
+    """An integrator gave up: the message says where and why in one line, `trajectory` holds the states before that."""
 
     def __init__(self, method: str, reason: str, trajectory: Trajectory, t: Array, origin: float = 0.0) -> None:
         count = len(trajectory.states)

@@ -144,7 +144,7 @@ class Chain:
 
     @property
     def labels(self) -> tuple[tuple[str, float], ...]:
-        """Symbols in TeX and values that tell chains apart, for titles."""
+        """Symbols in TeX and values that distinguish chains, for titles."""
         return ("N", self.sites), (r"\alpha", self.alpha), (r"\gamma", self.gamma), ("g", self.g)
 
     def diagonalise(self) -> tuple[Array, Array]:

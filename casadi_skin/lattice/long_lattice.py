@@ -89,7 +89,7 @@ class LongLattice:
 
     @property
     def labels(self) -> tuple[tuple[str, float], ...]:
-        """Symbols in TeX and values that tell lattices apart, for titles."""
+        """Symbols in TeX and values that distinguish lattices, for titles."""
         return (r"\mathrm{cells}", self.cells), *((rf"\mathrm{{{k}}}", v) for k, v in self.parameters.items())
 
     def of_cells(self, cells: int) -> Lattice:

@@ -86,7 +86,7 @@ class Drive:
                 yield task
 
     def _again(self, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:
-        """Tasks that failed once; one that told why starts from the nearest neighbour's solution, where there is one.
+        """Tasks that failed once; one with a reason starts from the nearest neighbour's solution, where there is one.
 
         Neighbours are cells that were computed at their first attempt, so that all engines and resumed maps agree.
         """

@@ -28,7 +28,7 @@ def plain_kind(kind: str) -> str:
 
 
 def known_names(request: Request) -> tuple[str, ...]:
-    """Names of quantities without the suffix that tells several branches apart."""
+    """Names of quantities without the suffix that distinguishes several branches."""
     scene = request.scene
     if scene.search is not None:
         return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)

@@ -1,4 +1,4 @@
-"""What a model declares, taken in the forms that scripts write it in, and checked: each fault is told in one line."""
+"""Declarations of a model, taken in the forms that scripts use, and checked: a fault is reported in one line."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def _conserved(model: Equations) -> Iterator[str]:
 
 
 def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
-    """What tells symbols apart, with their names; expressions among them are left out."""
+    """Keys of symbols, with their names; expressions among them are left out."""
     for symbol in symbols:
         for entry in ca.vertsplit(symbol) if isinstance(symbol, ca.SX) and symbol.numel() else [symbol]:
             if entry.numel() and entry.is_symbolic():

@@ -129,7 +129,7 @@ class FmuInstance:
         return self._requests[group]
 
     def _keys(self, p: Array) -> list[bytes]:
-        """What tells the parameters of the rows of p; the same rows often come again."""
+        """A key of the parameters of the rows of p; the same rows often come again."""
         packed = len(p), p.tobytes()
         if self._packed[0] != packed:
             self._packed = packed, [row.tobytes() for row in p[:, self._held]]

@@ -146,7 +146,7 @@ class Variables:
         return list(range(len(names))) if self.asked.states is None else [names.index(n) for n in self.asked.states]
 
     def declared(self, unknowns: Sequence[Element]) -> Pattern:
-        """Which unknowns depend on which states as ModelStructure tells it; on all where it says nothing."""
+        """Which unknowns depend on which states as ModelStructure says; on all where it says nothing."""
         listed = {u.variable.name: u for u in (*self.description.derivatives, *self.description.outputs)}
         pattern = np.zeros((len(unknowns), len(self.states)), dtype=bool)
         places: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""A model from a file that a user wrote: what goes wrong in a Python file is told in one line with its place."""
+"""A model from a file that a user wrote: an error in a Python file is reported in one line with its place."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class OdeModel(Equations):
 
     @property
     def rounding(self) -> float:
-        """Relative error of the right-hand side's values: that of doubles; models whose values are worse tell so."""
+        """Relative error of the right-hand side's values: that of doubles; models whose values are worse declare it."""
         return EPSILON
 
     @cached_property

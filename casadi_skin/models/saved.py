@@ -58,7 +58,7 @@ class SavedFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class Header(msgspec.Struct, frozen=True):
-    """What tells files of any format."""
+    """The mark of files of any format."""
 
     format: str
 

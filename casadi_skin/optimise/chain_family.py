@@ -27,7 +27,7 @@ STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly
 
 @dataclass(frozen=True)
 class ChainFamily:
-    """One mode's family of a chain; `mirrored` tells that modes lean to the first site (gamma <= 0)."""
+    """One mode's family of a chain; `mirrored` says that modes lean to the first site (gamma <= 0)."""
 
     model: Chain
     mode: int

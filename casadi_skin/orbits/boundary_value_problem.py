@@ -20,5 +20,5 @@ class BoundaryValueProblem(Statement):
         return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
 
     def solve(self, guess: Guess, **options: Any) -> Solution:
-        """The solution near a guess, by `casadi_skin.orbits.solve.solve`, which tells of guesses and options."""
+        """The solution near a guess, by `casadi_skin.orbits.solve.solve`, with its guesses and options."""
         return solve(self, guess, **options)

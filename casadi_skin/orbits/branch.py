@@ -62,6 +62,10 @@ class Branch(Result):
     def __len__(self) -> int:
         return len(self.solutions)
 
+    def __iter__(self) -> Iterator[Any]:
+        """The orbits, equilibria or solutions in their order."""
+        return iter(self.solutions)
+
     def __repr__(self) -> str:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""

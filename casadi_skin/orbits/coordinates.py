@@ -131,7 +131,7 @@ class Coordinates(ABC):
 
     @property
     def attributes(self) -> Mapping[str, float]:
-        """What tells the model apart from others of its kind, for files."""
+        """A key of the model among others of its kind, for files."""
         return self.parameters
 
     @property

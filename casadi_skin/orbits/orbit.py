@@ -222,7 +222,7 @@ class Orbit(Solution):
         return self._family().coordinates.Omega_shift(self.point.problem, self.point.z)
 
     def certify(self, **options: Any) -> Certificate:
-        """A proof that the orbit exists, with enclosures, by `casadi_skin.certify.certify`, which tells of options."""
+        """A proof that the orbit exists, with enclosures, by `casadi_skin.certify.certify`, with its options."""
         certificate: Certificate = methods.TASKS["certify"].load()(self, **options)
         return certificate
 

@@ -61,7 +61,7 @@ def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
 
 
 def _rests(problem: BoundaryProblem, z: Array) -> bool:
-    """Whether states move by less than a part of what the guess's own sizes tell apart."""
+    """Whether states move by less than a part of what the guess's own sizes distinguish."""
     states = z[: problem.states].reshape(-1, problem.formulation.states)
     return bool(np.all(np.ptp(states, axis=0) <= RESTING * problem.floors))
 

@@ -221,7 +221,7 @@ class Solution(Result):
     # Branches ---------------------------------------------------------------------------------------------------------
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
-        """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, which tells of options."""
+        """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, with its options."""
         return methods.TASKS["follow"].load()(self, parameter, to, **options)
 
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:

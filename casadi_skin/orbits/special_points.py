@@ -22,7 +22,7 @@ FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that i
 
 
 class NotLocatedError(ArithmeticError):
-    """A special point that the branch passes cannot be located; the message tells why."""
+    """A special point that the branch passes cannot be located; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,7 +166,7 @@ def stability_record(branch: str, orbit: Orbit, changes: Sequence[StabilityChang
 
 @dataclass
 class Known:
-    """What a journal knows of a branch.
+    """The record of a branch in a journal.
 
     Attributes:
         solutions, changes: with their stability where that is computed.

@@ -53,7 +53,7 @@ def exported(request: Request, branches: Sequence[Branch]) -> Chain | OdeModel |
 
 
 def plan_export(request: Request) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that tell what is exported."""
+    """Pairs (subject, text) that describe the export."""
     export, of = _table(request), "the chain" if isinstance(request.model, Chain) else "the model"
     if export.S is not None:
         of = f"the orbit j = {export.mode or request.families[0].mode}, S = {export.S:g}"

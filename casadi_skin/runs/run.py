@@ -55,7 +55,7 @@ class Run:
         self._tables = Tables(self.directory, self.request.scene.stability is not None)
 
     def execute(self) -> bool:
-        """Compute, write, and tell whether all that was asked for was found."""
+        """Compute, write, and return whether everything requested was found."""
         (self.directory / JOURNAL).touch()
         if self.request.path is not None:
             with replacing(self.directory / f"{SCENE_MODEL}{self.request.path.suffix}") as temporary:

@@ -1,4 +1,4 @@
-"""How a fault of a scene is told: one line with the place, what was given and what is accepted."""
+"""How a fault of a scene is reported: one line with the place, what was given and what is accepted."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

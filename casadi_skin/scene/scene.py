@@ -57,7 +57,7 @@ class Scene(Table, frozen=True):
         return None if self.chain is None else self.chain.sites
 
     def modes(self) -> tuple[int | str, ...]:
-        """The modes whose families are followed, numbers where the chain's length tells them."""
+        """The modes whose families are followed, numbers where the chain's length is known."""
         if self.family is None:
             return ()
         asked = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
@@ -65,7 +65,7 @@ class Scene(Table, frozen=True):
 
     @property
     def methods(self) -> MethodTable:
-        """The table [method] with the names chosen where it leaves them out, as far as the scene alone tells."""
+        """The table [method] with the names chosen where it leaves them out, as far as the scene alone decides."""
         chosen: dict[str, str] = {}
         if self.family is not None:
             chosen = {"flow": SPLITTING} | ({} if self.chain is None else {"transcription": TRIGONOMETRIC})

@@ -45,7 +45,7 @@ def check_figures(scene: Scene) -> None:
 
 
 def _check_orbit_of_family(table: str, scene: Scene, family: FamilyTable, S: float, mode: int | None) -> None:
-    """An orbit at S of the family of a mode, which has to be told where there are several.
+    """An orbit at S of the family of a mode, which has to be named where there are several.
 
     Whether a model has a mode by the number of one that is named, as "last", shows with the model alone.
     """

@@ -25,7 +25,7 @@ _WATCH: ContextVar[_Watch | None] = ContextVar("watch", default=None)
 
 @contextmanager
 def watched(seconds: float | None = None, tell: Callable[[str], object] | None = None) -> Iterator[None]:
-    """Let solvers in the block end with TimeLimitError after so many seconds, and tell how far they are."""
+    """Let solvers in the block end with TimeLimitError after so many seconds, and report how far they are."""
     end = float("inf") if seconds is None else time.monotonic() + seconds
     token = _WATCH.set(_Watch(seconds, end, tell))
     try:

@@ -232,7 +232,7 @@ class Edges:
 
 
 def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece], power: int) -> Edges:
-    """Edges of decided tongues, told apart by whether orbits on either side are stable."""
+    """Edges of decided tongues, distinguished by whether orbits on either side are stable."""
     unions, windows = _unions(groups, tongues)
     rows = []  # edge, whether stable before, whether stable after, number of its group
     for union in unions:

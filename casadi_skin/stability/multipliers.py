@@ -162,7 +162,7 @@ def _orbit_part(transitions: Sequence[Transition], reflections: Reflections, bet
 
 
 def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
-    """Norm of what round-off, and a flow that knows no matrix of its errors, leave in B^T C; shape (orbits,)."""
+    """Norm of what round-off, and a flow without a matrix of its errors, leave in B^T C; shape (orbits,)."""
     n = matrices.shape[1] // 2
     norms = np.linalg.norm(matrices[:, :n, n:], axis=(1, 2)) + np.linalg.norm(matrices[:, n:, :n], axis=(1, 2))
     unknown = [t.error if t.truncation is None else ROUND_OFF * np.linalg.norm(t.matrix) for t in transitions]

@@ -118,7 +118,7 @@ class Block:
 
     @property
     def is_blurred(self) -> bool:
-        """Whether a shorter interval would tell whether one of its instabilities is there."""
+        """Whether a shorter interval would show whether one of its instabilities is there."""
         if not self.is_coarse:
             return False
         bounds = [(s.end - s.start, s.start_edge, s.end_edge) for s in self.segments]

@@ -236,7 +236,7 @@ class StabilityDiagram:
         return not any(tongue.holds(coordinate) for tongue in self.tongues)
 
     def _inside(self, coordinates: Array) -> NDArray[np.bool_]:
-        """Whether coordinates lie in tongues, as `is_stable` tells of one."""
+        """Whether coordinates lie in tongues, as `is_stable` for one."""
         if not self.tongues:
             return np.zeros(len(coordinates), dtype=bool)
         ends = np.array([(t.start.coordinate, t.end.coordinate) for t in self.tongues])

@@ -25,7 +25,7 @@ Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
 
 @dataclass
 class Study(ABC):
-    """A study that writes into `directory`; `say` is told what is being computed, `files` are those written so far."""
+    """A study that writes into `directory`; `say` is called with each step, `files` are those written so far."""
 
     directory: Path
     say: Callable[[str], None] = field(default=lambda words: None, kw_only=True)

@@ -63,6 +63,12 @@ def test_print_tells_the_numbers(shown: dict[str, Any]) -> None:
     assert "stable" in str(shown["floquet"])
 
 
+def test_a_branch_is_iterated_over_its_solutions(shown: dict[str, Any]) -> None:
+    for name in ("family", "branch"):
+        assert list(shown[name]) == list(shown[name].solutions)
+        assert len(list(shown[name])) == len(shown[name]) > 1
+
+
 def test_printing_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     family = follow_family(Chain(2, 1.0, 0.25, 1.0), 1, 0.05, stability=True, tolerance=1e-4)
     monkeypatch.setattr(type(family.space), "floquets", None)

@@ -135,7 +135,7 @@ def _jump(function: ca.Function, inputs: int) -> str | None:
 
 
 def config_header(problem: InitialValueProblem, equations: Equations, token: str) -> str:
-    """The text of config.h; the token tells this model from others, in FMI calls and in serialised states."""
+    """The text of config.h; the token distinguishes this model from others, in FMI calls and in serialised states."""
     functions, model = equations.functions, problem.model
     bounds = [problem.bounds.get(name, (-math.inf, math.inf)) for name in model.parameter_names]
     sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
@@ -168,7 +168,7 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
 
 
 def _array(name: str, values: Iterable[float]) -> str:
-    """A constant array with one element more than there are values: C knows no empty one."""
+    """A constant array with one element more than there are values: C has no empty one."""
     words = [repr(float(value)).replace("inf", "HUGE_VAL") for value in values] + ["0"]
     lines = [", ".join(words[i : i + 5]) for i in range(0, len(words), 5)]
     return f"static const double {name}[{len(words)}] = {{\n    " + ",\n    ".join(lines) + "};"

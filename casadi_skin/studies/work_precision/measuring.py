@@ -106,7 +106,7 @@ def _judged(measured: Measured, errors: Errors, known: Errors) -> Measured:
 
 
 def peak_memory() -> float:
-    """Peak resident memory of this process so far in MB; nan where the system does not tell.
+    """Peak resident memory of this process so far in MB; nan where the system does not report it.
 
     From /proc where there is one: the peak that getrusage gives there counts the memory of the process that started
     this one.

@@ -152,7 +152,7 @@ def _draw_presets(axes: Axes, measured: Sequence[Measured], of_mu: bool) -> None
 
 
 def _finish(axes: Axes, known: float) -> None:
-    """Logarithmic axes, and the errors that the references cannot tell from zero."""
+    """Logarithmic axes, and the errors that the references cannot distinguish from zero."""
     from matplotlib.ticker import LogLocator
 
     axes.set(xscale="log", yscale="log")
