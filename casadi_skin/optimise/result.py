@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
+from casadi_skin import methods
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
 
@@ -61,6 +63,14 @@ class SearchResult:
     def found(self) -> bool:
         """Whether there is an optimum."""
         return bool(self.optima)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
+
+        Raises ValueError for what is no data: a function of the caller's, a model that is a program.
+        """
+        saved: Path = methods.TASKS["save"].load()(self, path)
+        return saved
 
     def __repr__(self) -> str:
         lines = [f"SearchResult: {self.reason}"]

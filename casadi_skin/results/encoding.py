@@ -21,14 +21,17 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Refinement
 
 KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
-PLACES = {  # of every class that a file may name
+PLACES = {  # of every class that a file may name, with its own name where that is another one
     "Bond": "lattice.declaration",
     "BoundarySpace": "orbits.boundary_space",
     "Branch": "orbits.branch",
     "Certificate": "orbits.certificate",
     "Chain": "lattice.chain",
+    "ChainFamily": "optimise.chain_family",
+    "Condition": "optimise.search_arguments",
     "Constants": "orbits.certificate",
     "ContinuationSettings": "continuation.points",
+    "CosineOrbit": "optimise.cosine_orbit",
     "Course": "equilibria.problem",
     "Critical": "critical_orbits.systems",
     "CurveSpace": "equilibria.curve",
@@ -36,29 +39,43 @@ PLACES = {  # of every class that a file may name
     "Declaration": "lattice.declaration",
     "Diagram": "equilibria.diagram",
     "End": "continuation.points",
+    "Ending": "optimise.search_problem",
     "Equilibrium": "equilibria.equilibrium",
     "EquilibriumSpace": "equilibria.space",
     "ErrorEstimate": "solvers.levels",
     "Evolution": "dynamics.evolution",
     "FamilyRequest": "orbits.request",
+    "FamilySearch": "optimise.family_search",
     "FullPeriodFloquet": "stability.result",
+    "KickOptimum": "optimise.kick.nlp",
+    "Kkt": "optimise.optimality",
     "LongLattice": "lattice.long_lattice",
     "Method": "orbits.method",
+    "ModelFamily": "optimise.model_family",
+    "NlpSolution": "optimise.nlp:Solution",
     "Optimality": "orbits.optimum",
     "Optimum": "orbits.optimum",
     "Orbit": "orbits.orbit",
     "OrbitCurveSpace": "critical_orbits.curve",
+    "OrbitSearch": "optimise.orbit_search",
+    "Outcome": "optimise.search_problem",
     "Periodic": "orbits.boundary_choices",
+    "PlainCheck": "optimise.optimum",
     "ProvedStability": "orbits.certificate",
     "ProvedStretch": "orbits.certificate",
     "ReversibleFloquet": "stability.result",
     "Scalar": "bvp.problem",
+    "SearchOptimum": "optimise.optimum:Optimum",
+    "SearchResult": "optimise.result",
+    "SearchStatus": "optimise.result",
     "Site": "lattice.declaration",
     "Sizes": "orbits.boundary_choices",
+    "SmallestKick": "optimise.kick.smallest_kick",
     "Solution": "orbits.solution",
     "SpecialPoint": "orbits.special_points",
     "Spectrum": "equilibria.statics",
     "StabilityChange": "orbits.stability_changes",
+    "Start": "optimise.search_problem",
     "Statics": "equilibria.statics",
     "SymmetryClass": "bvp.symmetry",
     "Target": "continuation.points",
@@ -71,12 +88,18 @@ def class_named(name: object) -> Any:
     """The class of a name in a file; raises ValueError for any other."""
     if not isinstance(name, str) or name not in PLACES:
         raise ValueError(f"a thing of kind {short_repr(name)}, which no result holds")
-    return getattr(import_module(f"casadi_skin.{PLACES[name]}"), name)
+    place, _, other = PLACES[name].partition(":")
+    return getattr(import_module(f"casadi_skin.{place}"), other or name)
 
 
-def is_known(kind: type) -> bool:
-    """Whether a class may stand in a file."""
-    return kind.__name__ in PLACES and class_named(kind.__name__) is kind
+def name_of(kind: type) -> str:
+    """The name of a class in a file; empty for one that may not stand there."""
+    return next((name for name, place in PLACES.items() if _is_at(kind, name, place)), "")
+
+
+def _is_at(kind: type, name: str, place: str) -> bool:
+    module, _, other = place.partition(":")
+    return (kind.__module__, kind.__name__) == (f"casadi_skin.{module}", other or name)
 
 
 class Writer:
@@ -93,9 +116,9 @@ class Writer:
         if value is None or isinstance(value, bool | str):
             return value
         if isinstance(value, Enum):
-            if not is_known(type(value)):
+            if not name_of(type(value)):
                 raise _stranger(value)
-            return ["enum", type(value).__name__, value.name]
+            return ["enum", name_of(type(value)), value.name]
         if isinstance(value, np.generic):
             return self.value(value.item())
         if isinstance(value, int | float):
@@ -127,8 +150,8 @@ class Writer:
             return ["point", value.problem.resolution, constants, self.named_fields(value, ("problem",))]
         if isinstance(value, Refinement):
             return ["refinement", value.problem.resolution, self.value(value.problem.constants), self.value(value.z)]
-        if is_dataclass(value) and is_known(type(value)):
-            return ["object", type(value).__name__, self.named_fields(value)]
+        if is_dataclass(value) and name_of(type(value)):
+            return ["object", name_of(type(value)), self.named_fields(value)]
         raise _stranger(value)
 
     def named_fields(self, value: Any, without: Sequence[str] = ()) -> dict[str, Any]:

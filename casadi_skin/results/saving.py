@@ -47,18 +47,23 @@ def save_result(result: Any, path: str | Path) -> Path:
 
     Arguments:
         result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
-            certificate, or a time evolution.
+            certificate, a time evolution, a search, or the smallest kick. A map is in its directory: see `read_map`.
         path: the file; one that is there is replaced.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: the result belongs to a model that is a program, as that of an FMU, or is of another kind.
+        ValueError: the result belongs to a model that is a program, as that of an FMU, or is of another kind; the path
+            is a directory, or in none.
         TypeError: the path is none.
         OSError: the file cannot be written.
     """
     target = file_path("path", path)
+    if target.is_dir():
+        raise ValueError(f"path: given {target}, which is a directory; accepted: the path of a file")
+    if not target.parent.is_dir():
+        raise ValueError(f"path: given {target}, in no directory; accepted: a file in a directory that is there")
     writer = Writer(_write_shared)
     try:
         data = writer.value(result)

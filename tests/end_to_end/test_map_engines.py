@@ -99,6 +99,16 @@ def test_workers_and_a_parent_that_are_killed_lose_no_finished_cell(
     assert files(out) == known
 
 
+def test_a_worker_that_hangs_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
+    scene, out = of_models(tmp_path, ["good", "hangs"]), tmp_path / "out"
+    with command("map", scene, "--out", out, "--no-pictures", "--quiet") as process:
+        until(lambda: tasks(out / JOURNAL))
+        until(lambda: workers_of(process.pid))
+        workers = workers_of(process.pid)
+        process.send_signal(signal.SIGKILL)
+    until(lambda: not any(map(is_running, workers)), 10.0)
+
+
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_map_is_written(tmp_path: Path) -> None:
     scene, out = of_models(tmp_path, ["good", "hangs"]), tmp_path / "out"  # it is interrupted however slow we look

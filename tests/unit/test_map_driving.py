@@ -93,6 +93,13 @@ def test_a_second_start_is_that_of_the_nearest_cell_whose_first_one_succeeded(tm
     again = {task.cells[0]: (task.neighbour, task.start, task.period) for task in engine.tasks[10:]}
     assert again == {4: (3, (3.0,), 0.5), 5: (3, (3.0,), 0.5), 6: (7, (7.0,), 0.5)}
     assert all(task.start == () for task in engine.tasks[:10])
+    (tmp_path / "killed").mkdir()
+    with stored(tmp_path / "killed", parse_scene(EQUILIBRIUM)) as store:
+        tasks = list(store.grid.tasks(np.arange(10)))
+        for task, attempt in [*((task, 1) for task in tasks), (tasks[4], 2), (tasks[5], 2)]:
+            store.add(task, attempt, result(task, attempt))
+        assert driven(store, engine)
+    assert (engine.tasks[13].cells, engine.tasks[13].neighbour, len(engine.tasks)) == ((6,), 7, 14)
 
 
 def test_what_another_run_may_not_meet_starts_where_the_scene_does(tmp_path: Path) -> None:
@@ -137,6 +144,8 @@ def test_shares_take_each_task_once_in_any_order_and_forget_their_own(tmp_path: 
         store._outside[:] = True
         store.forget_outside(mine=True)
         assert np.flatnonzero(store.states == 0).tolist() == [0, 6, 9]  # 3 is the last one's
+        assert driven(store, late, part=(1, 3))
+        assert [task.cells for task in late.tasks[-3:]] == [(0,), (6,), (9,)]
 
 
 def test_what_is_left_is_estimated_from_what_cells_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,9 +12,11 @@ from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
+from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.kick.arguments import check, kicked_sites
@@ -69,6 +71,14 @@ class SmallestKick:
 
     def __repr__(self) -> str:
         return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
+
+    def save(self, path: str | Path) -> Path:
+        """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
+
+        Raises ValueError for what is no data: a function of the caller's, a model that is a program.
+        """
+        saved: Path = methods.TASKS["save"].load()(self, path)
+        return saved
 
     @property
     def best(self) -> KickOptimum:
