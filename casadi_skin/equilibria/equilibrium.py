@@ -12,6 +12,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.problem import AlgebraicProblem
 from casadi_skin.equilibria.statics import ComplexArray, Spectrum
+from casadi_skin.models.centred import centred_model
+from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution, as_times
 
 
@@ -61,6 +63,19 @@ class Equilibrium(Solution):
         if name not in names:
             raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
         return float(self.state[names.index(name)])
+
+    def centred_model(self) -> OdeModel:
+        """The model in displacements from this state, which rests at 0: families grow from its linear modes.
+
+        Its parameters have the values that they have here. A reversal that keeps the positions is kept.
+
+        Returns:
+            A model of second order, with the names of the states of this one.
+
+        Raises:
+            ValueError: the model is of first order, or forced.
+        """
+        return centred_model(self.model, self.positions, self.parameters)
 
     # Stability ------------------------------------------------------------------------------------------------------
 

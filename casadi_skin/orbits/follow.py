@@ -121,7 +121,7 @@ def follow(
         max_points: number of points after which the branch ends.
         max_step: longest step, 1 being a change of the states by their own size.
         back_to: a value on the other side of the start, where a branch that comes back ends; left out, it ends at the
-            value that it started from, and an equilibrium's is followed on to see whether it closes.
+            value that it started from, and one of equilibria or of a forced model goes on to see whether it closes.
         until: ends the branch at the first solution for which it is true.
         stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
@@ -184,5 +184,5 @@ def following_settings(
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
-        closing=back_to is None and solution.space.knows_stability,
+        closing=back_to is None and (solution.space.knows_stability or solution.model.forced),  # an isola of responses
     )  # fmt: skip

@@ -216,6 +216,19 @@ def test_overview(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_sine_gordon_kink(tmp_path: Path) -> None:
+    kink, families = load("sine_gordon_kink").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    assert kink.stable
+    y = np.concatenate([kink.positions[:1], kink.positions, kink.positions[-1:]])
+    balance = 0.4 * (0.98 * (y[2:] - y[1:-1]) - 1.02 * (y[1:-1] - y[:-2])) - np.sin(kink.positions)
+    assert np.max(np.abs(balance)) < 1e-12
+    assert (y[0], y[-1]) == pytest.approx((0.0, 2.0 * np.pi), abs=0.01)
+    assert families[1].orbits[0].Omega < 1.0  # waves beside the kink have omega >= 1
+    assert families[0].orbits[0].Omega < 0.7
+
+
+@pytest.mark.slow
 def test_isola(tmp_path: Path) -> None:
     crossings, sweep, isola = load("isola").main(tmp_path / "picture.png")
     assert drawn(tmp_path / "picture.png")
@@ -235,5 +248,6 @@ def test_isola(tmp_path: Path) -> None:
     assert len(crossings) == 3
     assert [point.kind for point in sweep.special_points] == []
     frequencies = [orbit.parameters["omega"] for orbit in isola.orbits]
-    assert len(isola.special_points) >= 1
+    assert [point.kind for point in isola.special_points] == ["fold", "fold"]  # a closed curve has two
+    assert "closed on itself" in isola.reason
     assert min(frequencies) < crossings[1].Omega < crossings[2].Omega < max(frequencies) < 1.21

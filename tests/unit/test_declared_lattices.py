@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from lattice_referee import Referee
 from lattices import GAINS
 from scipy.optimize import linear_sum_assignment
 
-from casadi_skin import Bond, Lattice, Site, follow_family
+from casadi_skin import Bond, Lattice, OdeModel, Site, find_equilibrium, follow_family
 from casadi_skin.lattice.linear import bands, lattice_modes
 
 CUBIC, ONE = "y + g*y^3", ("1", "1")
@@ -122,3 +123,32 @@ def test_bands_at_other_gains_are_those_of_the_lattice_declared_with_them() -> N
     bonds = [("a", "b", (0,), "0.5*d", GAINS), ("b", "a", (1,), "d", ONE)]
     referee = Referee((30,), [("a", "y", "1"), ("b", "2*y", "1")], bonds, ("periodic",), {"gamma": 0.5})
     assert by_bands == pytest.approx(np.sort_complex(np.round(referee.modes()[0], 9)), abs=1e-6)
+
+
+@pytest.mark.parametrize("onsite", ["sin(y)", pytest.param("y^3/6 - y", marks=pytest.mark.slow)])
+def test_families_about_a_kink_are_those_of_another_program(onsite: str) -> None:
+    """Written by hand for the referee: the force at the kink is taken from that at a displacement from it."""
+    sites = np.arange(6)
+    guess = 4 * np.arctan(np.exp(1.6 * (sites - 2.5))) if onsite == "sin(y)" else 2.4 * np.tanh(sites - 2.5)
+    lattice = Lattice(6, [Site("a", onsite)], [Bond("a", "a", (1,), "k*d", GAINS)], "free", {"k": 0.3, "gamma": 0.02})
+    kink = find_equilibrium(lattice, guess)
+    assert kink.stable
+    orbit = follow_family(kink.centred_model(), mode=2, amplitude_max=0.1, at=(0.1,), tolerance=1e-10).at(S=0.1)
+    moved = onsite.replace("y", "(p + y)") + " - (" + onsite.replace("y", "p") + ")"
+    values = {"k": 0.3, "gamma": 0.02, "p": kink.positions.tolist()}
+    referee = Referee((6,), [("a", moved, "1")], chain("k*d"), ("free",), values)
+    cosines, Omega = referee.orbit(2, 0.1)
+    assert orbit.Omega == pytest.approx(Omega, rel=1e-10)
+    assert orbit.energy == pytest.approx(referee.energy(cosines.sum(axis=0)), rel=1e-9)
+
+
+def test_forces_about_a_rest_state_keep_their_digits_at_small_displacements() -> None:
+    y, k = ca.SX.sym("y"), ca.SX.sym("k")
+    model = OdeModel("well", y, ca.cos(y) - k, k, 2, ca.SX.sym("v"), reversal=(1, -1), nominal=(0.5,))
+    about = find_equilibrium(model, [-1.0]).centred_model()
+    force = ca.Function("f", [about.state], [about.rhs])
+    for u in (1e-9, 1e-4, 0.049, 0.051, 1.0):
+        exact = -2 * np.sin(u / 2) * np.sin(u / 2 - np.pi / 3)  # cos(u - pi/3) - cos(pi/3)
+        assert float(force(u)) == pytest.approx(exact, rel=1e-14)
+    with pytest.raises(ValueError, match="which is of first order; accepted: one of second order"):
+        find_equilibrium(OdeModel("decay", y, -y), [0.0]).centred_model()
