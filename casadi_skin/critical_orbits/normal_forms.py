@@ -27,6 +27,9 @@ UNKNOWN = "unknown: the model has no higher derivatives"
 def critical(point: SpecialPoint) -> Critical:
     """What decides at a special point of equilibria or orbits; raises ValueError for another one."""
     solution = point.solution
+    if point.kind in (DOUBLING, TORUS) and not isinstance(solution, Orbit):
+        accepted = "one of orbits, as `find_orbit` gives them"
+        raise ValueError(f"{point.kind}: given one of a boundary-value problem; accepted: {accepted}")
     if not isinstance(solution, Orbit) or point.kind not in (FOLD, DOUBLING, TORUS):
         return at_equilibrium(point)
     try:

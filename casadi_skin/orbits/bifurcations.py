@@ -1,4 +1,8 @@
-"""Period doublings, tori and branch points between two orbits of a branch, by root finding on their multipliers."""
+"""Period doublings, tori and branch points between two orbits of a branch, by root finding on their multipliers.
+
+Solutions of a boundary-value problem that its conditions close are orbits here too: of these branch points are counted
+while the branch is followed (see `branch_points`), and not sought again.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +18,14 @@ from casadi_skin import methods
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS, turns_between
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+
+if TYPE_CHECKING:
+    from casadi_skin.orbits.orbit import Orbit
 
 FINE = 1e-10  # of the way from one orbit to the next
 NEAR = 1e-2  # of it: where the extended equations of a special orbit are solved from
@@ -31,8 +40,8 @@ TINY = float(np.finfo(float).tiny)  # what stands for a multiplier that is below
 class _Stretch:
     """Two neighbouring orbits, with their multipliers in pairs: those of the second in the order of the first."""
 
-    before: Orbit
-    after: Orbit
+    before: Solution
+    after: Solution
 
     @cached_property
     def first(self) -> ComplexArray:
@@ -62,7 +71,7 @@ class _Stretch:
                 yield TORUS, _modulus(0.5 * (first + last)), 0.5 * (first + last)
             elif real.real < 0.0:
                 yield DOUBLING, _real(-1.0), -1.0
-            elif not turns_between(self.before.point, self.after.point):
+            elif not (_stated(self.before) or turns_between(self.before.point, self.after.point)):
                 yield BRANCH_POINT, _real(1.0), 1.0
 
     def hidden(self, space: BoundarySpace) -> float | None:
@@ -95,17 +104,24 @@ class _Stretch:
         return None
 
 
-def bifurcations_between(before: Orbit, after: Orbit) -> Iterator[Orbit]:
+def bifurcations_between(before: Solution, after: Solution) -> Iterator[Solution]:
     """Orbits between two neighbours at which one multiplier, or a pair, crosses the unit circle, in order.
 
     Only where multipliers are free to do so: in models that are not conservative, over the whole period.
     """
     space = before.space
-    if type(space) is BoundarySpace and before.floquet().trivial < 2 and space.symmetry.value == 1.0:
+    if type(space) is not BoundarySpace or before.floquet().trivial > 1:
+        return
+    if _stated(before) or space.symmetry.value == 1.0:
         yield from _between(space, _Stretch(before, after), HALVINGS)
 
 
-def _between(space: BoundarySpace, stretch: _Stretch, halvings: int) -> Iterator[Orbit]:
+def _stated(solution: Solution) -> bool:
+    """Whether a solution is one of a boundary-value problem that is stated, not made of an orbit."""
+    return isinstance(solution.space, BoundarySpace) and solution.space.periodic is None
+
+
+def _between(space: BoundarySpace, stretch: _Stretch, halvings: int) -> Iterator[Solution]:
     """Special orbits of a stretch, which is divided until not more than one of them is on each part."""
     crossings, fraction = list(stretch.crossings()), None
     if halvings:
@@ -113,7 +129,7 @@ def _between(space: BoundarySpace, stretch: _Stretch, halvings: int) -> Iterator
     if fraction is not None:
         point = space.point_solver.along(stretch.before.point, stretch.after.point, fraction)
         if point is not None:
-            middle = Orbit(space, point, known_floquet=space.floquets([point])[0])
+            middle = solution_at(space, point, space.floquets([point])[0])
             yield from _between(space, _Stretch(stretch.before, middle), halvings - 1)
             yield from _between(space, _Stretch(middle, stretch.after), halvings - 1)
             return
@@ -128,7 +144,7 @@ def _matched(first: ComplexArray, last: ComplexArray) -> ComplexArray:
     return np.asarray(last[linear_sum_assignment(np.abs(first[:, None] - last))[1]])
 
 
-def _sides(orbit: Orbit, multipliers: ComplexArray) -> Array:
+def _sides(orbit: Solution, multipliers: ComplexArray) -> Array:
     outwards = _outwards(multipliers)
     if orbit.point.special and outwards.size:
         nearest = multipliers[np.argmin(np.abs(outwards))]
@@ -170,19 +186,19 @@ def _nearest(values: ComplexArray, place: complex) -> complex:
 
 
 def _located(
-    space: BoundarySpace, before: Orbit, after: Orbit, kind: str, test: Callable[[Floquet], float], place: complex
-) -> tuple[float, Orbit] | None:
+    space: BoundarySpace, before: Solution, after: Solution, kind: str, test: Callable[[Floquet], float], place: complex
+) -> tuple[float, Solution] | None:
     """The orbit at which a test vanishes, with its place on the way; None where none is found."""
     from scipy.optimize import brentq
 
-    known: dict[float, Orbit] = {0.0: before, 1.0: after}
+    known: dict[float, Solution] = {0.0: before, 1.0: after}
 
     def value(fraction: float) -> float:
         if fraction not in known:
             point = space.point_solver.along(before.point, after.point, fraction)
             if point is None:
                 raise ArithmeticError(space.point_solver.failure)
-            known[fraction] = Orbit(space, point, known_floquet=space.floquets([point])[0])
+            known[fraction] = solution_at(space, point, space.floquets([point])[0])
         return test(known[fraction].floquet())
 
     low = BESIDE if before.point.special else 0.0
@@ -196,9 +212,10 @@ def _located(
         near = float(brentq(value, low, high, xtol=NEAR))
         value(near)
         angle = abs(float(np.angle(_nearest(known[near].floquet().others, place))))
-        point = methods.TASKS["special_orbit"].load()(space, kind, known[near].point, angle)
+        located = None if _stated(before) else methods.TASKS["special_orbit"].load()
+        point = None if located is None else located(space, kind, known[near].point, angle)
         if point is not None:
-            return near, Orbit(space, point, known_floquet=space.floquets([point])[0])
+            return near, solution_at(space, point, space.floquets([point])[0])
     with suppress(ArithmeticError):  # at a branch point itself no orbit is alone: the nearest one stands for it
         brentq(value, low, high, xtol=FINE)
     root = min(known, key=lambda fraction: abs(value(fraction)))
@@ -212,7 +229,7 @@ def _located(
     return root, _special(orbit, kind, abs(value(root)) + orbit.floquet().error, slope)
 
 
-def _special(orbit: Orbit, kind: str, uncertain: float, slope: float) -> Orbit:
+def _special(orbit: Solution, kind: str, uncertain: float, slope: float) -> Solution:
     """The orbit marked, with the error of its parameter by that of its multiplier."""
     point: Point = orbit.point
     moved = uncertain / abs(slope) if slope else np.inf

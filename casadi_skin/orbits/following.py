@@ -114,7 +114,7 @@ class Following:
         if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
             return None
         before = self.solutions[-1]
-        if not (isinstance(before, Orbit) and isinstance(solution, Orbit)):
+        if not (_closes(before) and _closes(solution)):
             return None
         if before.floquet().stable == solution.floquet().stable:
             return None
@@ -126,7 +126,7 @@ class Following:
             return
         before = self.solutions[-1]
         leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
-        if isinstance(before, Orbit) and isinstance(solution, Orbit) and not leaving:
+        if _closes(before) and _closes(solution) and not leaving:
             yield from bifurcations_between(before, solution)
 
     def _with_stability(self) -> Iterator[Solution]:
@@ -157,6 +157,12 @@ class Following:
             self.stability or self.space.knows_stability, end, detail, misses,
             stopped or self._stopped, self.events,
         )  # fmt: skip
+
+
+def _closes(solution: Solution) -> bool:
+    """Whether a solution is an orbit, or one of a boundary-value problem whose conditions close it."""
+    space = solution.space
+    return isinstance(solution, Orbit) or (isinstance(space, BoundarySpace) and space.closure is not None)
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:

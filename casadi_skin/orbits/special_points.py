@@ -30,8 +30,9 @@ class SpecialPoint:
     """A point of a branch that stands out, with the coefficient that decides there.
 
     Attributes:
-        kind: "fold"; of equilibria also "branch point" and "hopf"; of orbits whose stability was computed "period
-            doubling", "torus" and "branch point"; where they end "hopf", or "homoclinic" or "heteroclinic" where their
+        kind: "fold"; of equilibria also "branch point" and "hopf"; of boundary-value problems "branch point"; of orbits
+            whose stability was computed "period doubling", "torus" and "branch point", the first two also of problems
+            whose conditions close their solutions; where they end "hopf", or "homoclinic" or "heteroclinic" where their
             period grows without bound.
         parameter: name of what the branch is followed in.
         parameters: values of all parameters by name, and of what the branch is followed in.
@@ -48,7 +49,9 @@ class SpecialPoint:
     mu: float | None = None
 
     def __repr__(self) -> str:
-        words = f", {self.criticality}" if self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None else ""
+        stated = getattr(self.solution.space, "periodic", self) is None  # without a known normal form
+        with_form = self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None and not stated
+        words = f", {self.criticality}" if with_form else ""
         words += "".join(f", loses its {what}" for what in self.lost)
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"

@@ -12,7 +12,7 @@ from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.stability.result import Floquet
 
 if TYPE_CHECKING:
-    from casadi_skin.orbits.orbit import Orbit
+    from casadi_skin.orbits.solution import Solution
 
 WIDTH = 1e-6  # of the bracket in what is followed
 FINEST = 1e-14  # of the way from one orbit to the next
@@ -25,11 +25,11 @@ class StabilityChange:
 
     Attributes:
         value: of the quantity that the branch is followed in.
-        Omega: frequency there.
+        Omega: frequency there; of a boundary-value problem 2 pi over the length of its interval.
         kind: that of the instability on the unstable side, "real" or "complex".
         stable_before, stable_after: in the order of the branch.
         angle: of the multiplier by which the unstable side is unstable, in [0, pi]: pi where a period doubles.
-        error: width of the bracket, in what the branch is followed in.
+        error: width of the bracket, in what the branch is followed in, and what the multiplier's error adds to it.
     """
 
     value: float
@@ -55,11 +55,11 @@ class _Bracket:
     `gap` of a fraction of the way is analytic through the change, but for the choice of its multiplier.
     """
 
-    def __init__(self, space: SolutionSpace, before: Orbit, after: Orbit) -> None:
+    def __init__(self, space: SolutionSpace, before: Solution, after: Solution) -> None:
         self._space, self._ends = space, (before, after)
         self.first, self.last, self.low, self.high = before, after, 0.0, 1.0
 
-    def value(self, orbit: Orbit) -> float:
+    def value(self, orbit: Solution) -> float:
         """Where an orbit is along the branch."""
         return self._space.value(self._space.parameter, orbit.point)
 
@@ -117,7 +117,7 @@ class _Bracket:
                 return
 
 
-def locate_change(space: SolutionSpace, before: Orbit, after: Orbit) -> StabilityChange:
+def locate_change(space: SolutionSpace, before: Solution, after: Solution) -> StabilityChange:
     """Find the change of stability on the stretch of branch between two neighbouring orbits (Brent 1973).
 
     Where the corrector fails inside the bracket the change is given with the bracket reached. Raises FlowError from
@@ -129,12 +129,21 @@ def locate_change(space: SolutionSpace, before: Orbit, after: Orbit) -> Stabilit
     first, last = bracket.first, bracket.last
     others = bracket.unstable.others[bracket.unstable.outside]
     multiplier = complex(others[np.argmax(np.abs(others))])
+    value = 0.5 * (bracket.value(first) + bracket.value(last))
+    far = after if before.floquet().stable else before
+    beyond = abs(far.floquet().max_abs_multiplier - 1.0)
+    moved = bracket.unstable.error * abs(bracket.value(far) - value) / max(beyond, TINY)
     return StabilityChange(
-        value=0.5 * (bracket.value(first) + bracket.value(last)),
-        Omega=0.5 * (first.Omega + last.Omega),
+        value=value,
+        Omega=0.5 * (_frequency(first) + _frequency(last)),
         kind="complex" if multiplier.imag else "real",
         stable_before=before.floquet().stable,
         stable_after=after.floquet().stable,
         angle=abs(float(np.angle(multiplier))),
-        error=bracket.width,
+        error=bracket.width + min(moved, abs(bracket.value(after) - bracket.value(before))),
     )
+
+
+def _frequency(solution: Solution) -> float:
+    start, end = solution.interval
+    return float(getattr(solution, "Omega", 2.0 * np.pi / (end - start)))

@@ -36,8 +36,8 @@ class Place:
 
     @property
     def floquet(self) -> Floquet:
-        """Stability of the orbit."""
-        return self.orbit.floquet()
+        """Stability of the solution, an orbit or one that its conditions close."""
+        return self.solution.floquet()
 
     @cached_property
     def extremes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -110,3 +110,31 @@ def test_branch_points_close_to_each_other_are_all_found(seed: int) -> None:
     problem = BoundaryValueProblem(model, [start * (start - product)], parameters={"p": 0.0})
     points = problem.solve([0.0]).follow("p", 1.2).special_points
     np.testing.assert_allclose([point.parameters["p"] for point in points], places, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(("turn", "sign", "kind"), [(2.0, 1.0, "torus"), (0.0, -1.0, "period doubling")])
+def test_multipliers_of_closed_solutions_cross_the_circle_where_they_do(turn: float, sign: float, kind: str) -> None:
+    """x' = A x - |x|^2 x has the multipliers sign exp(a +- i turn) at x = 0, of which the second is damped if real."""
+    x, y, a = symbols("x y a")
+    damping = 0.0 if turn else 2.0
+    rate = ca.vertcat(a * x - turn * y, turn * x + (a - damping) * y) - (x**2 + y**2) * ca.vertcat(x, y)
+    model = OdeModel("closed", ca.vertcat(x, y), rate, a)
+    problem = BoundaryValueProblem(
+        model, [model.start(x) - sign * model.end(x), model.start(y) - sign * model.end(y)], parameters={"a": -0.7}
+    )
+    branch = problem.solve([0.0, 0.0]).follow("a", 1.1, stability=True)
+    (point,), (change,) = branch.special_points, branch.changes
+    assert point.kind == kind
+    assert abs(point.parameters["a"]) <= point.error < 1e-6
+    assert abs(change.value) <= change.error < 1e-4
+    assert change.stable_before
+    assert not change.stable_after
+    assert change.angle == pytest.approx(turn or np.pi, abs=1e-5)
+    assert np.all(branch.to_dataframe()["max_abs_multiplier"] > 0.0)
+    assert repr(point).startswith(f"<{kind} at a = ")
+    with pytest.raises(ValueError, match=rf"{kind}: given one of a boundary-value problem; accepted: one of orbits"):
+        _ = point.coefficient
+    with pytest.raises(ValueError, match=f"follow: given a {kind}"):
+        point.follow("a", 0.5)
+    with pytest.raises(ValueError, match="accepted"):
+        point.curve("a", 0.5)
