@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 MARK = "<!-- gallery -->"
-PAGES = ("examples.md", "lattices.md", "equilibria.md", "maps.md", "search.md", "scenes_of_any_model.md", "fmu.md")
+NAMES = "examples lattices lattice_examples equilibria maps search scenes_of_any_model fmu"
+PAGES = tuple(f"{name}.md" for name in NAMES.split())
 PICTURE = re.compile(r"^(#{1,3}) (?P<head>.+)$|^!\[(?P<words>[^\]]*)\]\((?P<path>pictures/[^)]+)\)", re.MULTILINE)
 
 

@@ -23,21 +23,12 @@ WITH_PROGRAMS = [name for name, path in PAGES.items() if "```python\n" in path.r
 NOTEBOOKS = ("my_chain", "my_lattice", "my_ode")
 ELSEWHERE = ("smallest_kick",)  # its program takes a minute; test_example_scripts.py does the same with fewer starts
 CLUSTERS = ("executorlib", "mpi4py", "dask_jobqueue")  # programs that import these need a cluster
-REFERENCES = ("paper_claims", "python_reference", "scene_reference")  # tables to look things up in, partly generated
-LONG = (
-    "boundary_value_problems",
-    "equilibria",
-    "every_change_of_stability",
-    "export_c",
-    "fmu",
-    "how_orbits_are_found",
-    "lattices",
-    "periodic_orbits_of_any_model",
-    "promises",
-    "proved_orbits",
-    "search",
-    "tradeoff",
-)  # to be divided
+REFERENCES = (
+    "paper_claims",
+    "python_reference",
+    "scene_reference",
+    "tradeoff_table",
+)  # tables to look things up in, partly generated
 MOST_WORDS = 1500
 CHART = """[chain]
 sites = 4
@@ -128,7 +119,7 @@ def test_the_scenes_of_a_page_are_accepted(page: str) -> None:
     parse_scene(scene, page)
 
 
-@pytest.mark.parametrize("page", [name for name in PAGES if name not in (*REFERENCES, *LONG)])
+@pytest.mark.parametrize("page", [name for name in PAGES if name not in REFERENCES])
 def test_a_page_is_read_in_one_go(page: str) -> None:
     assert len(PAGES[page].read_text(encoding="utf-8").split()) < MOST_WORDS
 
