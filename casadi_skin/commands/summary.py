@@ -42,6 +42,7 @@ def print_summary(run: Run) -> None:
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
+        _print_of_families(run)
     elif branches and run.request.scene.has_diagram:
         Console().print(_diagram(run, branches))
     elif branches:
@@ -52,6 +53,16 @@ def print_summary(run: Run) -> None:
         print(f"dynamics: {run.evolution.status}")
     count = "" if isinstance(run.branches[0].space, Family) else f"{_counted(branches)}; "
     print(f"{count}results in {run.directory}")
+
+
+def _print_of_families(run: Run) -> None:
+    """What was followed from families."""
+    found = run.of_families
+    if found.leaving:
+        points = _counted([branch for _, branch in found.leaving])
+        print(f"branches that leave: {len(found.leaving)}, with {points}")
+    if found.edges:
+        print(f"edges of tongues: {len(found.edges)}, with {sum(len(curve) for _, _, curve in found.edges)} points")
 
 
 def _counted(branches: list[Branch]) -> str:

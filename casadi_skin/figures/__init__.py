@@ -4,7 +4,7 @@ Figures are made without pyplot and leave the caller's matplotlib settings alone
 by labels, markers and dashes, never by colour alone. `figures.spacetime` is imported where a time evolution is drawn.
 """
 
-from casadi_skin.figures.bifurcation import bifurcation_figure, curves_figure
+from casadi_skin.figures.bifurcation import bifurcation_figure, curves_figure, edges_figure
 from casadi_skin.figures.branch import branch_figure, orbit_figure
 from casadi_skin.figures.frequencies import frequency_figure
 from casadi_skin.figures.multipliers import multiplier_figure
@@ -17,6 +17,7 @@ __all__ = [
     "bifurcation_figure",
     "branch_figure",
     "curves_figure",
+    "edges_figure",
     "frequency_figure",
     "multiplier_figure",
     "orbit_figure",

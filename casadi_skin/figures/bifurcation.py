@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.figures.branch_lines import LOOKS, MARKS, PLAIN, label_of, smooth, stability_pieces
-from casadi_skin.figures.style import blank, colours, finished, plain, style
+from casadi_skin.figures.style import amplitude_label, blank, colours, finished, plain, style
 from casadi_skin.figures.style import title as model_title
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from casadi_skin.critical_orbits.edges import EdgeCurve
+
 DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
 CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
     ("fold", False): ("folds", "-"),
@@ -28,7 +30,6 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("fold", True): ("folds of cycles", "-"),
     ("period doubling", True): ("period doublings", DASHED),
     ("torus", True): ("tori", DOTTED),
-    ("edge of a tongue", True): ("edges of tongues", "-"),
 }
 WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
 
@@ -99,6 +100,36 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))
         axes.set_title(_title(curves[0], title, (first, second)))
+        return finished(figure, [axes], 4)
+
+
+def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
+    """Edges of tongues of families in the plane of a parameter and S, with their error bars where these show.
+
+    Arguments:
+        curves: what `Branch.edge(number).curve` gives, all in the same parameter.
+        title: stands in place of the name of the model.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: curves are in different parameters.
+    """
+    if len({curve.parameter for curve in curves}) != 1:
+        raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
+    model, name = curves[0].points[0].orbit.model, curves[0].parameter
+    words = {"real": "through 1 or -1", "complex": "Krein collisions"}
+    with style():
+        figure = blank(6.0, 4.4)
+        axes = figure.subplots()
+        for kind, colour in zip(words, colours(2), strict=True):
+            alike = [curve for curve in curves if curve.kind == kind]
+            for k, curve in enumerate(alike):
+                path = np.column_stack([curve[name], curve.S])
+                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words[kind] if k == 0 else None)
+        axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
+        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}")
         return finished(figure, [axes], 4)
 
 

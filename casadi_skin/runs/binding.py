@@ -13,7 +13,7 @@ from casadi_skin.runs.states import check_state, values_of
 from casadi_skin.scene import Scene, SceneError
 from casadi_skin.scene.faults import check_known, refusal
 from casadi_skin.scene.lattice_tables import LatticeTable
-from casadi_skin.scene.model_tables import SELECTED, EquilibriumTable, ModelTable
+from casadi_skin.scene.model_tables import SELECTED, ContinuationTable, EquilibriumTable, ModelTable
 
 if TYPE_CHECKING:
     pass
@@ -174,6 +174,18 @@ def _check_equilibrium(request: Request, table: EquilibriumTable) -> None:
     check_state("[equilibrium] start", table.start, model.state_names)
 
 
+def _check_edges(request: Request, table: ContinuationTable) -> None:
+    """The parameter in which edges of tongues of families are followed."""
+    if table.curve is None:
+        return
+    name, to = table.curve.parameter, table.curve.to
+    check_known("[continuation] curve", name, list(request.parameters))
+    if to == request.parameters[name]:
+        raise refusal("[continuation] curve", f"to = {to!r}, where it starts", "another number")
+    if request.scene.chain is not None and name == "gamma" and abs(to) >= 1:
+        raise refusal("[continuation] curve", f"to = {to!r} for gamma", "numbers between -1 and 1")
+
+
 def _check_continuation(request: Request) -> None:
     table, values = request.scene.continuation, dict(request.parameters)
     if table is None:
@@ -182,6 +194,9 @@ def _check_continuation(request: Request) -> None:
     if problem is not None and (problem.optimises or problem.bounds):
         what = "an objective" if problem.optimises else "bounds"
         raise refusal("[continuation]", f"with a problem that has {what}", "a problem without")
+    if request.scene.family is not None:
+        _check_edges(request, table)
+        return
     if SELECTED not in values and request.scene.orbit is not None and request.scene.orbit.select is not None:
         values[SELECTED] = next(iter(request.scene.orbit.select.values()))
     free = () if problem is None else problem.free

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
@@ -36,6 +36,9 @@ from casadi_skin.runs.request import Request
 from casadi_skin.solvers.watch import watched
 from casadi_skin.stability.flow import FlowError
 
+if TYPE_CHECKING:
+    from casadi_skin.critical_orbits.edges import EdgeCurve
+
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
 
 
@@ -60,6 +63,19 @@ class Rows(Protocol):
 
 
 @dataclass
+class OfFamilies:
+    """What was followed from families; the lists fill as a run goes on.
+
+    Attributes:
+        leaving: branches that leave families, with their names.
+        edges: edges of tongues with the number of the mode, and their places in `changes` from 1.
+    """
+
+    leaving: list[tuple[str, Branch]] = field(default_factory=list)
+    edges: list[tuple[int, int, EdgeCurve]] = field(default_factory=list)
+
+
+@dataclass
 class Branches:
     """What is followed for a request.
 
@@ -67,6 +83,7 @@ class Branches:
         branches, seconds: fill as branches end.
         failures: why a part is not what was asked for, in a line each.
         tables: rows of what has been computed.
+        of_families: what is followed from families beside them.
     """
 
     request: Request
@@ -75,6 +92,7 @@ class Branches:
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    of_families: OfFamilies = field(default_factory=OfFamilies)
 
     @property
     def _with_stability(self) -> bool:
@@ -101,8 +119,28 @@ class Branches:
                     self._follow(name, space, journal)
                     self._seek_changes(name, self.branches[-1])
                 self.seconds.append(time.perf_counter() - started)
+            self._from_families(journal)
         except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
             self.failures.append(str(error))
+
+    def _from_families(self, journal: Records) -> None:
+        """Branches that leave families, and edges of their tongues, where the scene asks for them."""
+        table = self.request.scene.continuation
+        if self.request.scene.family is None or table is None:
+            return
+        from casadi_skin.runs.family_points import follow_edges, leaving_spaces
+
+        families = [branch for branch in self.branches if len(branch)]
+        for name, space in leaving_spaces(families, table, self.failures):
+            self.progress.say(name)
+            before = len(self.branches)
+            try:
+                with self._named(f"[continuation] switch: {name}: "):
+                    self._follow(name, space, journal)
+            finally:  # beside the families, also where it is interrupted
+                self.of_families.leaving += [(name, branch) for branch in self.branches[before:]]
+                del self.branches[before:]
+        follow_edges(families, table, self.of_families, self.failures, self.progress)
 
     @contextmanager
     def _named(self, where: str) -> Iterator[None]:

@@ -136,7 +136,19 @@ def _family_lines(request: Request) -> Lines:
     if first.certify:
         which = "every orbit" if first.certify == "all" else "the orbits asked for"
         lines.append(("proofs", f"of {which}, in balls"))
+    lines += _of_family_lines(request)
     lines.append(("expected cost", _cost(request, family, problem, building)))
+    return lines
+
+
+def _of_family_lines(request: Request) -> Lines:
+    """What is followed from families."""
+    table, lines = request.scene.continuation, list[tuple[str, str]]()
+    if table is not None and table.switch:
+        lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, to S = {table.to:g}"))
+    if table is not None and table.curve is not None:
+        curve = table.curve
+        lines.append(("curves", f"edges of tongues in {curve.parameter} to {curve.to:g}, with S free"))
     return lines
 
 

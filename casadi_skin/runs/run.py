@@ -14,7 +14,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.progress import Progress
 from casadi_skin.results.family_quantities import certified
-from casadi_skin.runs.branches import Branches
+from casadi_skin.runs.branches import Branches, OfFamilies
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.tables import Tables
@@ -46,6 +46,7 @@ class Run:
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    of_families: OfFamilies = field(default_factory=OfFamilies)
     evolution: Evolution | None = None
     search: SearchResult | None = None
     exported: tuple[Path, ...] = ()
@@ -69,7 +70,7 @@ class Run:
         self._evolve()
         self._search()
         self._export()
-        complete = all(self._ended_well(branch) for branch in self.branches) and not self.failures
+        complete = all(self._ended_well(branch) for branch in self.branches) and not self._other_reasons()
         if complete:
             (self.directory / JOURNAL).unlink(missing_ok=True)
         return complete
@@ -77,7 +78,9 @@ class Run:
     def _follow(self) -> None:
         if self.request.scene.search is not None:  # its journal is of another kind
             return
-        followed = Branches(self.request, self._tables, self.progress, self.branches, self.seconds, self.failures)
+        followed = Branches(
+            self.request, self._tables, self.progress, self.branches, self.seconds, self.failures, self.of_families
+        )  # fmt: skip
         followed.follow_all(self.directory / JOURNAL)
 
     def reasons(self) -> list[str]:
@@ -91,7 +94,15 @@ class Run:
             else:
                 table = "continuation" if branch.parameter else "stability"
                 reasons.append(f"[{table}]: {branch.reason}")
-        return [*reasons, *self.failures]
+        return [*reasons, *self._other_reasons()]
+
+    def _other_reasons(self) -> list[str]:
+        """Why what was followed from families, or another part, is not what was asked for."""
+        if self.request.scene.family is None or self.request.scene.continuation is None:
+            return self.failures
+        from casadi_skin.runs.family_points import reasons
+
+        return [*reasons(self.of_families), *self.failures]
 
     def _ended_well(self, branch: Branch) -> bool:
         """Whether a branch reached what was asked, or the natural end of what leaves another one."""
@@ -181,6 +192,11 @@ class Run:
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
             return
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
+        if self.request.scene.family is not None and self.request.scene.continuation is not None:
+            from casadi_skin.runs.family_points import write_of_families
+
+            attributes = origin(self.request, self.scene_text)
+            write_of_families(self.request, branches, self.of_families, attributes, self.directory)
 
     def _tell_unproved(self, branches: Sequence[Branch]) -> None:
         """Say which orbits no proof was found for."""

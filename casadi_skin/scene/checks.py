@@ -5,7 +5,7 @@ import math
 from casadi_skin.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.scene.chain_checks import check_chain_family, check_infinite, check_long_lattice
 from casadi_skin.scene.faults import SceneError, refusal, toml_repr
-from casadi_skin.scene.model_tables import SELECTED, ModelTable
+from casadi_skin.scene.model_tables import AMPLITUDE, SELECTED, ContinuationTable, ModelTable
 from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import AccuracyTable, FamilyTable, MethodTable, one_of
 from casadi_skin.scene.task_checks import check_dynamics, check_export, check_figures, check_search
@@ -115,9 +115,9 @@ def _check_sought(scene: Scene) -> None:
             'beside a [family] or an [orbit], or with "hopf" in [continuation] switch, whose stability it asks for'
         )
         raise refusal("[stability]", "without [family] or [orbit]", accepted)
-    if scene.continuation is not None and not {"equilibrium", "orbit", "solution"} & set(sought):
-        accepted = "beside an [equilibrium], an [orbit] or a [solution], from which it follows a branch"
-        raise refusal("[continuation]", "without [equilibrium], [orbit] or [solution]", accepted)
+    if scene.continuation is not None and not sought:
+        accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
+        raise refusal("[continuation]", "without [family], [equilibrium], [orbit] or [solution]", accepted)
     if scene.equilibrium is not None and scene.method != MethodTable():
         raise refusal("[method]", "beside [equilibrium]", "beside [family], [orbit] or [solution]")
 
@@ -144,11 +144,14 @@ def _check_continuation(scene: Scene) -> None:
     for item, value in enumerate(table.at, start=1):
         if value in table.at[: item - 1]:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
-    for key in ("switch", "depth"):
-        if getattr(table, key) not in ((), None) and scene.equilibrium is None:
-            raise refusal(f"[continuation] {key}", "without [equilibrium]", "beside an [equilibrium]")
-    if table.curve is not None and scene.equilibrium is None and scene.orbit is None:
-        raise refusal("[continuation] curve", "without [equilibrium] or [orbit]", "beside one of them")
+    if scene.family is not None:
+        _check_of_family(scene, table)
+    if table.depth is not None and scene.equilibrium is None:
+        raise refusal("[continuation] depth", "without [equilibrium]", "beside an [equilibrium]")
+    if table.switch and scene.equilibrium is None and scene.family is None:
+        raise refusal("[continuation] switch", "without [equilibrium] or [family]", "beside one of them")
+    if table.curve is not None and scene.solution is not None:
+        raise refusal("[continuation] curve", "beside [solution]", "beside [family], [equilibrium] or [orbit]")
     for item, kind in enumerate(table.switch, start=1):
         if kind in table.switch[: item - 1]:
             raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")
@@ -156,6 +159,23 @@ def _check_continuation(scene: Scene) -> None:
         raise refusal("[continuation] curve", f"parameter = {toml_repr(table.parameter)} again", "another parameter")
     if table.parameter == SELECTED and scene.solution is not None:
         raise refusal("[continuation] parameter", toml_repr(SELECTED), "with [orbit] select, whose value it moves")
+
+
+def _check_of_family(scene: Scene, table: ContinuationTable) -> None:
+    """Beside a family branches that leave it are followed in S, and edges of its tongues in a parameter."""
+    if table.parameter != AMPLITUDE:
+        raise refusal("[continuation] parameter", toml_repr(table.parameter), '"S" beside [family]')
+    if not table.switch and table.curve is None:
+        raise refusal("[continuation]", "beside [family] without switch or curve", "with one of them, or both")
+    for key in ("at", "back_to"):
+        if getattr(table, key) not in ((), None):
+            raise refusal(f"[continuation] {key}", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
+    if scene.stability is None or not scene.stability.events:
+        raise refusal("[continuation]", "beside [family] without [stability] events", "with [stability], events = true")
+    if "hopf" in table.switch:
+        raise refusal("[continuation] switch", '"hopf" beside [family]', '"branch point" and "period doubling"')
+    if not table.to > 0.0:
+        raise refusal("[continuation] to", repr(table.to), "a number > 0, which is S, beside [family]")
 
 
 # Families ------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from casadi_skin.scene.tables import Finite, Positive, Table, one_of
 
+AMPLITUDE = "S"  # what branches that leave families are followed in
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
 
@@ -145,7 +146,11 @@ class ContinuationTable(Table, frozen=True):
 
     parameter: Annotated[
         _Text,
-        Meta(title="Parameter", description=f'the name of a parameter, or "{SELECTED}": the value in [orbit] select'),
+        Meta(
+            title="Parameter",
+            description=f'the name of a parameter, or "{SELECTED}": the value in [orbit] select; beside [family] '
+            f'"{AMPLITUDE}"',
+        ),
     ]
     to: Annotated[Finite, Meta(title="Value at which the branch ends", description="a finite number")]
     at: Annotated[
@@ -176,8 +181,8 @@ class ContinuationTable(Table, frozen=True):
     switch: Annotated[
         tuple[Leaving, ...],
         Meta(
-            title="Special points of equilibria at which the branches that leave are followed too",
-            description=f"a list of {one_of(LEAVING)}, each once; beside [equilibrium]",
+            title="Special points of equilibria and families at which the branches that leave are followed too",
+            description=f"a list of {one_of(LEAVING)}, each once; beside [equilibrium] or, without hopf, [family]",
         ),
     ] = ()
     depth: Annotated[
@@ -197,8 +202,8 @@ class ContinuationTable(Table, frozen=True):
     curve: Annotated[
         CurveTable | None,
         Meta(
-            title="Second parameter in which folds, Hopf points, period doublings and tori are followed",
+            title="Second parameter in which folds, Hopf points, doublings, tori and edges of tongues are followed",
             description="a table with parameter, the name of another parameter, and to, a number; beside "
-            "[equilibrium] or [orbit]; period doublings and tori are located with [stability]",
+            "[equilibrium], [orbit] or, with S free, [family]; period doublings and tori are located with [stability]",
         ),
     ] = None

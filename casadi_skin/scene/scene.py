@@ -78,7 +78,7 @@ class Scene(Table, frozen=True):
     def has_diagram(self) -> bool:
         """Whether branches that leave, or curves in two parameters, belong to the branch that is followed."""
         curves = self.continuation is not None and self.continuation.curve is not None
-        return self.equilibrium is not None or curves
+        return self.equilibrium is not None or (curves and self.family is None)
 
     def same_request(self, other: "Scene") -> bool:
         """Whether the other scene asks for the same, whatever its title."""

@@ -170,7 +170,7 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ),
         (
             "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\nswitch=["hopf"]\n',
-            "[continuation] switch: given without [equilibrium]; accepted: beside an [equilibrium]",
+            "[continuation] switch: given without [equilibrium] or [family]; accepted: beside one of them",
         ),
     ],
 )  # fmt: skip

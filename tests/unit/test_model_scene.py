@@ -166,8 +166,7 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a "),
         (
             scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"),
-            "[continuation]: given without [equilibrium], [orbit] or [solution]; accepted: beside an [equilibrium], "
-            "an [orbit] or a [solution], from ",
+            "[continuation]: given without [family], [equilibrium], [orbit] or [solution]; accepted: beside a ",
         ),
         (
             scene_of("a", ORBIT + "[continuation]\nparameter = 'b'\nto = 3\nat = [2, 2]\n"),

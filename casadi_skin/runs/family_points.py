@@ -1,0 +1,110 @@
+"""What belongs to families beside their points: branches that leave them, and edges of tongues in a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import casadi_skin.figures as figures
+from casadi_skin.critical_orbits.edges import EdgeCurve
+from casadi_skin.equilibria.switch import leaving_space
+from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.progress import Progress
+from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
+from casadi_skin.results.frames import edge_columns
+from casadi_skin.results.quantities import dataset_of
+from casadi_skin.runs.branches import OfFamilies
+from casadi_skin.runs.diagram import ended_well
+from casadi_skin.runs.pictures import picture
+from casadi_skin.runs.request import Request
+from casadi_skin.runs.writing import mode_of
+from casadi_skin.scene.model_tables import ContinuationTable
+
+POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
+
+
+def reasons(found: OfFamilies) -> Iterator[str]:
+    """Why something that was followed from families did not end well, in a line each."""
+    for name, branch in found.leaving:
+        if not ended_well(branch):
+            yield f"[continuation] switch: {name}: {branch.reason}"
+    for mode, number, curve in found.edges:
+        if not curve.complete:
+            yield f"[continuation] curve: mode {mode}, edge {number}: {curve.reason}"
+
+
+def leaving_spaces(
+    families: Sequence[Branch], table: ContinuationTable, failures: list[str]
+) -> Iterator[tuple[str, SolutionSpace]]:
+    """Names and spaces of what leaves families at the special points of the kinds asked for."""
+    for family in families:
+        for number, point in enumerate(family.special_points, start=1):
+            if point.kind not in table.switch:
+                continue
+            options = {"at": (), "max_points": table.max_points, "max_step": table.max_step, "tolerance": 1e-8}
+            try:
+                space = leaving_space(point, "S", table.to, side=1, **options)  # type: ignore[arg-type]
+            except (ValueError, ArithmeticError) as error:
+                where = f"mode {mode_of(family)}, {point.kind} at S = {point.parameters['S']:.8g}"
+                failures.append(f"[continuation] switch: {where}: {error}")
+            else:
+                yield f"other_j{mode_of(family)}_{number}", space
+
+
+def follow_edges(
+    families: Sequence[Branch], table: ContinuationTable, found: OfFamilies, failures: list[str], progress: Progress
+) -> None:
+    """Follow the edge at every change of stability of families in the second parameter."""
+    if table.curve is None:
+        return
+    for family in families:
+        for number in range(1, len(family.changes) + 1):
+            progress.say(f"j = {mode_of(family)}: edge {number} of {len(family.changes)} in {table.curve.parameter}")
+            try:
+                point = family.edge(number - 1)
+                options = {"max_points": table.max_points, "max_step": table.max_step}
+                curve = point.curve(table.curve.parameter, table.curve.to, **options)
+            except (ValueError, ArithmeticError) as error:
+                failures.append(f"[continuation] curve: mode {mode_of(family)}, edge {number}: {error}")
+            else:
+                found.edges.append((mode_of(family), number, curve))
+
+
+def write_of_families(
+    request: Request, families: Sequence[Branch], found: OfFamilies, attributes: dict[str, float | str], directory: Path
+) -> None:
+    """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
+    rows = [row for family in families for row in _rows(f"j{mode_of(family)}", family)]
+    rows += [row for name, branch in found.leaving for row in _rows(name, branch)]
+    write_csv(directory / "special_points.csv", POINT_COLUMNS, rows)
+    for name, branch in found.leaving:
+        if len(branch):
+            write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    if found.edges:
+        table = [row for mode, number, curve in found.edges for row in _edge_rows(mode, number, curve)]
+        write_csv(directory / "edges.csv", list(table[0]), table)
+        curves = [curve for _, _, curve in found.edges]
+        picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
+
+
+def _rows(name: str, branch: Branch) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch in S."""
+    for point in branch.special_points:
+        orbit = point.solution
+        known: list[Cell] = [name, point.kind, point.parameters["S"], point.error, orbit.Omega, orbit.period]  # type: ignore[attr-defined]
+        yield dict(zip(POINT_COLUMNS, [*known, "" if point.mu is None else point.mu, _lost(point)], strict=True))
+
+
+def _lost(point: SpecialPoint) -> str:
+    return ", ".join(point.lost) if point.mu is not None else ""
+
+
+def _edge_rows(mode: int, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
+    """A row for each point of an edge."""
+    columns = edge_columns(curve)
+    for k in range(len(curve)):
+        values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
+        yield {"mode": mode, "edge": number, "kind": curve.kind, **values}
