@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Problem, SingularError, Solve
 from casadi_skin.continuation.hermite import interpolant
@@ -90,6 +91,8 @@ class OrbitSampler:
         fraction: of the period that transition matrices are over.
         symplectic: whether transition matrices are.
         S_rate: the relative change of S per that of the free parameter.
+
+    `coordinates` are those of the points.
     """
 
     def __init__(
@@ -109,6 +112,9 @@ class OrbitSampler:
         self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
         self._S_rate = S_rate
         self._sections = self._divided(points)
+        places = [section.offset + section.places[1:] - section.places[0] for section in self._sections]
+        self.coordinates = np.concatenate([[0.0], *places])
+        self._lost: list[float] = []
 
     @property
     def levels(self) -> Levels:
@@ -119,6 +125,13 @@ class OrbitSampler:
     def sections(self) -> Sequence[tuple[float, float]]:
         """Ends of the sections."""
         return [section.ends for section in self._sections]
+
+    def lost_between(self, stretches: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+        """Whether an orbit between a point and the next was not found within stretches, shape (points - 1,)."""
+        lost = np.array([c for c in self._lost if any(start <= c <= end for start, end in stretches)])
+        found = np.zeros(self.coordinates.size - 1, dtype=bool)
+        found[np.clip(np.searchsorted(self.coordinates, lost) - 1, 0, found.size - 1)] = True
+        return found
 
     # Sections -------------------------------------------------------------------------------------------------------
 
@@ -242,6 +255,7 @@ class OrbitSampler:
             except OrbitNotFoundError:
                 share *= NEARER
                 if share < NEAREST or added >= ADDED:
+                    self._lost.append(coordinate)
                     raise
             before, after = self._sections[number].neighbours(place)
             for target in (before + share * (place - before), after - share * (after - place)):

@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.branch_sampler import OrbitSampler
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.narrow_resonances import with_what_lies_between
 from casadi_skin.orbits.spectrum import linear_spectrum
 from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.tongues import StabilityDiagram
@@ -17,6 +18,7 @@ from casadi_skin.threads import one_thread
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: what is rounding in that of a mode without restoring force
+ROUNDS = 3  # of looking, each with orbits added where some were not found
 FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
 
 
@@ -40,7 +42,15 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
     others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != whole.coordinates.mode_number}
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
-        return find_changes(_sampler(family, points, flow_tolerance), others if oscillate else None)
+        for _ in range(ROUNDS):
+            sampler = _sampler(family, points, flow_tolerance)
+            diagram = find_changes(sampler, others if oscillate else None)
+            lost = sampler.lost_between([(u.coordinate_start, u.coordinate_end) for u in diagram.unresolved])
+            more = with_what_lies_between(family.point_solver, points, lost) if lost.any() else points
+            if len(more) == len(points):
+                break
+            points = more
+    return diagram
 
 
 def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:

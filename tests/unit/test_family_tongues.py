@@ -258,3 +258,16 @@ def test_beyond_a_fold_a_pair_meets_where_it_does() -> None:
         edge for edge in diagram.changes if edge.S < 0.49 and edge.place.coordinate > near[0].place.coordinate
     ]
     assert [(edge.stable_before, edge.stable_after) for edge in at_the_tip] == [(False, True)]
+
+
+@pytest.mark.slow
+def test_changes_in_a_narrow_resonance_that_the_points_pass_by_are_found() -> None:
+    """Beyond S = 0.474 the family turns aside; a walk in long steps goes straight on: orbits are added."""
+    chain = Chain(8, 0.399, 0.057, -1.0)
+    branches = [follow_family(chain, 1, 0.6, tolerance=1e-9, walker=walker) for walker in ("series", "arclength")]
+    first, other = (tongues_along(branch) for branch in branches)
+    assert min(np.min(np.diff(branches[0].S)), 0.0) < 0.0
+    assert first.complete
+    assert other.complete
+    assert [(e.kind, e.stable_after) for e in first.changes] == [(e.kind, e.stable_after) for e in other.changes]
+    assert all(abs(a.S - b.S) <= a.S_error + b.S_error for a, b in zip(first.changes, other.changes, strict=True))
