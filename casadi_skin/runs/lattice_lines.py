@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import REAL, bands, lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.runs.words import Lines, named
+
+ROUNDING = 1e-13  # of the largest omega^2: what is 0
+MOST_MODES = 600  # whose frequencies a plan computes at once
 
 
 def lattice_lines(lattice: LongLattice | OdeModel, parameters: Mapping[str, float]) -> Lines:
@@ -23,7 +29,38 @@ def lattice_lines(lattice: LongLattice | OdeModel, parameters: Mapping[str, floa
         ("lattice", f"{size}, {len(declared.bonds)} bonds a cell; ends {', '.join(declared.boundary)}"),
         ("parameters", (named(parameters) or "none") + by_cell),
         *lattice.structure.lines(),
+        ("linear", _linear(lattice, parameters)),
     ]
+
+
+def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
+    """Frequencies about rest without damping and drives, what digits they lose, and bands and gaps of the cell."""
+    words = []
+    if lattice.declaration.size <= MOST_MODES:
+        modes = lattice_modes(lattice, parameters)
+        squares = modes.squares
+        words.append(f"omega {_from_to(squares.real.min(), squares.real.max())}")
+        if not modes.real:
+            count = int(np.sum(np.abs(squares.imag) > REAL * np.max(np.abs(squares))))
+            words[0] += f"; {count} of {squares.size} omega^2 are complex: it has no families"
+        lost = np.log10(np.max(1.0 / np.abs(np.sum(modes.left * modes.right, axis=0))))
+        if lattice.structure.log_weights is None and lost >= 1.0:
+            words.append(f"left and right modes differ so that about {lost:.0f} digits of them are lost")
+    if not lattice.declaration.differing:
+        found = bands(lattice, parameters)
+        low, high = found.squares.real.min(axis=0), found.squares.real.max(axis=0)
+        ring = "" if lattice.structure.log_weights is not None else "real part of a ring's "
+        words.append(f"{ring}bands {', '.join(_from_to(a, b) for a, b in zip(low, high, strict=True))}")
+        gaps = [_from_to(a, b) for a, b in found.gaps]
+        words.append(f"gaps {', '.join(gaps)}" if gaps else "no gap")
+    return "; ".join(words) or f"not computed for more than {MOST_MODES} sites that differ"
+
+
+def _from_to(low: float, high: float) -> str:
+    """Ends of a range of omega^2 as those of omega, imaginary where omega^2 < 0."""
+    zero = ROUNDING * max(abs(low), abs(high))
+    ends = (f"{np.sqrt(abs(end)):.6g}{'i' if end < -zero else ''}" if abs(end) > zero else "0" for end in (low, high))
+    return "from " + " to ".join(ends)
 
 
 def _long_lattice_lines(lattice: LongLattice) -> Lines:

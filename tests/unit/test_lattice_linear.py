@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lattices import GAINS, chain, dimer, plane
+from lattices import GAINS, chain, dimer, fput, plane
 
 from casadi_skin import Bond, Chain, Lattice, Site, follow_family
 from casadi_skin.figures.bands import band_figure
@@ -12,6 +12,7 @@ from casadi_skin.figures.plane import plane_figure
 from casadi_skin.figures.skin import skin_figure
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
+from casadi_skin.runs.lattice_lines import lattice_lines
 
 
 def test_modes_of_the_chain_are_those_in_closed_form() -> None:
@@ -105,6 +106,27 @@ def test_the_spectrum_of_a_ring_winds_round_the_modes_of_a_leaning_lattice() -> 
     assert np.all(np.isnan(winding_numbers(reciprocal, lattice_modes(reciprocal).squares)))
     assert np.abs(brillouin_zone(lattice, lattice_modes(lattice).squares)) == pytest.approx(np.sqrt(5 / 3), rel=1e-9)
     assert np.abs(brillouin_zone(dimer(12), [1.7])) == pytest.approx(np.sqrt(1.3 / 0.7), rel=1e-9)
+
+
+def test_the_plan_names_frequencies_bands_and_gaps() -> None:
+    """By closed forms: a dimer's bands at k = 0 and pi; a free chain rests in one mode; a soft site is unstable."""
+    found = dict(lattice_lines(dimer(8), {"u": 0.5, "w": 1.0, "gamma": 0.3, "g": 1.0, "M": 1.0}))["linear"]
+    far, near = (np.hypot(0.15, 1.0 + sign * 0.5 * np.sqrt(1 - 0.3**2)) for sign in (1, -1))  # stiffness 2.5 -+ 0.15
+    edges = np.sqrt([2.5 - far, 2.5 - near, 2.5 + near, 2.5 + far])
+    low, first, second, high = (f"{edge:.6g}" for edge in edges)
+    assert found.endswith(f"bands from {low} to {first}, from {second} to {high}; gaps from {first} to {second}")
+    assert (
+        f"omega from 0 to {np.sqrt(2 + np.sqrt(3)):.6g}; bands from 0 to 2; no gap"
+        == dict(lattice_lines(fput(6, "free"), {"beta": 1.0}))["linear"]
+    )
+    unstable = Lattice(3, [Site("a", "-3*y")], [Bond("a", "a", (1,))])
+    assert (
+        f"omega from {np.sqrt(1 + np.sqrt(2)):.6g}i to {np.sqrt(np.sqrt(2) - 1):.6g}"
+        in dict(lattice_lines(unstable, {}))["linear"]
+    )
+    ring = Lattice(5, [Site("a", "y")], [Bond("a", "a", (1,), gain=GAINS)], "periodic", {"gamma": 0.2})
+    words = dict(lattice_lines(ring, {"gamma": 0.2}))["linear"]
+    assert "4 of 5 omega^2 are complex: it has no families; real part of a ring's bands" in words
 
 
 def test_without_a_gauge_the_modes_of_a_long_lattice_show_its_generalised_brillouin_zone() -> None:
