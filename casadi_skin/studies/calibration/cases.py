@@ -132,7 +132,7 @@ class Quantity:
         words = "far off" if self.far_off else "covered" if self.covered else "low"
         if not self.misses_tolerance:
             return words
-        return f"{words}, tolerance missed{' as told' if self.announced else ''}"
+        return f"{words}, tolerance missed{' as declared' if self.announced else ''}"
 
 
 @dataclass(frozen=True)

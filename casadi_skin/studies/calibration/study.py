@@ -143,7 +143,7 @@ class ErrorCalibration(Study):
 
     def table(self) -> Table:
         """The counts, by quantity and by method."""
-        heads = ("covered", "", "largest\ntrue/est.", "median\nest./true", "true >\n10 est.", "missed", "told")
+        heads = ("covered", "", "largest\ntrue/est.", "median\nest./true", "true >\n10 est.", "missed", "declared")
         table = text_table(("errors of", *heads))
         tallies = self.tallies
         for i, tally in enumerate((*tallies, *self.method_tallies())):

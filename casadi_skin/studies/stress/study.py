@@ -122,7 +122,7 @@ def row(outcome: Outcome) -> dict[str, object]:
 # Pictures -------------------------------------------------------------------------------------------------------------
 
 
-ROW = 0.155  # inches
+ROW = 0.18  # inches
 SYMBOLS = (("gamma", "γ"), ("alpha", "α"), ("lambda", "λ"), ("= -", "= −"), ("e-", "e−"), ("1 - ", "1 − "))
 
 
@@ -161,7 +161,7 @@ def _draw_rows(axes: Axes, groups: Sequence[Sequence[Outcome]], rows: float) -> 
             y += 1.0
         y += 0.5
     axes.set(xlim=(-0.8, MOST_DIGITS + 0.6), ylim=(rows - 0.5, -0.9), yticks=places, xlabel="digits")
-    axes.set_yticklabels(labels, fontsize=7.5)
+    axes.set_yticklabels(labels, fontsize=9)
     axes.set_xticks(range(0, int(MOST_DIGITS) + 1, 2))
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="x", color="0.9", linewidth=0.6)
