@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from fractions import Fraction
 
 import casadi as ca
 import mpmath as mp
@@ -14,8 +15,9 @@ from casadi_skin import Chain, OdeModel, follow_family
 flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls  # noqa: E402
-from casadi_skin.certify.attempt import attempt_of, distance  # noqa: E402
+from casadi_skin.certify.attempt import attempt_of, computed_series, cosine_coefficients, distance  # noqa: E402
 from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius  # noqa: E402
+from casadi_skin.certify.certify import step_of  # noqa: E402
 from casadi_skin.certify.cosine_system import CosineSeries  # noqa: E402
 from casadi_skin.certify.model_terms import system_of  # noqa: E402
 
@@ -221,10 +223,26 @@ def test_decimals_are_fractions():
 
 def test_harmonics_that_are_left_out_count_in_the_radius():
     orbit = orbit_of(Chain(2, 1.0, 0.25, -1.0), 1.5)
-    certificate = orbit.certify(harmonics=4)
+    count, z = orbit.harmonics, orbit.point.z.copy()
+    z[:count] += 1e-3 * np.cos((2 * count - 1) * (np.arange(count) + 0.5) * np.pi / (2 * count))  # of the first site
+    wrong = replace(orbit, point=replace(orbit.point, z=z))
+    certificate = wrong.certify(harmonics=4)
     assert certificate.proved
-    beyond = np.abs(orbit.coefficients(12)[4:] / certificate.scale) * 1.02 ** (2.0 * np.arange(4, 12) + 1.0)[:, None]
-    assert certificate.radius >= np.sum(beyond) > 1e-7
+    beyond = np.abs(wrong.coefficients(count)[4:] / certificate.scale)
+    assert certificate.radius >= np.sum(beyond * 1.02 ** (2.0 * np.arange(4, count) + 1.0)[:, None]) > 5e-4
+    assert orbit.certify(harmonics=4).radius < 0.5 * certificate.radius
+
+
+def test_the_frequency_that_a_radius_is_measured_from_is_the_double_itself():
+    orbit = orbit_of(Chain(2, 1.0, 0.25, -1.0), 1.5)
+    with flint.ctx.workprec(balls.PRECISION):
+        series = computed_series(orbit, system_of(orbit.space.coordinates, orbit.S), 4)
+        square = Fraction(orbit.Omega) ** 2
+        assert series.square.overlaps(flint.arb(flint.fmpq(square.numerator, square.denominator)))
+        for row, column, d in zip(
+            series.coefficients, orbit.coefficients(series.harmonics).T, series.system.scale, strict=True
+        ):
+            assert all((a * d).contains(flint.arb(c)) for a, c in zip(row, column.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-3])
@@ -248,9 +266,8 @@ def test_disturbed_orbit_is_not_certified_to_less_than_the_disturbance(size):
 
 def unrefined(orbit, harmonics, weight=1.02):
     """Bounds about the coefficients as the orbit has them, cut to a few harmonics."""
-    system = system_of(orbit.space.whole.coordinates, orbit.S)
-    sites = np.arange(1, system.positions + 1)
-    columns = orbit.coefficients(40, sites)[:harmonics].T.tolist()
+    system = system_of(orbit.space.whole.coordinates, orbit.S, step_of(orbit.space))
+    columns = cosine_coefficients(orbit, system, 40)[:harmonics].T.tolist()
     exact = [[(flint.arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
     series = CosineSeries(system, flint.arb(orbit.Omega**2), exact)
     return FiniteInverse(series, flint.arb(weight))
@@ -282,8 +299,9 @@ def explicit(bounds, harmonics, shift=None):
     """
     series, chain = bounds.series, bounds.series.system
     n, H, J = chain.positions, series.harmonics, harmonics
-    odd, theta = 2.0 * np.arange(J) + 1.0, (np.arange(8 * J) + 0.5) * np.pi / (16 * J)
+    odd, theta = chain.step * np.arange(1.0, J + 1.0) - 1.0, (np.arange(8 * J) + 0.5) * np.pi / (8 * J)
     cosines = np.cos(np.outer(theta, odd))
+    mean = np.where(odd > 0.0, 2.0, 1.0)[:, None] / theta.size
     a = np.zeros((n, J))
     a[:, :H] = [[float(x) for x in row] for row in series.coefficients]
     square, scale = float(series.square), np.array([float(d) for d in chain.scale])
@@ -302,7 +320,7 @@ def explicit(bounds, harmonics, shift=None):
                     if index == k:
                         others = [q[i] for i in factors[:place] + factors[place + 1 :]]
                         slope += float(coefficient) * np.prod([np.ones(theta.size), *others], axis=0)
-            block = (2.0 / theta.size) * cosines.T @ (slope[:, None] * cosines)
+            block = mean * (cosines.T @ (slope[:, None] * cosines))
             DF[1 + m * J : 1 + (m + 1) * J, 1 + k * J : 1 + (k + 1) * J] += block
     DF[np.arange(1, 1 + n * J), np.arange(1, 1 + n * J)] += square * np.tile(odd**2, n)
     finite = np.concatenate([[0], *(1 + m * J + np.arange(H) for m in range(n))])
@@ -335,6 +353,50 @@ def test_z_bounds_the_operator_on_many_harmonics_and_not_by_much_more(chain, S, 
         Z = bounds.Z()
     A, DF, weights = explicit(bounds, 60)
     assert sharp * Z < norm(np.eye(len(DF)) - A @ DF, weights) <= Z
+
+
+def test_z_counts_how_far_the_matrix_is_from_an_inverse():
+    """Of six tenths of an inverse the finite rows alone are four tenths off."""
+    orbit = orbit_of(Chain(3, 1.0, 0.25, -1.0), 1.0)
+    with flint.ctx.workprec(balls.PRECISION):
+        good = unrefined(orbit, 12, 1.02)
+        bounds = FiniteInverse(good.series, good.nu, 0.6 * good.matrix)
+        Z = bounds.Z()
+    A, DF, weights = explicit(bounds, 60)
+    assert 0.8 * Z < norm(np.eye(len(DF)) - A @ DF, weights) <= Z
+
+
+@pytest.mark.parametrize(("sites", "S", "harmonics"), [(1, 0.08, 4), (3, 0.3, 6)])
+def test_z_and_w_bound_the_operator_of_all_cosines(sites, S, harmonics):
+    """Bounds about coarse series, whose k = 0 matters: beside them twice its rows would be outside."""
+    orbit = orbit_of(soft(sites), S)
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit, harmonics, 1.05)
+        Z, W = bounds.Z(), bounds.W(1e-3)
+        J = bounds._jacobian()
+    A, DF, weights = explicit(bounds, 40)
+    assert 0.4 * Z < norm(np.eye(len(DF)) - A @ DF, weights) <= Z
+    finite = np.concatenate([[0], *(1 + m * 40 + np.arange(harmonics) for m in range(sites))])
+    assert np.allclose(J, DF[np.ix_(finite, finite)], rtol=1e-9, atol=1e-11)
+    largest = 0.0
+    for direction in range(4):
+        shift = np.zeros(len(DF))
+        shift[direction] = 1e-3 / weights[direction]
+        largest = max(largest, norm(A @ (explicit(bounds, 40, shift)[1] - DF), weights) / 1e-3)
+    assert 0.1 * W < largest <= W
+
+
+@pytest.mark.parametrize(("model", "S"), [(Chain(3, 1.0, 0.25, -1.0), 2.0), (soft(3), 0.3)])
+def test_derivatives_of_forces_have_the_norms_of_their_columns(model, S):
+    """With weights near 1 a column far from both ends has the whole norm of the series that makes it."""
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = unrefined(orbit_of(model, S), 6, 1.0001)
+        bound = max(float(bounds.derivative_norm(n)) for n in range(3))
+    _, DF, weights = explicit(bounds, 40)
+    numbers = bounds.series.system.step * np.arange(1.0, 41.0) - 1.0
+    forces = DF[1:, 1:] - np.diag(float(bounds.series.square) * np.tile(numbers**2, 3))
+    found = np.max((weights[1:] @ np.abs(forces) / weights[1:])[[20, 60, 100]])
+    assert 0.99 * bound < found <= bound
 
 
 def test_finite_rows_of_z_are_those_of_the_operator():
