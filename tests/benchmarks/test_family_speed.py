@@ -24,7 +24,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import BorderedSolver
-from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.studies.paper.paper_data import MODES
 
@@ -65,9 +65,9 @@ def test_twelve_families_with_stability(record: Record) -> None:
     every = [Family(family_request(Chain(24, 1.0, 0.25, g), mode, 3.0, tolerance=1e-8)) for g, mode in wanted]
     for tools in every:
         follow(tools, stability=True)
-    started = time.perf_counter()
+    started = time.process_time()
     points = sum(len(follow(tools, stability=True).solutions) for tools in every)
-    record("twelve families with stability", time.perf_counter() - started, points)
+    record("twelve families with stability", time.process_time() - started, points)
 
 
 @pytest.mark.parametrize("walker", ["series", "arclength"])
@@ -95,7 +95,7 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 
         monkeypatch.setattr(owner, method, timed)
 
-    watch(IpoptCorrector, "correct", "Ipopt, with its evaluations")
+    watch(ConfirmedCorrector, "confirm_all", "Ipopt's last word, with its evaluations")
     watch(OrbitProblem, "evaluate", "residuals and Jacobians outside Ipopt")
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
     watch(TaylorRecursion, "series", "series")
@@ -108,6 +108,35 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
     for part, value in spent.most_common():
         print(f"  {part:<42} {value / unit:6.0f} solves, {calls[part] or '':>4}")
     assert calls["multipliers"] > 0
+
+
+def test_a_value_of_gamma_in_a_scan(record: Record) -> None:
+    """A family with its multipliers, its request and all that is made of it, after others of the same size."""
+    times, points = [], 0
+    for gamma in (0.2, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26):
+        started = time.process_time()
+        walk = follow(Family(family_request(Chain(24, 1.0, gamma, -1.0), 1, 3.0, tolerance=1e-9)), stability=True)
+        times.append(time.process_time() - started)
+        points = len(walk.solutions)
+    record("a value of gamma in a scan, with multipliers", min(times[1:]), points)
+
+
+@pytest.mark.parametrize("sites", [24, 96, 384, 1000])
+def test_multipliers_of_one_orbit(record: Record, sites: int) -> None:
+    tools = Family(family_request(Chain(sites, 1.0, 0.25, -1.0), 1, 1.0, tolerance=1e-8, tail="full"))
+    point = follow(tools, stability=False).solutions[-1].point
+    (result,) = tools.floquets([point])
+    assert result.error < 1e-7
+    record(f"multipliers of one orbit, N = {sites}", seconds(lambda: tools.floquets([point]), 3), 1)
+
+
+@pytest.mark.parametrize("sites", [1000, 10_000, float("inf")])
+@pytest.mark.parametrize(("mode", "g"), [("last", 1.0), ("first", -1.0)])
+def test_long_chains_without_their_tail(record: Record, mode: str, g: float, sites: float) -> None:
+    """Everything built: what a second family takes."""
+    tools = Family(family_request(Chain(sites, 1.0, 0.25, g), mode, 3.0, at=(3.0,), tolerance=1e-9))
+    walk = follow(tools, stability=False)
+    record(f"N = {sites}, mode {mode}, tail eliminated", seconds(lambda: follow(tools, False), 3), len(walk.solutions))
 
 
 LONG_CHAIN = """
