@@ -24,6 +24,7 @@ LOOKS: dict[bool | None, dict[str, Any]] = {
     None: {"label": "stability not computed", "lw": 0.9},
 }
 CLOSE = 0.008  # of the width of a picture: marks that are closer overlap
+ROUNDING = 1e-6  # of a quantity: a change that is no course of a curve
 FEWEST, INSIDE = 4, 12  # points through which a curve is drawn smooth, and points drawn between two of them
 STRIP = 0.025  # of the height of a picture: a strip along its lower edge
 MARKS = {  # the symbols of the field, as far as there are any
@@ -99,7 +100,7 @@ def smooth(path: Array) -> Array:
     """
     from scipy.interpolate import Akima1DInterpolator
 
-    extent = np.ptp(path, axis=0)
+    extent = np.maximum(np.ptp(path, axis=0), ROUNDING * np.max(np.abs(path), axis=0, initial=0.0))
     lengths = np.hypot(*(np.diff(path, axis=0) / np.where(extent > 0.0, extent, 1.0)).T)
     path = path[np.append(True, lengths > 0.0)]
     if len(path) < FEWEST or not np.all(np.isfinite(path)):

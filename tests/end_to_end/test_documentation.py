@@ -166,3 +166,8 @@ def test_the_reference_has_every_public_name_once() -> None:
             thing = getattr(casadi_skin, name)
             assert f"{thing.__module__}.{thing.__qualname__}" in places
             assert f"[`{name}`][{thing.__module__}.{thing.__qualname__}]" in overview
+
+
+def test_every_picture_of_the_site_is_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in (DOCS / "pictures").glob("*.png")}
+    assert {name: size for name, size in sizes.items() if size >= 200_000} == {}

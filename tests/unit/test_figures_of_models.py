@@ -26,6 +26,7 @@ from casadi_skin.figures import (
     profile_figure,
     spectrum_figure,
 )
+from casadi_skin.figures.branch_lines import smooth
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.solution import Solution
@@ -220,6 +221,20 @@ def test_solutions_without_stability_are_drawn_round_their_fold(solutions: Branc
     assert plain.get_suptitle() == "Bratu: lam = $0.5$"
     assert plain.axes[0].get_xlim() == (0.0, 1.0)
     assert multiplier_figure(solutions) is None
+
+
+def test_smooth_curves_pass_their_points_and_do_not_overshoot() -> None:
+    angle = np.sort(np.random.default_rng(3).uniform(0.0, 2.0 * np.pi, 40))
+    ring = np.column_stack([2.0 * np.cos(angle), 0.1 * np.sin(angle)])
+    curve = smooth(ring)
+    assert {tuple(point) for point in ring} <= {tuple(point) for point in curve}
+    inside = np.diff(angle).max() < 0.6
+    assert inside
+    np.testing.assert_allclose(np.hypot(curve[:, 0] / 2.0, curve[:, 1] / 0.1), 1.0, atol=0.02)
+    x = np.sort(np.random.default_rng(4).uniform(0.5, 5.0, 30))
+    level = smooth(np.column_stack([x, 1.0 + 1e-15 * np.sin(1e3 * x)]))  # a constant but for rounding
+    assert np.all(np.diff(level[:, 0]) > 0.0)
+    assert level[-1, 0] == x[-1]
 
 
 def test_branches_that_ended_early_say_so(cycles: Branch) -> None:
