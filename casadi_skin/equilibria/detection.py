@@ -70,8 +70,9 @@ class _Search(Search):
         return self._each(stretch, expected, reals, pairs)
 
     def unresolved(self, stretch: Stretch) -> Iterator[Point]:
-        _, pairs = crossings(stretch) if self.free else ([], [])
-        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients + [HOPF] * len(pairs)
+        reals, pairs = crossings(stretch) if self.free else ([], [])
+        several = len(reals) > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
+        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several) + [HOPF] * len(pairs)
         yield from _unresolved(self.equations, stretch, kinds)
 
     def _each(self, stretch: Stretch, expected: list[str], reals: list[int], pairs: list[int]) -> list[Point] | None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
 
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
@@ -11,6 +14,7 @@ from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.stretch import WITHIN, Signs, Stretch
 
 DEEPEST = 20  # divisions of a stretch between two points of the continuation
+SHORTEST = 1e-11  # of a step: what is not divided any more
 MOST = 400  # parts that it is divided into
 PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
@@ -41,7 +45,7 @@ class Search(ABC):
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
         stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
-        last = depth >= DEEPEST or self.parts > MOST
+        last = depth >= DEEPEST or self.parts > MOST or stretch.length <= SHORTEST
         found = self.found(stretch, depth, last or middle is None)
         if found is not None:
             yield from found
@@ -50,6 +54,13 @@ class Search(ABC):
             yield from self.unresolved(stretch)
             return
         dip = stretch.dip()
-        divided = (None if dip is None else solver.along(before, after, dip)) or middle
+        divided = None if dip is None else solver.along(before, after, dip)
+        if divided is None or not _apart(before, divided, after):
+            divided = middle
         yield from self.between(before, divided, depth + 1)
         yield from self.between(divided, after, depth + 1)
+
+
+def _apart(*points: Point) -> bool:
+    """Whether neighbouring points are not the same but for rounding."""
+    return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST for one, other in pairwise(points))

@@ -31,6 +31,7 @@ from casadi_skin.orbits.special_points import DOUBLING, SpecialPoint
 
 PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, to see where its parameter goes
 SAME = 1e-4  # of a direction: what tells two branches apart
+SINGULAR = 1e-5  # singular values of the Jacobian that vanish at a branch point
 
 
 def switch(
@@ -191,7 +192,11 @@ def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
 def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
     problem, z = space.problem, point.z
-    left, _, right = np.linalg.svd(problem.jacobian(z))
+    left, values, right = np.linalg.svd(problem.jacobian(z))
+    several = int(np.count_nonzero(values <= SINGULAR * max(1.0, float(values[0]))))
+    if several > 1:
+        why = f"{several} eigenvalues vanish at once; accepted: a branch point of one, as where less symmetry is left"
+        raise EquilibriumError(f"{space.model.name}: more than two branches cross at the branch point: {why}")
     first, second, psi = right[-1], right[-2], left[:, -1]
     quadratic = _second_derivatives(problem)
 

@@ -12,6 +12,7 @@ from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lor
 
 from casadi_skin import OdeModel, find_equilibrium
 from casadi_skin.equilibria.detection import UnresolvedWarning
+from casadi_skin.equilibria.space import EquilibriumError
 
 
 def test_ab_has_the_folds_and_the_hopf_point_of_auto() -> None:
@@ -189,3 +190,28 @@ def test_a_branch_that_goes_to_infinity_has_no_folds_of_rounding() -> None:
     (fold,) = branch.special_points
     assert fold.parameters["p"] == pytest.approx(np.exp(-1.0), abs=1e-15)
     assert branch.stopped
+
+
+def test_two_branch_points_that_symmetry_keeps_together_are_listed_and_not_followed() -> None:
+    """x' = p x - x^3, y' = p y - y^3: three other branches cross at p = 0, where the determinant keeps its sign."""
+    x, y, p = symbols("x y p")
+    model = OdeModel("square", ca.vertcat(x, y), ca.vertcat(p * x - x**3, p * y - y**3), p)
+    with pytest.warns(UnresolvedWarning, match="branch point"):
+        branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.0)
+    (point,) = branch.special_points
+    assert point.kind == "branch point"
+    assert abs(point.parameters["p"]) <= 2.0 * point.error < 1e-5
+    with pytest.raises(EquilibriumError, match="2 eigenvalues vanish at once; accepted: a branch point of one"):
+        point.follow("p", 1.0)
+
+
+def test_a_hopf_point_where_the_parameter_stands_still_is_listed() -> None:
+    """p = z^3 stands still at z = 0, where a pair with the real part p + z crosses; 0 = p - z^3 has no fold there."""
+    x, y, z, p = symbols("x y z p")
+    rhs = ca.vertcat((p + z) * x - y - x * (x**2 + y**2), x + (p + z) * y - y * (x**2 + y**2), p - z**3)
+    model = OdeModel("still", ca.vertcat(x, y, z), rhs, p)
+    with pytest.warns(UnresolvedWarning, match="hopf"):
+        branch = find_equilibrium(model, [0.0, 0.0, -0.8], parameters={"p": -0.5}).follow("p", 0.5)
+    (point,) = branch.special_points
+    assert point.kind == "hopf"
+    assert abs(point.parameters["p"]) < 1e-12
