@@ -21,7 +21,7 @@ from casadi_skin.orbits.linear_modes import SYMMETRIC, LinearModes, linear_modes
 
 SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
 DEEPEST = -230.0  # of log D: its cube is still a double
-HIGHEST = 15  # harmonic whose resonance with another mode is looked for
+HIGHEST = 7  # harmonic whose resonance with another mode is looked for: the coarsest level has no higher ones
 LARGEST = 1e3  # amplitude of a scaled mode
 TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
 RANDOM = 0.1  # amplitude of random positions

@@ -108,6 +108,14 @@ def test_a_mode_whose_family_does_not_start_alone_is_refused(
         follow_family(lattice, mode=2 if "free motion" in message else 1, amplitude_max=0.1)
 
 
+def test_a_mode_beside_one_of_nine_times_its_frequency_has_its_family() -> None:
+    """So high a harmonic is not among the unknowns at first, and later the frequency has moved off."""
+    lattice = Lattice(2, [Site("a", "(8*n - 7)^2*y + y^3")], [Bond("a", "a", (1,), "d^3")])
+    referee = Referee((2,), [("a", "(8*n - 7)^2*y + y^3", "1")], chain("d^3", ONE), ("fixed",), {})
+    orbit = follow_family(lattice, mode=1, amplitude_max=0.2, at=(0.2,), tolerance=1e-10).at(S=0.2)
+    assert orbit.Omega == pytest.approx(referee.orbit(1, 0.2)[1], rel=1e-9)
+
+
 def test_bands_at_other_gains_are_those_of_the_lattice_declared_with_them() -> None:
     """The factor from cell to cell is that of the gains asked for; a ring's bands hold its frequencies."""
 
