@@ -27,7 +27,7 @@ Bound = Callable[[Sequence[Any], float], Request]
 
 
 @dataclass(frozen=True)
-class _Entry:
+class Entry:
     """Where a family first becomes unstable: its value of the parameter, S, the tongue, and a cell of it."""
 
     value: float
@@ -57,11 +57,11 @@ def tongue_lines(plane: Plane, columns: Columns, bound: Bound, tell: Callable[[s
             words = f"{plane.axes[0].name}, {plane.axes[1].name}: the edge of the tongue {tongue} is not followed"
             tell(f"{words}, its line joins families: {' '.join(str(error).split())}")
             lines.append(np.array([(entry.value, entry.S) for entry in run]))
-    lowest = [line for k, line in enumerate(lines) for line in _lowest(line, lines[:k] + lines[k + 1 :])]
+    lowest = [line for k, line in enumerate(lines) for line in lowest(line, lines[:k] + lines[k + 1 :])]
     return [line if plane.along[1] == plane.grid.amplitude else line[:, ::-1] for line in lowest]
 
 
-def _entries(plane: Plane, columns: Columns) -> list[_Entry]:
+def _entries(plane: Plane, columns: Columns) -> list[Entry]:
     """The families of a plane, in the order of their parameter; of a refined map those that are known."""
     amplitude_first = plane.along[0] == plane.grid.amplitude
     found = []
@@ -72,11 +72,11 @@ def _entries(plane: Plane, columns: Columns) -> list[_Entry]:
         if known.size:
             cell = int(known[0])
             S = float(columns.numbers["first_instability"][cell])
-            found.append(_Entry(float(value), S, columns.text("first_tongue", cell), cell))
+            found.append(Entry(float(value), S, columns.text("first_tongue", cell), cell))
     return found
 
 
-def _followed(plane: Plane, run: Sequence[_Entry], reach: tuple[float, float], bound: Bound) -> Points:
+def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bound: Bound) -> Points:
     """The edge that the families of a run have, from one end of a reach of the parameter to the other one.
 
     Raises ValueError and ArithmeticError where it cannot be followed, or does not pass all of them.
@@ -93,7 +93,7 @@ def _followed(plane: Plane, run: Sequence[_Entry], reach: tuple[float, float], b
         at = [entry.value for entry in run if min(middle.value, to) < entry.value < max(middle.value, to)]
         if to != middle.value:
             order = sorted(at, reverse=to < middle.value)
-            halves.append(_checked(edge.curve(name, to, at=order, until=outside), name, run))
+            halves.append(checked(edge.curve(name, to, at=order, until=outside), name, run))
     below, above = (halves[0], halves[-1]) if len(halves) == 2 else (halves[0][:1], halves[0])
     return np.concatenate([below[::-1], above[1:]]) if halves else np.array([(middle.value, middle.S)])
 
@@ -111,7 +111,7 @@ def _outside(plane: Plane) -> Callable[[Any], bool]:
     return outside
 
 
-def _checked(curve: Branch, name: str, run: Sequence[_Entry]) -> Points:
+def checked(curve: Branch, name: str, run: Sequence[Entry]) -> Points:
     """The points of a curve, which passes the families of a run; raises ArithmeticError where it does not."""
     points = np.column_stack([curve[name], curve["S"]])
     low, high = points[:, 0].min(), points[:, 0].max()
@@ -123,7 +123,7 @@ def _checked(curve: Branch, name: str, run: Sequence[_Entry]) -> Points:
     return points
 
 
-def _lowest(line: Points, others: Sequence[Points]) -> Iterator[Points]:
+def lowest(line: Points, others: Sequence[Points]) -> Iterator[Points]:
     """The parts of a line below which no other line is."""
     above = np.zeros(len(line), dtype=bool)
     for other in others:

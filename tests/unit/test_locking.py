@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -98,9 +99,25 @@ def test_shares_are_shared_and_the_whole_map_is_not(tmp_path: Path) -> None:
             run_map(scene, out, collect=True, quiet=True)
 
 
-def test_a_disk_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import fcntl
+def test_a_lock_that_its_last_holder_removed_meanwhile_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between opening the file and locking it: what is locked then is a file that nobody else will find."""
+    plainly, left = fcntl.flock, [1]
 
+    def late(descriptor: int, how: int) -> None:
+        if left:
+            left.pop()
+            next(tmp_path.iterdir()).unlink()
+        plainly(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with in_use(tmp_path, silent):
+        assert len(list(tmp_path.iterdir())) == 1
+        assert taken(tmp_path)
+
+
+def test_a_disk_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object) -> None:
         raise OSError(37, "No locks available")
 

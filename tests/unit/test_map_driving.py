@@ -131,6 +131,19 @@ def test_a_map_is_refined_by_what_cells_are_in_the_end(tmp_path: Path) -> None:
     assert sorted({task.cells[0] for task in engine.tasks}) == sorted({*range(0, 20, 2), 7} - {20})
 
 
+@pytest.mark.parametrize("text", [EQUILIBRIUM, REFINED], ids=["plain", "refined"])
+def test_a_map_with_a_cell_that_failed_once_is_not_complete(text: str, tmp_path: Path) -> None:
+    with stored(tmp_path, parse_scene(text)) as store:
+        first, *others = store.grid.tasks(store.grid.coarsest)
+        for task in others:
+            store.add(task, 2, Result(kind=FAILED))
+        store.add(first, 1, Result(kind=FAILED))
+    with stored(tmp_path, parse_scene(text)) as store:
+        assert not store.complete
+        store.add(first, 2, Result(kind=FAILED))
+        assert store.complete
+
+
 def test_shares_take_each_task_once_in_any_order_and_forget_their_own(tmp_path: Path) -> None:
     scene, taken = parse_scene(EQUILIBRIUM), []
     late = Now(lambda task, attempt: Result(kind=LATE) if task.cells == (3,) else Result((row(0),)))

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -27,6 +28,7 @@ from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.records import Result, Row
 from casadi_skin.maps.refine import UNKNOWN, needed
 from casadi_skin.maps.store import Store
+from casadi_skin.maps.tongue_lines import Entry, checked, lowest
 from casadi_skin.runs.binding import bind
 from casadi_skin.scene import SceneError, parse_scene
 from casadi_skin.scene.map_reading import values_of
@@ -426,6 +428,18 @@ def test_a_boundary_of_families_is_the_edge_of_a_tongue_between_them_too(tmp_pat
         assert abs(first.S - S) < 1e-8
     read = read_map(tmp_path / "out")
     assert read.boundary[()][0].tolist() == line.tolist()
+
+
+def test_an_edge_has_to_meet_its_families_and_ends_where_another_one_is_lower() -> None:
+    gamma = np.linspace(0.0, 1.0, 11)
+    curve: Any = {"gamma": gamma, "S": 1.0 + gamma}
+    run = [Entry(0.5, 1.5, "real", 0), Entry(0.8, 1.8, "real", 0), Entry(2.0, 9.0, "real", 0)]
+    assert checked(curve, "gamma", run).tolist() == np.column_stack([gamma, 1.0 + gamma]).tolist()
+    with pytest.raises(ArithmeticError, match=r"it passes gamma = 0.8 elsewhere"):
+        checked(curve, "gamma", [run[0], Entry(0.8, 1.9, "real", 0)])
+    rising, falling = np.column_stack([gamma, 1.0 + gamma]), np.column_stack([gamma, 1.95 - gamma])[::-1]
+    (low,), (other,) = lowest(rising, [falling]), lowest(falling, [rising])
+    assert (low[:, 0].max(), other[:, 0].min()) == (0.4, 0.5)
 
 
 TRANSVERSE = """import casadi as ca
