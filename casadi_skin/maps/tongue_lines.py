@@ -17,7 +17,7 @@ from casadi_skin.maps.cell import followed
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.planes import Plane, Points
 from casadi_skin.maps.store import UNKNOWN
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.special_points import EDGE, SpecialPoint
 from casadi_skin.runs.request import Request
 
 BEYOND = 1e-3  # of S: how far beyond an edge the family is followed that it is found on
@@ -57,8 +57,8 @@ def tongue_lines(plane: Plane, columns: Columns, bound: Bound, tell: Callable[[s
             words = f"{plane.axes[0].name}, {plane.axes[1].name}: the edge of the tongue {tongue} is not followed"
             tell(f"{words}, its line joins families: {' '.join(str(error).split())}")
             lines.append(np.array([(entry.value, entry.S) for entry in run]))
-    lowest = [line for k, line in enumerate(lines) for line in lowest(line, lines[:k] + lines[k + 1 :])]
-    return [line if plane.along[1] == plane.grid.amplitude else line[:, ::-1] for line in lowest]
+    shown = [part for k, line in enumerate(lines) for part in lowest(line, lines[:k] + lines[k + 1 :])]
+    return [line if plane.along[1] == plane.grid.amplitude else line[:, ::-1] for line in shown]
 
 
 def _entries(plane: Plane, columns: Columns) -> list[Entry]:
@@ -84,16 +84,19 @@ def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bo
     (name,) = [axis.paths[0][-1] for k, axis in zip(plane.along, plane.axes, strict=True) if k != plane.grid.amplitude]
     middle = run[len(run) // 2]
     (branch,), fault = followed(bound(plane.grid.settings(middle.cell), middle.S * (1.0 + BEYOND)))
-    near = [k for k, change in enumerate(branch.changes) if abs(change.value - middle.S) <= AGREE * middle.S]
+    diagram = branch.stability_diagram
+    edges = [] if diagram is None else [*diagram.changes, *diagram.further]
+    near = [edge for edge in edges if abs(edge.S - middle.S) <= AGREE * middle.S]
     if not near:
         raise ArithmeticError(fault or "it is not found again")
-    edge, outside = branch.edge(near[0]), _outside(plane)
+    orbit, outside = branch.at(S=near[0].S), _outside(plane)
+    point = SpecialPoint(EDGE, "S", {**orbit.parameters, "S": near[0].S}, near[0].error, orbit)
     halves = []
     for to in reach:
         at = [entry.value for entry in run if min(middle.value, to) < entry.value < max(middle.value, to)]
         if to != middle.value:
             order = sorted(at, reverse=to < middle.value)
-            halves.append(checked(edge.curve(name, to, at=order, until=outside), name, run))
+            halves.append(checked(point.curve(name, to, at=order, until=outside), name, run))
     below, above = (halves[0], halves[-1]) if len(halves) == 2 else (halves[0][:1], halves[0])
     return np.concatenate([below[::-1], above[1:]]) if halves else np.array([(middle.value, middle.S)])
 
@@ -111,7 +114,7 @@ def _outside(plane: Plane) -> Callable[[Any], bool]:
     return outside
 
 
-def checked(curve: Branch, name: str, run: Sequence[Entry]) -> Points:
+def checked(curve: Any, name: str, run: Sequence[Entry]) -> Points:
     """The points of a curve, which passes the families of a run; raises ArithmeticError where it does not."""
     points = np.column_stack([curve[name], curve["S"]])
     low, high = points[:, 0].min(), points[:, 0].max()

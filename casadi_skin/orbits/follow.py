@@ -181,8 +181,9 @@ def following_settings(
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
+    forced = isinstance(solution.model, OdeModel) and solution.model.forced
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
-        closing=back_to is None and (solution.space.knows_stability or solution.model.forced),  # an isola of responses
+        closing=back_to is None and (solution.space.knows_stability or forced),  # an isola of responses
     )  # fmt: skip
