@@ -274,8 +274,8 @@ class OrbitSampler:
         return self._solved(section.problem, guess, section.row, NEARBY * distance)
 
     def _response(self, problem: Problem, z: Array, solve: Solve) -> float:
-        """What rounding of the residual does to an orbit, in the metric."""
-        moved = solve(np.append(problem.rounding(z) * problem.probe, 0.0))
+        """What residuals of size 1 do to an orbit, in the metric."""
+        moved = solve(np.append(problem.probe, 0.0))
         return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * moved**2)))
 
     def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:

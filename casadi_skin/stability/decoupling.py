@@ -14,9 +14,7 @@ from casadi_skin.stability import chebyshev
 DEGREE = 16  # of the series on an interval
 MIDDLE = DEGREE // 2
 ITERATIONS = 60
-CONVERGED = 1e-13
-SETTLED = 1e-9  # a step that rounding keeps from becoming smaller: its square is nothing to a block
-CONTRACTING = 0.5  # of a step to the next one
+CONVERGED = 1e-9  # of a step: blocks are taken between left and right bases, whose errors they have multiplied
 PROBES = np.arange(0, DEGREE + 1, DEGREE // 4)  # nodes at which it is asked whether all mu stay apart
 STEPS = 12  # at most, until all of one are small
 SMALL = 1e-3  # steps below this converge
@@ -180,7 +178,6 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
     here, turn, weights = K.reshape(-1, size, size), T.copy(), weights.reshape(-1, size, width)
     rows, numbers = np.repeat(places, shape[1], axis=0), np.arange(len(T))[:, None]
     inner = np.repeat(inner, shape[1], axis=0).astype(float)
-    before = np.full(len(T), np.inf)
     for _ in range(ITERATIONS):
         product = here @ turn
         block = product[numbers[: len(rows)], rows]
@@ -190,7 +187,7 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
             step = np.multiply(product, weights, out=product)
             turn += step
             largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
-        enough = (largest <= CONVERGED) | ((largest <= SETTLED) & (largest > CONTRACTING * before))
+        enough = largest <= CONVERGED
         T[active], converged[active] = turn, enough
         going = ~enough & (largest < 1.0)
         if not going.any():
@@ -198,5 +195,4 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
         if not going.all():
             active, here, turn, weights = active[going], here[going], turn[going], weights[going]
             rows, inner = rows[going], inner[going]
-        before = largest[going]
     return T.reshape(*shape, size, width), np.asarray(converged.reshape(shape).all(axis=1))
