@@ -27,6 +27,8 @@ HALVINGS = 36
 NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side
 FINER = 6  # levels that are tried
 ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in one place
+TWICE = 1e-2  # of a step: one eigenvalue that passes zero twice within it is not seen
+PLACES = 80  # on a stretch: more are asked for only where rounding hides the branch, as on its way to infinity
 PARTED = 0.4823  # of a stretch: where it is parted, seldom at a branch point
 BEYOND = 1e-6  # of a step: where a branch point itself is looked at
 DIFFERENCE = 1e-4  # of a step: that of derivatives along it
@@ -104,7 +106,11 @@ class _Stretch:
             found = [self._place(low, high, count)] if count else []
             before = (found[0] - low) / way if found else None
             after = (high - found[0]) / way if found else None
-            if way < ONE_PLACE or (quiet(self.rates(low), way, before) and quiet(-self.rates(high), way, after)):
+            if (
+                way < TWICE
+                or len(self.known) > PLACES
+                or (quiet(self.rates(low), way, before) and quiet(-self.rates(high), way, after))
+            ):
                 return found
         middle = low + PARTED * way
         return [*self.roots(low, middle), *self.roots(middle, high)]

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.orbits.bifurcations import bifurcations_between
@@ -63,7 +65,11 @@ class Following:
     def __iter__(self) -> Iterator[Solution | StabilityChange]:
         results = self._results()
         while True:
-            with one_thread(), interrupts_deferred():  # not while whoever iterates is at work
+            with (
+                one_thread(),
+                interrupts_deferred(),
+                np.errstate(all="ignore"),
+            ):  # not while whoever iterates is at work
                 result = next(results, None)
             if result is None:
                 return

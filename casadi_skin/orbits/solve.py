@@ -89,7 +89,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
     space = space_of(statement, guess, options)
     watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
     try:
-        with watch:
+        with watch, np.errstate(all="ignore"):  # what is not finite is a residual that no corrector takes
             return solution_near(space, guess)
     except TimeLimitError as error:
         advice = "try a guess nearer by, or a larger tolerance"

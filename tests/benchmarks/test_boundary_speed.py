@@ -140,7 +140,7 @@ def test_bratu_and_its_branch(record: Record) -> None:
     record("BVP Bratu's branch through its fold", seconds(lambda: start.follow("lambda", 4.0), 3), len(branch))
 
 
-@pytest.mark.parametrize("units", [3, 10, 25])
+@pytest.mark.parametrize("units", [3, 10, 25, 50])
 def test_rings_of_van_der_pol_oscillators(record: Record, units: int) -> None:
     """The rotating wave, whose period is that of one oscillator with the coupling's share of its neighbours."""
     x, y = ca.SX.sym("x", units), ca.SX.sym("y", units)

@@ -194,3 +194,16 @@ def test_an_interruption_of_processes_keeps_what_they_found(tmp_path: Path) -> N
         said, errors = p.communicate(timeout=60)
     assert (p.returncode, errors) == (0, "")
     assert said.splitlines()[-1].startswith("INTERRUPTED ")
+
+
+@pytest.mark.parametrize("rate", ["log(u)", "1/u", "exp(1e3*u)"])
+def test_fields_that_are_not_finite_end_in_a_line_without_warnings(rate: str, recwarn: pytest.WarningsRecorder) -> None:
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    field = {"log(u)": ca.log(u), "1/u": 1 / u, "exp(1e3*u)": ca.exp(1e3 * u)}[rate]
+    model = OdeModel("pole", ca.vertcat(u, v), ca.vertcat(v, field))
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0])
+    with pytest.raises(BoundaryError) as failure:
+        problem.solve([2e5 if rate.startswith("exp") else 0.0, 0.0])
+    assert "\n" not in str(failure.value)
+    assert "not finite at the equation of v" in str(failure.value)
+    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
