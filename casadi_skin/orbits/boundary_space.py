@@ -170,10 +170,11 @@ class BoundarySpace:
         hopf: Point | None = None
         if parts and self.shrinks(before, after):
             hopf = methods.TASKS["hopf_end"].load()(self, before, after)
-        passed = parts if hopf is None else parts[: len(parts) // 2]  # beyond it the same folds come again
+        end = hopf if self.left is None or hopf is not None else self.left.rejoined(self, before, after)
+        passed = parts if end is None else parts[: len(parts) // 2]  # beyond it the same folds come again
         yield from (self._fold_between(*part) for part in passed)
-        if hopf is not None:
-            yield hopf
+        if end is not None:
+            yield end
 
     def _fold_between(self, before: Point, after: Point) -> Point:
         """The fold between two points; of orbits as a solution of its extended equations."""
