@@ -213,7 +213,9 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
         return replace(correction, z=2 * correction.z) if abs(value) == wanted else correction
 
     monkeypatch.setattr(NewtonCorrector, "correct", correct)
-    branch = follow_family(Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton")
+    branch = follow_family(
+        Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton", walker="arclength"
+    )
     assert branch.misses == {"Omega": (wanted,)}
     assert "no orbit was found at Omega = 1.48, which the family passes" in branch.reason
     assert [o.Omega for o in branch.orbits if o.point.requested] == [1.5]
@@ -221,7 +223,7 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
         branch.at(Omega=wanted)
     for limit, misses in ((1.47, {}), (1.49, {"Omega": (wanted,)})):
         stopped = follow_family(
-            Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton",
+            Chain(2, 1.0, 0.0, 1.0), 1, 1.0, at_Omega=[wanted, 1.5], corrector="newton", walker="arclength",
             until=lambda orbit, limit=limit: orbit.Omega > limit,
         )  # fmt: skip
         assert stopped.misses == misses
