@@ -1,4 +1,4 @@
-"""Checks of arguments: each message names the argument, what was given and what is accepted, in one line."""
+"""Checks of arguments: each message names the argument, its value and what is accepted, in one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, cast
 
-LONGEST = 60  # characters of a given value or name that a message shows
+LONGEST = 60  # characters of a value or name in a message
 MANY_NODES = 1000  # of an expression that no message shows
 
 
@@ -26,7 +26,7 @@ def short_repr(value: object) -> str:
 
 
 class _Short(reprlib.Repr):
-    """Text of what a message shows the beginning of, whatever it is: huge, endless, or with a fault in its own text."""
+    """Beginning of the text of any object for messages, however long it is, even with a fault in its own text."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,13 +46,13 @@ class _Short(reprlib.Repr):
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that is most like the given one in any case of its letters, if one is near."""
+    """The known name that is most like a name in any case of its letters, if one is near."""
     names = {other.lower(): other for other in reversed(list(known))}
     return next((names[near] for near in difflib.get_close_matches(name[:LONGEST].lower(), names, n=1)), None)
 
 
 def accepted_names(name: object, known: Iterable[str]) -> str:
-    """What a message on an unknown name ends with: the nearest known name, if one is near, and all that are known."""
+    """End of a message about an unknown name: the nearest known name, if one is near, and all known names."""
     names = list(known)
     near = nearest(name if isinstance(name, str) else short_repr(name), names)
     return f"{f'did you mean {near}? ' if near else ''}accepted: {', '.join(names) or 'none'}"
@@ -122,7 +122,7 @@ def by_name(name: str, value: object, what: str = "numbers") -> Mapping[str, Any
 
 
 def file_path(name: str, value: object) -> Path:
-    """The value as a path; raises TypeError and ValueError where no file can be called so."""
+    """The value as a path; raises TypeError and ValueError where it cannot name a file."""
     if not isinstance(value, str | Path):
         raise TypeError(f"{name}: given {short_repr(value)}; accepted: a path")
     if not str(value).isprintable() or not str(value):

@@ -97,9 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _status(arguments: Sequence[str] | None) -> int:
-    """Exit status of a command that has said why it is what it is."""
+    """Exit status of a command that has reported its reason."""
     parsed = _parser().parse_args(arguments)
-    from casadi_skin.runs.directory import DirectoryError  # here: --help needs nothing of it
+    from casadi_skin.runs.directory import DirectoryError  # here: --help does not need it
     from casadi_skin.scene import SceneError
 
     signal.signal(signal.SIGTERM, _interrupt)

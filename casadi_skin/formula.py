@@ -191,7 +191,7 @@ class _Parser:
         return Name(token, column)
 
     def _closed(self) -> Tree:
-        """What is in a bracket that is open."""
+        """The expression inside an open bracket."""
         tree = self._sum()
         if not self._take(")"):
             raise self._error("an operator (+ - * / ^) or )")

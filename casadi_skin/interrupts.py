@@ -18,7 +18,7 @@ from types import FrameType
 def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
     """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends.
 
-    With `end_solver` a signal makes the callback that hears it fail, so that a long integration ends at once; without
+    With `end_solver` a signal makes the callback fail that gets it, so that a long integration ends at once; without
     it the second one does. What the solver raises after a signal is raised only where the signal's own handler returns.
     """
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
@@ -26,13 +26,13 @@ def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
         return
     received: list[tuple[int, FrameType | None]] = []
 
-    def hear(number: int, frame: FrameType | None) -> None:
+    def on_signal(number: int, frame: FrameType | None) -> None:
         received.append((number, frame))
         if end_solver or len(received) > 1:
             raise KeyboardInterrupt
 
     heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-    handlers = {n: signal.signal(n, hear) for n in heeded}
+    handlers = {n: signal.signal(n, on_signal) for n in heeded}
     failure: BaseException | None = None
     try:
         yield

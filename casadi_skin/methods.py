@@ -1,4 +1,4 @@
-"""The one registry of interchangeable methods: their names, what they are in words, and where they are implemented.
+"""The one registry of interchangeable methods: their names, their descriptions, and their implementations.
 
 Scenes, messages and documentation read it. It loads no numerics: an implementation is imported when it is first used.
 """
@@ -33,7 +33,7 @@ def _registry(**methods: tuple[str, str]) -> Registry:
 
 
 TRIGONOMETRIC, SHOOTING = "trigonometric", "shooting"
-GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # what is chosen where nothing is asked for
+GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # the defaults
 COLLOCATION_TABLES = _registry(
     gauss=("Gauss-Legendre collocation on intervals", "bvp.butcher:gauss_table"),
     radau=("Radau IIA collocation on intervals, for stiff equations", "bvp.butcher:radau_table"),

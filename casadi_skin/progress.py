@@ -40,7 +40,7 @@ class Progress:
             self._status.stop()
 
     def solution(self, solution: Solution, points: int) -> None:
-        """Show that a solution has been reached, which is that many of its branch."""
+        """Show that a solution has been reached, with its number on the branch."""
         if self._status is not None:
             self._status.update(f"{_place(solution)}, {points} points, step {solution.point.step:.2g}")
 
@@ -56,7 +56,7 @@ class Progress:
 
 
 def _place(solution: Solution) -> str:
-    """Where a solution is on its branch, and where that ends."""
+    """Place of a solution on its branch, and the end of the branch."""
     space = solution.space
     if isinstance(space, Family):
         S, end = space.value("S", solution.point), space.request.amplitude_max

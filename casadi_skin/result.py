@@ -1,4 +1,4 @@
-"""What every result offers: a few lines in print, a table with a picture in notebooks, tables, pictures and files."""
+"""Base of every result: a few lines in print, a table with a picture in notebooks, tables, pictures and files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Result:
-    """A result that prints as a few lines, draws itself, becomes tables and is saved; nothing is loaded before that."""
+    """A result that prints as a few lines, draws itself, becomes tables and is saved; libraries load on first use."""
 
     def __str__(self) -> str:
         return str(methods.TASKS["lines"].load()(self))
@@ -24,10 +24,10 @@ class Result:
         return str(methods.TASKS["html"].load()(self))
 
     def plot(self, axes: Axes | None = None, **options: Any) -> Axes:
-        """Draw it into matplotlib axes.
+        """Draw the result into matplotlib axes.
 
         Arguments:
-            axes: where it is drawn, with what is there already; new ones of pyplot by default.
+            axes: axes to draw into, on top of their contents; new ones of pyplot by default.
             options: `x` and `y` of a branch, names of quantities; `states` of an orbit, a solution or an evolution,
                 names of components.
 
@@ -57,9 +57,9 @@ class Result:
         return dataset
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
+        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
 
-        Raises ValueError for what belongs to a program, as to an FMU, OSError where the file cannot be written.
+        Raises ValueError for results of programs, such as FMUs, OSError where the file cannot be written.
         """
         written: Path = methods.TASKS["save"].load()(self, path)
         return written

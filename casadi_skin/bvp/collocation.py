@@ -228,7 +228,7 @@ class CollocationEquations(Problem):
     # The mesh -------------------------------------------------------------------------------------------------------
 
     def _component_sizes(self, values: Array) -> Array:
-        """What changes of each component of the states, shape (columns, components), are measured by."""
+        """Scales of the changes of each component of the states, shape (columns, components)."""
         return np.full(values.shape[1], float(np.max(np.abs(values))))
 
     def _density(self, z: Array) -> Array:

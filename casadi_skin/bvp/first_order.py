@@ -1,4 +1,4 @@
-"""What transcriptions in full states have in common: the models that they take, and the order of their unknowns."""
+"""Common parts of transcriptions in full states: the models that they take, and the order of their unknowns."""
 
 from __future__ import annotations
 

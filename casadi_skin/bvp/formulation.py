@@ -1,4 +1,4 @@
-"""A boundary-value problem on the unit interval: what collocation needs to know of any, orbits among them."""
+"""A boundary-value problem on the unit interval: the data that collocation needs, of orbits as of any problem."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Formulation:
 
     @cached_property
     def discretisations(self) -> dict[tuple[int, int, int], Any]:
-        """What has been made of this formulation for numbers of intervals, stages and increments."""
+        """Discretisations made of this formulation, by numbers of intervals, stages and increments."""
         return {}
 
     @property
@@ -60,7 +60,7 @@ class Formulation:
         """F, dF/dx and dF/dsigma at several stages, one column each.
 
         An SX function gives all at once. Of a program values have a function of their own: CasADi evaluates all of an
-        MX function, also results that nobody asks for.
+        MX function, also results that are not used.
         """
         count, function = states.size2(), self.field_function
         found = list(function.map(count)(places, states, scalars))

@@ -1,4 +1,4 @@
-"""A periodic orbit as equations with one unknown more: what transcriptions of orbits know beyond other problems."""
+"""A periodic orbit as equations with one unknown more: properties that only transcriptions of orbits have."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class Problem(ABC):
 
     @abstractmethod
     def profile_change(self, z: Array, step: Array) -> float:
-        """What a step from z changes the state by, relative to its size."""
+        """Change of the state in a step from z, relative to its size."""
 
     def row_of(self, held: Scalar) -> Array:
         """Row that holds Omega or the free parameter, shape (size,)."""
@@ -127,7 +127,7 @@ class Problem(ABC):
 
     @abstractmethod
     def frequency_step(self, z: Array, step: Array) -> float:
-        """What a small step from z changes Omega by; where there is none, the largest relative change of a scalar."""
+        """Change of Omega in a small step from z; where there is none, the largest relative change of a scalar."""
 
     @property
     def parameter_index(self) -> int:
@@ -135,7 +135,7 @@ class Problem(ABC):
         return self.index_of(Scalar.PARAMETER)
 
     def parameter_size(self, z: Array) -> float:
-        """What a small change of the free parameter is measured by."""
+        """Scale of small changes of the free parameter."""
         return abs(float(z[self.parameter_index]))
 
     @cached_property
@@ -197,7 +197,7 @@ class Problem(ABC):
 
     @property
     def shared(self) -> dict[Any, Any]:
-        """What is made once for all problems that differ from this one in their constants only, by name."""
+        """Objects by name that all problems share which differ from this one in their constants only."""
         return self._shared
 
     @cached_property
@@ -209,7 +209,7 @@ class Problem(ABC):
         """An order of the unknowns in which factors of the Jacobian are sparse, where they are `in_order`."""
         return np.arange(self.size)
 
-    # Adaptation: what a transcription may know of where its unknowns should lie ------------------------------------
+    # Adaptation: where the unknowns of a transcription should lie ------------------------------------
 
     def transferred(self, other: Problem) -> Problem:
         """The problem `other`, of another resolution, with its unknowns placed as they are here."""
@@ -243,7 +243,7 @@ class Problem(ABC):
         return 10.0 * EPSILON
 
     def place(self, equation: int) -> str:
-        """Where an equation, counted from 0, holds, in words; transcriptions know more."""
+        """Place of an equation, counted from 0, in words; transcriptions describe it in more detail."""
         return f"equation {equation + 1} of {self.size - 1}"
 
     def whereabouts(self, z: Array) -> str:

@@ -174,7 +174,7 @@ class TaylorRecursion:
         self._norm.complete(k)
 
     def _right_side(self, k: int) -> Array:
-        """What order k has to balance: minus the equations with no part of order k in z, shape (size,)."""
+        """Right-hand side of order k: minus the equations with no part of order k in z, shape (size,)."""
         problem = self.problem
         self._coefficients[k] = 0.0
         Omega, p = self._coefficients[:, problem.Omega_index], self._coefficients[:, problem.parameter_index]

@@ -87,7 +87,7 @@ class BoundaryProblem(CollocationEquations):
     def measure_by(self, z: Array) -> None:
         """Let a thousandth of z be what its components are measured by at least, where it is not zero but for rounding.
 
-        On all meshes that share `floors`: a guess of zeros knows nothing of the size of the solution that it led to.
+        On all meshes that share `floors`: a guess of zeros has not the size of the solution that it led to.
         """
         largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
         if np.max(largest) > ZERO:
@@ -97,7 +97,7 @@ class BoundaryProblem(CollocationEquations):
         return np.asarray(np.maximum(np.abs(z[self.states : -1]), self.scalar_floors))
 
     def sizes(self, z: Array, parameter_scale: float = 1.0) -> Array:
-        """What each unknown is measured by, shape (size,)."""
+        """Scale of each unknown, shape (size,)."""
         values = z[: self.states].reshape(self.columns, -1)
         states = np.tile(self._component_sizes(values), self.columns)
         return np.concatenate([states, self._scalar_sizes(z), [parameter_scale]])

@@ -209,7 +209,7 @@ class Statement:
         """The same problem at other values of parameters."""
         return replace(self, parameters={**self.parameters, **values})
 
-    # What can be asked of it ----------------------------------------------------------------------------------------
+    # Queries ----------------------------------------------------------------------------------------
 
 
 def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:

@@ -27,7 +27,7 @@ class SymmetryClass(Enum):
 
     @property
     def reason(self) -> str:
-        """What the class rests on, in words."""
+        """Symmetries that justify the class, in words."""
         return {
             SymmetryClass.QUARTER: "reversible with half-period symmetry x(t + T/2) = P x(t): a quarter of the period",
             SymmetryClass.HALF: "reversible: half of the period",

@@ -125,7 +125,7 @@ def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """What is built for all models of one program, at one resolution."""
+    """Functions and buffers that all models of one program share, at one resolution."""
 
     function: ca.Function
     buffers: Buffers

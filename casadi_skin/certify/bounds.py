@@ -174,7 +174,7 @@ class FiniteInverse:
 
     @cached_property
     def tailed(self) -> TailSize | None:
-        """What bounds A and the equations in a tail; None without one."""
+        """Bounds of A and of the equations in a tail; None without one."""
         return TailSize.of(self.series, self.nu, self.norms, self.weights_below) if self.series.tail_series else None
 
     @cached_property

@@ -28,7 +28,7 @@ MOST_SITES = 500  # of a long chain whose tail is no unknown elsewhere, that are
 MARGIN = 4  # harmonics beyond those that carry the orbit at its tolerance
 GROWTH = 1.4  # of the number of harmonics after a trial
 TRIALS = 8
-FINE = 1e-17  # radius relative to the norm that is below what doubles tell apart
+FINE = 1e-17  # radius relative to the norm that is below the resolution of doubles
 NOTHING = (float("nan"), float("nan"))
 ACCEPTED = "an orbit of a family whose model is of second order and reversible, as sums of cosines"
 
@@ -66,7 +66,7 @@ def certify(
 def best_attempt(
     orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT, decimals: bool | None = None
 ) -> tuple[Family, Attempt]:
-    """What proves most of an orbit, in the precision of balls that is set; raises ValueError as `certify` does."""
+    """The attempt that proves most of an orbit, in the current precision of balls; raises ValueError as `certify`."""
     if not isinstance(orbit.space, Family):
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
     family = provable(orbit.space)

@@ -89,7 +89,7 @@ class LinearTail:
         return total
 
     def amplitude(self, series: Sequence[arb], square: arb) -> arb:
-        """What the tail adds to S, as a ball from 0 to its bound."""
+        """Contribution of the tail to S, as a ball from 0 to its bound."""
         from flint import arb
 
         first, slowest = self.first(series, square, arb(1)), self.slowest(len(series), square)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def exact(value: float, decimals: bool) -> Fraction:
-    """What a double stands for: itself, or the shortest decimal that it is the double of."""
+    """Exact value of a double: itself, or the shortest decimal that rounds to it."""
     return Fraction(repr(value)) if decimals else Fraction(value)
 
 

@@ -90,7 +90,7 @@ class Curve:
         return arb_mat(self.centre.tolist())
 
     def bounds_at(self, x: arb, nu: arb) -> Node:
-        """What bounds need at one place."""
+        """Values at one place from which the bounds are computed."""
         from flint import arb
 
         T = self.chebyshev(x)

@@ -54,7 +54,7 @@ class _Piece:
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """What all pieces share: the family, its equations for positions of amplitude 1, and the norm."""
+    """Data that all pieces share: the family, its equations for positions of amplitude 1, and the norm."""
 
     branch: Branch
     family: Family

@@ -1,1 +1,1 @@
-"""What the commands do, a function a command: parsed words in, exit status out."""
+"""The commands, one function each: parsed words in, exit status out."""

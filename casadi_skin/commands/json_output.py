@@ -1,4 +1,4 @@
-"""What a command prints where not words for a reader: nothing, or its results as JSON."""
+"""Output of a command that is not for a reader: nothing, or its results as JSON."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "ex
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute what a scene asks for; nothing is written where the scene or its model is wrong."""
+    """Compute the request of a scene; nothing is written where the scene or its model is wrong."""
     scene, text = read_scene(arguments.scene)
     if all(getattr(scene, name) is None for name in ASKED):
         accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run_in(
     directory: Path, existing: Existing, request: Request, text: str, arguments: argparse.Namespace, progress: Progress
 ) -> int:
-    """Compute what a request asks for in a directory of this process, and return the exit status."""
+    """Compute a request in a directory of this process, and return the exit status."""
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
     if not prepare(directory, request.scene, text, existing):

@@ -18,7 +18,7 @@ SCHEMA = "scene.schema.json"
 
 
 def add_first_steps(commands: Commands, parser: argparse.ArgumentParser) -> None:
-    """Add the commands to those of a parser, after all others: help and completion know these."""
+    """Add the commands to those of a parser, after all others: help and completion list these."""
     new = commands.add_parser(
         "new",
         help="write a commented scene to start from",

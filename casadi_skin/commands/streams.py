@@ -59,7 +59,7 @@ def guarded_streams() -> Iterator[None]:
     sys.stdout, sys.stderr = _Stream(output), _Stream(error, forgiving=True)
     try:
         with warnings.catch_warnings():
-            if not sys.warnoptions:  # those who ask Python for them get them
+            if not sys.warnoptions:  # users can enable them in Python
                 warnings.simplefilter("ignore")
             yield
         sys.stdout.flush()

@@ -79,7 +79,7 @@ def add_studies(commands: Commands) -> None:
 
 
 def run_study(arguments: argparse.Namespace) -> int:
-    """Run the study that the arguments ask for, show its report, and return the exit status."""
+    """Run the study of the arguments, show its report, and return the exit status."""
     from casadi_skin.runs.directory import prepare_study
 
     study: Study = arguments.study(arguments)
@@ -103,7 +103,7 @@ def run_study(arguments: argparse.Namespace) -> int:
         print_results(study.directory, not faults, faults)
     elif not arguments.quiet:
         _print_report(study)
-    if arguments.json or arguments.quiet:  # the report would have told them
+    if arguments.json or arguments.quiet:  # the report would have shown them
         for fault in faults:
             print(f"casadi-skin: {fault}", file=sys.stderr)
     return FAILED if faults else DONE

@@ -1,4 +1,4 @@
-"""What a run tells on standard output when it ends."""
+"""Summary of a run on standard output."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def print_summary(run: Run) -> None:
 
 
 def _print_of_families(run: Run) -> None:
-    """What was followed from families."""
+    """Branches and curves followed from families."""
     found = run.of_families
     if found.leaving:
         points = _counted([branch for _, branch in found.leaving])
@@ -141,7 +141,7 @@ def _stability(branch: Branch, place: int) -> str:
 
 
 def _print_stability(branches: list[Branch]) -> None:
-    """What of the stability of families is in no column: unresolved stretches, and what was not sought."""
+    """Stability of families beyond the columns: unresolved stretches, and changes that were not sought."""
     computed = [branch for branch in branches if branch.with_stability]
     if any(not branch.with_events for branch in computed):
         print("changes of stability between points were not sought")
@@ -152,7 +152,7 @@ def _print_stability(branches: list[Branch]) -> None:
 
 
 def _print_proofs(branches: list[Branch]) -> None:
-    """How many orbits are proved to exist, and how well Omega is known by that."""
+    """Number of orbits that are proved to exist, and the accuracy of Omega that this proves."""
     for branch in branches:
         asked = certified(branch)
         proved = [orbit.certificate for orbit in asked if orbit.certificate.proved]

@@ -136,7 +136,7 @@ class ArclengthContinuation:
         return allowed / slope if slope > 0 else np.inf
 
     def _requested(self, current: Point, following: Point) -> Iterator[Point]:
-        """Points asked for between two points walked, the walk's end among them, in arclength order.
+        """Requested points between two points of the continuation, its end among them, in arclength order.
 
         Sets `end` where the stretch passes the walk's end, also where it folds back before it closes.
         """

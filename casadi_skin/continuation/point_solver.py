@@ -1,4 +1,4 @@
-"""Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two points already known.
+"""Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two other points.
 
 The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
 """
@@ -124,7 +124,7 @@ class PointSolver:
     ) -> Point | None:
         """The point on the coarsest level from `problem` up that meets the tolerance; None at the top of the levels.
 
-        `held` tells what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
+        `held` names what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
         left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer level
         does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
         relative error, where these have been found. Raises SingularError.
@@ -255,7 +255,7 @@ class PointSolver:
         return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
 
     def lighter(self, point: Point) -> Problem:
-        """Where to try the next step from a point: a coarser level where that is expected to be accurate enough."""
+        """The problem of the next step from a point: on a coarser level where that is expected to suffice."""
         allowed = COARSEN * self.settings.tolerance
         return self.levels.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
 

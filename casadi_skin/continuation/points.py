@@ -1,4 +1,4 @@
-"""What walks of a branch deal in: settings, points, and the reasons for which a walk ends."""
+"""Settings and points of a continuation, and the reasons for which it ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.solvers.levels import ErrorEstimate, Refinement
 
-SAME = 1e-12  # relative difference below which a point walked is the one asked for
+SAME = 1e-12  # relative difference below which a point walked is the requested one
 NEXT = 1e-10  # and its distance along the branch
 RESOLVED = 1e-2  # units in the last place that a value changes by over that distance at least
 
@@ -42,7 +42,7 @@ class Target:
 
 @dataclass(frozen=True)
 class ContinuationSettings:
-    """What the walk aims for and refuses; lengths in the relative metric, angles in degrees."""
+    """Aims and limits of a continuation; lengths in the relative metric, angles in degrees."""
 
     parameter_max: float  # the walk ends at this value of the free parameter; its sign is the direction
     tolerance: float  # relative error of Omega and of the profile at every point
@@ -73,7 +73,7 @@ class ContinuationSettings:
 
     @property
     def wanted(self) -> dict[Target, bool]:
-        """All that the walk stops at, and whether the point there was asked for."""
+        """All places at which the continuation stops, and whether the point there was requested."""
         return dict.fromkeys(self.ends, False) | dict.fromkeys(self.at, True)
 
 
@@ -160,7 +160,7 @@ def known_end(settings: ContinuationSettings, points: Sequence[Point]) -> End | 
 class Continuation(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
-    `end` tells why it stopped, `detail` where; `missed` lists targets passed at which no point was found. `history`
+    `end` is the cause of its end, `detail` where; `missed` lists targets passed at which no point was found. `history`
     holds the last few points walked: a walk made from them, and from the points `reported` after the last of them, goes
     on exactly as the one that was broken off.
     """

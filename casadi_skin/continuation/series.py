@@ -120,7 +120,7 @@ class SeriesContinuation:
         solve = self.point_solver.levels.solver(problem).factor(base.z, nonzeros, row)
         z = base.z - solve(np.append(residual, 0.0))
         if base.parameter == 0.0:
-            z[problem.parameter_index] = 0.0  # but for round-off, which must not skip tiny values asked for
+            z[problem.parameter_index] = 0.0  # but for round-off, which must not skip tiny requested values
         slope = base.step * self.point_solver.tangent(problem, z, solve)
         coefficients = self._recursion(problem).series(z, slope, solve)
         sizes = np.sqrt(np.sum(self.point_solver.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
@@ -185,7 +185,7 @@ class SeriesContinuation:
             yield stop, None if isinstance(point, SingularError) else point
 
     def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
-        """Where points are reported: values asked for, and often enough to draw and to see stability change."""
+        """Places of reported points: requested values, and often enough to draw and to see stability change."""
         wanted, ends = self.settings.wanted, self.settings.ends
         stops = []
         for held in Scalar:

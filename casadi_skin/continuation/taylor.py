@@ -11,7 +11,7 @@ from numpy.polynomial.polynomial import polyval
 
 from casadi_skin.bvp.problem import Array
 
-GRID = 33  # samples in which the crossings of a value, and the turns between them, are told apart
+GRID = 33  # samples in which the crossings of a value, and the turns between them, are separated
 
 
 @dataclass(frozen=True)

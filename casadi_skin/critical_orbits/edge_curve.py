@@ -120,7 +120,7 @@ class _Walk:
             return None
 
     def _extrapolated(self, value: float, known: Sequence[Any]) -> Any:
-        """What the polynomial through the last points is at a value of the parameter."""
+        """Value of the polynomial through the last points at a value of the parameter."""
         count = min(len(known), NEAREST)
         places = np.array([point.parameters[self._name] for point in self.points[-count:]])
         total = 0.0 * np.asarray(known[-1])

@@ -63,7 +63,7 @@ class EdgeCurve(Result):
 
     @property
     def kind(self) -> str:
-        """What leaves the unit circle: "real" through 1 or -1, "complex" where two multipliers meet."""
+        """Multipliers that leave the unit circle: "real" through 1 or -1, "complex" where two meet."""
         return self.points[0].edge.kind
 
     @property
@@ -83,7 +83,7 @@ class EdgeCurve(Result):
 
     @property
     def complete(self) -> bool:
-        """Whether the curve reached what was asked, or was stopped."""
+        """Whether the curve reached its requested end, or was stopped."""
         return self.end in (None, End.REACHED)
 
     @property

@@ -1,4 +1,4 @@
-"""What the search for points of codimension two asks of a curve of special orbits."""
+"""Interface of a curve of special orbits, as the search for points of codimension two uses it."""
 
 from __future__ import annotations
 

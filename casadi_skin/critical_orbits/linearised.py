@@ -102,14 +102,14 @@ class Linearised:
         return x, scalars
 
     def _increments(self, values: Vector) -> Vector:
-        """What values at the stages add to the equations of collocation, and 0 to the conditions."""
+        """Contribution of values at the stages to the equations of collocation; 0 to the conditions."""
         problem = self.problem
         by_interval = values[: self.components].T.reshape(problem.resolution, problem.degree, -1)
         sums = np.einsum("k,ij,kjn->kin", problem.constants, problem.table.extended, by_interval)
         return np.asarray(-sums.ravel())
 
     def velocity(self, v: Vector) -> Vector:
-        """What the equations of collocation gain where the field loses v, shape (inner,)."""
+        """Contribution of -v in the field to the equations of collocation, shape (inner,)."""
         return -self._increments(self._at_stages(v)[0])
 
     def derivative(self, *directions: Vector) -> Vector:

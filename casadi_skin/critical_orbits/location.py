@@ -57,7 +57,7 @@ def extended_space(
 
 
 def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, first: str) -> Critical:
-    """What an orbit solves beside its own equations, seen from an orbit near it."""
+    """Equations of a critical orbit beside those of any orbit, linearised at an orbit near it."""
     problem = point.problem
     assert isinstance(problem, BoundaryProblem)
     values = point.z[: problem.states].reshape(problem.columns, -1)

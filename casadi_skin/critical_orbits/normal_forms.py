@@ -1,4 +1,4 @@
-"""What decides at folds, period doublings and tori of orbits: coefficients of their normal forms.
+"""Coefficients of the normal forms at folds, period doublings and tori of orbits.
 
 By projection on the collocation equations themselves (Kuznetsov, Govaerts, Doedel and Dhooge 2005), in the variable w
 of x = x0 + w v + ..., where v is the critical Floquet function with mean square 1 over the period: of a fold w' = a w^2
@@ -25,7 +25,7 @@ UNKNOWN = "unknown: the model has no higher derivatives"
 
 
 def critical(point: SpecialPoint) -> Critical:
-    """What decides at a special point of equilibria or orbits; raises ValueError for another one."""
+    """Normal form at a special point of equilibria or orbits; raises ValueError for another point."""
     solution = point.solution
     if point.kind in (DOUBLING, TORUS) and not isinstance(solution, Orbit):
         accepted = "one of orbits, as `find_orbit` gives them"

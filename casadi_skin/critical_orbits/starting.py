@@ -66,7 +66,7 @@ def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: flo
 
 
 def component_sizes(values: Array) -> Array:
-    """What each component of a Floquet function is measured by: the orbit's largest, or a usual one where it rests."""
+    """Scale of each component of a Floquet function: the orbit's largest, or a usual one where it rests."""
     largest = np.max(np.abs(values), axis=0)
     moves = largest > RESTS * np.max(largest)
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))

@@ -41,7 +41,7 @@ class _Joined(OdeModel):
 
 @dataclass(frozen=True, eq=False)
 class Critical:
-    """What makes the extended statement of critical orbits.
+    """Data of the extended statement of critical orbits.
 
     Attributes:
         kind: "fold", "period doubling", "torus" or "branch point".
@@ -136,7 +136,7 @@ class Critical:
         return [p[first + k] for k in range(len(self.orbit.free))]
 
     def _conditions(self, model: OdeModel) -> tuple[list[Expression], list[Expression]]:
-        """What vanishes at the ends, and in the mean."""
+        """Conditions: expressions that vanish at the ends, and in the mean."""
         orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
         first, last, p = *model.ends, model.parameters
         stacked = ca.vertcat(*(ca.vec(c) for c in orbit.conditions))
@@ -192,6 +192,6 @@ class Critical:
         return found
 
     def size_of(self, name: str) -> float:
-        """What the change of a free parameter is measured by."""
+        """Scale of the change of a free parameter."""
         value = abs(self.orbit.values[name])
         return value if value > 0.0 else 1.0

@@ -12,11 +12,11 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 
 PHASES = 2048  # of an orbit with any wave form
-SMALLEST = 1e-6  # of the largest component of an orbit: what a component is measured by at least
+SMALLEST = 1e-6  # of the largest component of an orbit: the least scale of a component
 
 
 def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
-    """The states of an orbit of `find_orbit`, with what each is measured by: half its range over the period.
+    """The states of an orbit of `find_orbit`, with the scale of each: half its range over the period.
 
     The unit is the root of the mean square distance of the orbit from its mean.
     """

@@ -48,7 +48,7 @@ class EquationsOfMotion:
         parameters: values of its parameters by name.
         gauge_is_default: whether the equations are integrated in their gauge unless it is said otherwise.
         escape: why a state may run to infinity, for messages.
-        well: the displacement beyond which a position escapes; infinite where nothing is known of it.
+        well: the displacement beyond which a position escapes; infinite where the model declares none.
     """
 
     gauge_is_default: bool
@@ -121,7 +121,7 @@ class EquationsOfMotion:
     # Coordinates ------------------------------------------------------------------------------------------------------
 
     def in_coordinates(self, coordinates: str) -> tuple[OdeModel, Array, Array]:
-        """What is integrated: equations, values of their parameters, and factors D of the positions.
+        """Equations to be integrated, values of their parameters, and factors D of the positions.
 
         Raises ValueError where there is no such gauge, or doubles do not hold its factors.
         """

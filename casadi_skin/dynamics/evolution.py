@@ -1,4 +1,4 @@
-"""What a time evolution gives: states at the wanted times, how they were computed, and how well the energy was kept."""
+"""Result of a time evolution: states at the requested times, the method, and the drift of the energy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Evolution(Result):
         states: in the coordinates of the model, shape (time, component): displacements, then velocities in a model of
             second order.
         method: name of the integrator.
-        tolerance: what it was asked for.
+        tolerance: tolerance requested of the integrator.
         coordinates: "gauge" or "physical", those that were integrated in.
         evaluations: of the forces, or of the right-hand side.
         step: of a method with a fixed one.
@@ -53,7 +53,7 @@ class Evolution(Result):
 
     @property
     def model(self) -> Any:
-        """The model that moves, as it was given."""
+        """The model that moves, in its own coordinates."""
         return self.equations.model
 
     @property
@@ -98,7 +98,7 @@ class Evolution(Result):
         return CubicHermiteSpline(self.t, self.states, np.array(rates).T)
 
     def last_cycle(self) -> Cycle:
-        """The last stretch of time over which the state comes back to itself.
+        """The last stretch of time over which the state returns to itself.
 
         Where the output times are too far apart to show it, as in the jumps of a relaxation oscillation, the motion is
         followed on from the last of them for as long again, in steps of the integrator's own (Radau, order 5).
@@ -190,7 +190,7 @@ class Evolution(Result):
 
     @property
     def status(self) -> str:
-        """What was computed, how, and how well the energy was kept, in a sentence."""
+        """The computation, its method and the drift of the energy, in a sentence."""
         words = f"{self.method} in {self.coordinates} coordinates, tolerance {self.tolerance:.3g}"
         if self.step is not None:
             words += f", step {self.step:.4g}"
@@ -217,7 +217,7 @@ class Cycle:
 
     @property
     def times(self) -> Array:
-        """Times at which the states are known, from 0 at the start of the cycle to the period."""
+        """Times of the samples of the states, from 0 at the start of the cycle to the period."""
         t = self.evolution.t - self.start
         return np.concatenate([[0.0], t[(t > 0.0) & (t < self.period)], [self.period]])
 
@@ -232,9 +232,9 @@ class Cycle:
 
 
 class EvolutionError(ArithmeticError):
-    """A time evolution that could not be followed to its end: the message says how far and why in one line.
+    """A time evolution could not be followed to its end: the message names the time and the reason in one line.
 
-    `evolution` is what was computed before, None where that is nothing.
+    `evolution` holds the part computed before; None where there is none.
     """
 
     def __init__(self, message: str, evolution: Evolution | None) -> None:

@@ -38,7 +38,7 @@ def evolve(
         positions: displacements, shape (position,); the whole state of a model of first order.
         velocities: shape (position,); None where they are zero, and for a model of first order.
         t: the wanted times, ascending from 0 on.
-        method: "cvodes" (SUNDIALS: Adams formulas for models of second order, else BDF), "dop853" (the paper's), or
+        method: "cvodes" (SUNDIALS: Adams formulas for models of second order, else BDF), "dop853" (as in the paper), or
             "symplectic" (order 6, for forces that depend on positions alone and for long runs: the energy oscillates
             and does not drift).
         tolerance: of one step, relative to the largest component of the start.

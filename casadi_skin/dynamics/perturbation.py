@@ -15,7 +15,7 @@ from casadi_skin.orbits.orbit import Orbit
 
 
 def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
-    """The equations that an orbit solves, of its model as it was given, at the values of its parameters."""
+    """The equations of an orbit, in the model's own coordinates, at the values of its parameters."""
     space, model = orbit.space, orbit.model
     if isinstance(space, BoundarySpace) and space.periodic is not None:
         model = space.periodic.given
@@ -52,7 +52,7 @@ def perturbed(
         Displacements and velocities, shape (position,) each; of a model of first order the state, and no velocities.
 
     Raises:
-        ValueError: not one of site, vector and seed is given, or what is given does not fit the model.
+        ValueError: not one of site, vector and seed is given, or the argument does not fit the model.
     """
     equations = orbit_equations(orbit)
     state, n = orbit_start(orbit, equations), equations.positions or equations.size

@@ -35,8 +35,8 @@ class CurveSpace(EquilibriumSpace):
 
     Attributes:
         kind: "fold", "hopf" or "branch point".
-        second: how the free parameter is measured: it has its start at 0 and changes by its usual size to 1.
-        rate: of time, that omega is measured by.
+        second: course of the free parameter: 0 at its start, 1 after a change by its usual size.
+        rate: scale of omega.
     """
 
     kind: str = FOLD
@@ -54,12 +54,12 @@ class CurveSpace(EquilibriumSpace):
 
     @cached_property
     def levels(self) -> Levels:
-        """The one level that there is."""
+        """The only level."""
         return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameter that is found with the state."""
+        """The parameter that is solved for with the state."""
         return () if self.second is None else (self.second.name,)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:

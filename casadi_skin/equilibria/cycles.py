@@ -22,8 +22,8 @@ from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.find_orbit import closed_statement
 from casadi_skin.solvers.levels import ErrorEstimate
 
-TOLERANCE = 1e-8  # of orbits, where nothing else is asked for
-REACH = 0.5  # of what an orbit varies by: how far from it the equilibrium may be that it shrinks to
+TOLERANCE = 1e-8  # of orbits, by default
+REACH = 0.5  # of the variation of an orbit: largest distance of the equilibrium that it shrinks to
 
 
 def born_at(
@@ -76,7 +76,7 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
 
 
 def _variation(space: BoundarySpace, point: Point) -> float:
-    """What an orbit varies by, relative to the sizes of its components."""
+    """Variation along an orbit, relative to the sizes of its components."""
     states = point.problem.sample(point.z, np.linspace(0.0, 1.0, 65))
     return float(np.max(np.ptp(states, axis=0) / (space.sizes.states * 1e3)))
 

@@ -1,9 +1,9 @@
 """Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one.
 
 The parameter turns back at a fold; the Jacobian closed by the tangent changes the sign of its determinant at a branch
-point; a pair of complex eigenvalues crosses the imaginary axis at a Hopf point. A stretch is looked at in between, and
+point; a pair of complex eigenvalues crosses the imaginary axis at a Hopf point. A stretch is sampled in between, and
 halved until each of these quantities has no root on it, or one simple root within the errors of the cubics through
-what is known (see `stretch`). Neutral saddles have no eigenvalue on the axis, and are not seen.
+the samples (see `stretch`). Neutral saddles have no eigenvalue on the axis, and are not seen.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from casadi_skin.equilibria.search import Search
 from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
 from casadi_skin.solvers.levels import ErrorEstimate
 
-TOGETHER = 4  # divisions after which a fold and a branch point that are not told apart are one
+TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
 BISECTIONS = 40
 SAME = 1e-9  # of a step or of a frequency
 BESIDE = 0.7  # of a stretch: how far from where it is expected a special point may be found
@@ -43,7 +43,7 @@ class UnresolvedWarning(UserWarning):
 def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point]:
     """Special points between two points of a branch, in order, each marked by its kind.
 
-    Warns with UnresolvedWarning where several lie too near to each other to be told apart.
+    Warns with UnresolvedWarning where several lie too near to each other to be separated.
     """
     yield from _Search(equations, before, after).between(before, after)
 
@@ -76,7 +76,7 @@ class _Search(Search):
         yield from _unresolved(self.equations, stretch, kinds)
 
     def _each(self, stretch: Stretch, expected: list[str], reals: list[int], pairs: list[int]) -> list[Point] | None:
-        """The special points that are seen at the ends, where each is found; None where they are not."""
+        """The special points that the ends indicate, each located; None where one cannot be."""
         if len(expected) > 1 or not (expected or pairs) or (self.free and len(reals) != len(expected)):
             return None
         asked = [(kind, (reals or [0])[0]) for kind in expected] + [(HOPF, place) for place in pairs]
@@ -86,7 +86,7 @@ class _Search(Search):
 
 
 def _differ(found: list[Found]) -> bool:
-    """Whether special points are not the same one found twice: their places or frequencies are not the same."""
+    """Whether special points differ in place or frequency, so that none is located twice."""
     return not any(
         abs(one.along - other.along) <= SAME and abs(one.frequency - other.frequency) <= SAME * one.frequency
         for i, one in enumerate(found)
@@ -98,7 +98,7 @@ def _differ(found: list[Found]) -> bool:
 
 
 def _located(equations: EquilibriumEquations, stretch: Stretch, kind: str, place: int) -> Found | None:
-    """The special point of a kind at which an eigenvalue crosses, with its place along; None where it is not found."""
+    """The special point of a kind at which an eigenvalue crosses, with its place along; None where there is none."""
     guess = stretch.curve.at(stretch.root(None if kind == BRANCH_POINT else 0 if kind == FOLD else place + 1))
     ends = stretch.first.values[place], stretch.last.values[stretch.order[place]]
     near = 1j * abs(height(*ends)) if kind == HOPF else None
@@ -128,7 +128,7 @@ def _point(equations: EquilibriumEquations, stretch: Stretch, kind: str, found: 
 
 
 def _by_bisection(equations: EquilibriumEquations, stretch: Stretch, kind: str) -> Point | None:
-    """The special point by halving the stretch, for models whose second derivatives are not there."""
+    """The special point by bisection of the stretch, for models without second derivatives."""
     before, after = stretch.first.point, stretch.last.point
 
     def side(point: Point) -> float:
@@ -158,7 +158,7 @@ def _by_bisection(equations: EquilibriumEquations, stretch: Stretch, kind: str) 
 
 
 def _unresolved(equations: EquilibriumEquations, stretch: Stretch, kinds: list[str]) -> Iterator[Point]:
-    """What is known of a stretch that cannot be halved: its special points at its start, and a warning."""
+    """Special points of a stretch that cannot be halved, at its start, with a warning."""
     assert equations.course is not None
     low, high = (float(equations.course.at(end.point.z[-1])) for end in (stretch.first, stretch.last))
     if not kinds:

@@ -1,4 +1,4 @@
-"""A whole diagram: all that leaves a branch at its special points, and what leaves that, each walked once."""
+"""A whole diagram: all branches that leave a branch at its special points, and those that leave these, each once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from casadi_skin.result import Result
 
 LEAVING = (HOPF, BRANCH_POINT, DOUBLING)
 SAME = 1e-6  # relative distance of special points that are one
-SAMPLES = 257  # of an orbit, whose extrema tell it from others
+SAMPLES = 257  # of an orbit, whose extrema distinguish it
 SAMPLED = 1e-3  # relative error of such an extremum
 
 
@@ -34,11 +34,11 @@ class Diagram(Result):
     """Branches in one parameter that are connected by special points.
 
     Attributes:
-        branches: the first one, and all that leave it or each other, in the order in which they were followed.
+        branches: the first one, and all that leave it or each other, in the order of their computation.
         origins: for each branch the special point at which it leaves; None for the first one.
-        names: for each branch what leads to it: numbers of special points, from 1; "b" is for the second half.
-        failures: why something that leaves could not be started, in a line each.
-        complete: whether nothing was left out for the limit on their number.
+        names: for each branch the path to it: numbers of special points, from 1; "b" marks the second half.
+        failures: reasons why a branch that leaves could not be started, in a line each.
+        complete: whether no branch was left out because of the limit on their number.
     """
 
     branches: tuple[Branch, ...]
@@ -79,16 +79,16 @@ def follow_all(
     max_step: float = 0.2,
     tolerance: float = TOLERANCE,
 ) -> Diagram:
-    """Follow all that leaves a branch of equilibria, orbits or solutions at its special points, and what leaves that.
+    """Follow all branches that leave a branch of equilibria, orbits or solutions, and those that leave these.
 
     Cycles at Hopf points, both halves of the other branch at branch points, orbits of twice the period at period
-    doublings, within the values of the parameter that the branch was followed in. Nothing is walked twice.
+    doublings, within the values of the parameter that the branch was followed in. No branch is followed twice.
 
     Arguments:
         branch: where the diagram starts.
-        depth: how many special points may lie one after the other between the branch and another one.
+        depth: largest number of special points between the branch and another one.
         limit: largest number of branches, the first one among them.
-        stability: whether multipliers of orbits are computed; without them nothing is found that leaves orbits.
+        stability: whether multipliers of orbits are computed; without them no branch is found that leaves orbits.
         max_points, max_step: of each branch, as in `follow`.
         tolerance: of cycles, as in `find_orbit`.
 
@@ -118,7 +118,7 @@ def follow_all(
 
 @dataclass(eq=False)
 class _Met:
-    """A special point with the directions in which branches were walked there; whether what leaves it was followed."""
+    """A special point with the directions followed from it, and whether the branches that leave it were followed."""
 
     point: SpecialPoint
     directions: list[Array] = field(default_factory=list)
@@ -126,14 +126,14 @@ class _Met:
 
 
 class Further:
-    """Iterates over what leaves a branch, and over what leaves that: a name, the special point and the space.
+    """Iterates over the branches that leave a branch, and over those that leave these: name, special point, space.
 
-    Each branch that was followed for them is given to `add`, before the next one is asked for.
+    Each branch that was followed for them is passed to `add` before the next step of the iteration.
 
     Attributes:
         branches: all branches, the first one among them.
         reached: the special points that were met, each once, with the numbers that lead to them.
-        failures: what could not be started, in a line each.
+        failures: reasons why a branch could not be started, in a line each.
     """
 
     def __init__(
@@ -174,13 +174,13 @@ class Further:
         self._meet(branch)
 
     def _reach(self, kind: str, branch: Branch) -> None:
-        """Nothing more leaves where a branch has come back to the orbits that it left."""
+        """Close a special point at which a branch has come back to the orbits that it left: no other leaves there."""
         end = replace(branch.special_points[-1], kind=kind)
         for met in self._met:
             met.left = met.left or is_same(met.point, end)
 
     def _meet(self, branch: Branch) -> None:
-        """Keep where a branch passes special points, and in which direction."""
+        """Record the special points that a branch passes, and its directions there."""
         for point in points_of(branch):
             met = self._of(point)
             if isinstance(point.solution, Equilibrium):
@@ -195,7 +195,7 @@ class Further:
         return known
 
     def _leaving(self, point: SpecialPoint, met: _Met) -> Iterator[SolutionSpace]:
-        """What leaves at a special point in directions in which nothing was walked."""
+        """Branches that leave at a special point in directions that were not followed before."""
         first = self.branches[0]
         course = (first.solutions[0].parameters[first.parameter], first.space.to)
         reasons, started, here = list[str](), 0, met.point.parameters[first.parameter]
@@ -217,7 +217,7 @@ class Further:
                     direction = _direction(space, space.first)
                     along = _direction(cast(EquilibriumSpace, point.solution.space), point.solution.point)
                     if any(_is_along(known, direction, along) for known in (*met.directions, *done)):
-                        started += not done  # walked before
+                        started += not done  # followed before
                         continue
                     done.append(direction)
                 started += 1
@@ -227,7 +227,7 @@ class Further:
 
 
 def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:
-    """Special points of a branch, but for its end where it has come back to one of what it left."""
+    """Special points of a branch, but for its end where it has come back to a solution that it left."""
     return branch.special_points[: -1 if branch.end is End.REJOINED else None]
 
 
@@ -239,7 +239,7 @@ def _direction(space: EquilibriumSpace, point: Point) -> Array:
 
 
 def _is_along(known: Array, direction: Array, other: Array) -> bool:
-    """Whether a known direction is this one of two that cross, and not the other one or its opposite."""
+    """Whether a direction agrees with this one of two that cross, and not with the other one or its opposite."""
     size = np.maximum(np.maximum(np.abs(direction), np.abs(other)), 1e-300)
     a, b, c = (vector / size / np.linalg.norm(vector / size) for vector in (known, direction, other))
     return bool(abs(a @ b) > abs(a @ c) and a @ b > 0.0)
@@ -259,7 +259,7 @@ def is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
 
 
 def _extent(point: SpecialPoint) -> tuple[Array, float]:
-    """Smallest and largest value of each component, and the relative error to which they are known."""
+    """Smallest and largest value of each component, and their relative error."""
     solution = point.solution
     if isinstance(solution, Equilibrium):
         return np.concatenate([solution.positions, solution.positions]), SAME

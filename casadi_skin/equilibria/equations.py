@@ -1,4 +1,4 @@
-"""The equations of a branch of equilibria, with their corrector and what is known at its points."""
+"""The equations of a branch of equilibria, with their corrector and the samples at its points."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
 
 ITERATIONS = 60
-LONGEST = 1.0 / 30.0  # of the way of the parameter: a step, so that eigenvalues do not come and go within it
+LONGEST = 1.0 / 30.0  # of the range of the parameter: longest step, so that eigenvalues do not come and go within it
 KEPT = 8  # samples that are kept
 
 
 def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
-    """A corrector by name, asked for a hundredth of the tolerance where rounding allows it."""
+    """A corrector by name, for a hundredth of the tolerance where rounding allows it."""
     fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
     return RoundedCorrector(methods.CORRECTORS[name].load()(problem, fine, ITERATIONS))
 
@@ -39,7 +39,7 @@ class EquilibriumEquations:
         statics: the model at rest; values of its parameters are those at the start of a branch.
         tolerance: relative error of the state.
         corrector: name of the corrector.
-        sizes: what components of the state are measured by.
+        sizes: scales of the components of the state.
         parameter: the parameter that is followed, from its value to `to`; empty where none is.
         settings: of the continuation.
     """
@@ -54,12 +54,12 @@ class EquilibriumEquations:
 
     @property
     def model(self) -> OdeModel:
-        """The model as it was given."""
+        """The model in its own coordinates."""
         return self.statics.model
 
     @property
     def course(self) -> Course | None:
-        """How the parameter followed goes; None where none is."""
+        """Course of the parameter that is followed; None where none is."""
         return Course(self.parameter, self.statics.values[self.parameter], self.to) if self.parameter else None
 
     @cached_property
@@ -74,7 +74,7 @@ class EquilibriumEquations:
 
     @cached_property
     def point_solver(self) -> PointSolver:
-        """What makes equilibria at the tolerance."""
+        """The solver of points at the tolerance."""
         settings = self.settings or ContinuationSettings(1.0, self.tolerance)
         return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST))
 
@@ -84,7 +84,7 @@ class EquilibriumEquations:
         return {}
 
     def sample(self, point: Point) -> Sample:
-        """What is known at a point, computed once for the last few points."""
+        """Eigenvalues and rates at a point, computed once for the last few points."""
         for known in self._samples:
             if known.point is point:
                 return known

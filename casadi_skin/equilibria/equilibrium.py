@@ -18,7 +18,7 @@ from casadi_skin.orbits.solution import Solution, as_times
 
 
 class HasSpectrum(Protocol):
-    """What an equilibrium asks of the space that it belongs to, beside what any solution does."""
+    """Interface of the space of an equilibrium, beyond that of the space of any solution."""
 
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point."""

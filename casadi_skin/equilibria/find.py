@@ -85,7 +85,7 @@ def find_equilibria(
     tolerance: float = 1e-10,
     corrector: str = "newton",
 ) -> tuple[Equilibrium, ...]:
-    """The different equilibria that are found from several starts in a box; there may be more.
+    """The distinct equilibria near several starts in a box; there may be more.
 
     Arguments:
         model: as in `find_equilibrium`.
@@ -95,7 +95,7 @@ def find_equilibria(
         parameters, tolerance, corrector: as in `find_equilibrium`.
 
     Returns:
-        The equilibria in the order of their first component; empty where none is found.
+        The equilibria in the order of their first component; empty without any.
 
     Raises:
         ValueError, TypeError: an argument does not fit the model.
@@ -126,7 +126,7 @@ def find_equilibria(
 
 
 def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
-    """The equations at rest of a model that was given; raises ValueError and TypeError for what is none."""
+    """The equations of a model at rest; raises ValueError and TypeError for objects that are no model."""
     model = model.tunable_model() if isinstance(model, Tunable) and not isinstance(model, type) else model
     if not isinstance(model, OdeModel):
         raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
@@ -141,7 +141,7 @@ def _check(tolerance: float, corrector: str) -> None:
 
 
 def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
-    """A guess as values of the unknowns, shape (n,); raises ValueError for what is none."""
+    """A guess as values of the unknowns, shape (n,); raises ValueError for objects that are no guess."""
     names = model.state_names
     if isinstance(guess, Equilibrium):
         guess = guess.state
@@ -179,7 +179,7 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
 
 
 def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:
-    """The stable equilibrium that a simulation comes to; raises EquilibriumError where it does not settle."""
+    """The stable equilibrium that a simulation approaches; raises EquilibriumError where it does not settle."""
     from casadi_skin.dynamics.simulation import simulate
 
     model = statics.model

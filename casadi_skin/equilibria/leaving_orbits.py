@@ -21,7 +21,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.rejoining import Left
 from casadi_skin.solvers.levels import ErrorEstimate
 
-RESTS, SHARE = 1e-5, 1e-2  # of the largest component: what rests; of a usual one: what it is measured by
+RESTS, SHARE = 1e-5, 1e-2  # of the largest component: a component below it rests; of a usual one: its scale
 STILL = 1e-6  # rate of a parameter that does not change along a tangent
 
 
@@ -76,14 +76,14 @@ def leaving_orbits(
 
 
 def _floors(orbit: Orbit) -> Array:
-    """What components are measured by at least: those that rest by a share of a usual one, as they may move soon."""
+    """Least scales of components: a share of a usual one for those that rest, as they may move soon."""
     floors, largest = orbit.problem.floors, np.max(np.abs(orbit.states), axis=0)
     rests = largest <= RESTS * np.max(largest)
     return np.asarray(np.where(rests, np.maximum(floors, SHARE * np.median(largest[~rests])), floors))
 
 
 def _left(orbit: Orbit, turns: int) -> Left | None:
-    """What the orbits that leave may come back to; None where no symmetry is lost."""
+    """The orbits that the leaving branch may come back to; None where no symmetry is lost."""
     space = orbit._boundary_space()
     if turns == 2:
         return Left(space, 2, np.ones(orbit.model.full_size), 0.5)
@@ -92,7 +92,7 @@ def _left(orbit: Orbit, turns: int) -> Left | None:
 
 
 def _other(space: BoundarySpace, first: Point, orbit: Orbit) -> Array:
-    """The tangent of the other branch at a branch point: towards the end asked for where it changes the parameter.
+    """The tangent of the other branch at a branch point: towards the requested end where the parameter changes.
 
     Where it does not, that along which the component that changes most grows.
     """

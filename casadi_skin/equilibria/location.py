@@ -58,7 +58,7 @@ def locate(
 ) -> Located | None:
     """The special point of a kind near (y, s); None where Newton's method finds none there.
 
-    `near` tells which pair of eigenvalues a Hopf point has.
+    `near` selects the pair of eigenvalues of a Hopf point.
     """
     matrix = jacobian_of(equations.problem, np.append(y, s))
     system = system_of(equations, kind, abs(near or 0.0) or 1.0)

@@ -1,4 +1,4 @@
-"""What decides at a special point of equilibria: critical eigenvectors and coefficients of normal forms.
+"""Critical eigenvectors and coefficients of normal forms at special points of equilibria.
 
 From exact second and third derivatives (Kuznetsov 2004, sections 5.4 and 10.2). Fold: a in w' = a w^2 + ..., with
 critical vectors scaled by v.v = 1, psi.v = 1. Hopf point: the first Lyapunov coefficient l1 of w' = i omega w + omega
@@ -38,9 +38,9 @@ class Critical:
 
 
 def critical(point: SpecialPoint) -> Critical:
-    """What decides at a special point of equilibria, a Hopf point that orbits shrink to among them.
+    """Critical eigenvector and normal form at a special point, a Hopf point that orbits shrink to among them.
 
-    Raises ValueError for another one.
+    Raises ValueError for other points.
     """
     solution = point.solution
     if isinstance(solution, Orbit) and point.kind == HOPF:  # of amplitude zero

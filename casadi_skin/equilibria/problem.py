@@ -42,9 +42,9 @@ class Course:
 
 
 def sizes_of(states: Sequence[Array]) -> Array:
-    """What each component is measured by: its largest value in these states as a power of two, shape (n,).
+    """Scale of each component: its largest value in these states as a power of two, shape (n,).
 
-    One that is zero there is measured by the median of the others, and by no more than 1.
+    One that is zero there has the median of the others as its scale, and no more than 1.
     """
     largest = np.max(np.abs(np.stack(list(states))), axis=0)
     some = largest[largest > 1e-12 * max(1.0, float(np.max(largest, initial=0.0)))]
@@ -81,7 +81,7 @@ class AlgebraicProblem(Problem):
         return self.size - 1
 
     def parameter_size(self, z: Array) -> float:
-        """1, which is what u goes through along a branch."""
+        """1, the range of u along a branch."""
         return max(1.0, abs(float(z[-1])))
 
     # Equations ------------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ class AlgebraicProblem(Problem):
         return f"with {words}" if words else f"at {self.statics.names[0]} = {self.state(z)[0]:.6g}"
 
     def deficiency(self, z: Array) -> str:
-        """What the equations leave undetermined at z while u is held, in words; empty where they are regular."""
+        """Unknowns that the equations leave undetermined at z while u is held, in words; empty where regular."""
         matrix = self.dense(z)[:, :-1]
         left, values, right = np.linalg.svd(matrix)
         if values[-1] > 1e-9 * values[0]:

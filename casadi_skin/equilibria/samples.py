@@ -1,4 +1,4 @@
-"""What is known at one point of a branch of equilibria: eigenvalues and how they move, how the branch bends."""
+"""Samples of a branch of equilibria: eigenvalues and their rates, and the curvature of the branch."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Sample:
         row: the metric times the tangent, which closes the equations there.
         values: eigenvalues of dF/dy, shape (n,).
         rates: their rates along the unit tangent.
-        noise: what rounding leaves of them.
+        noise: rounding errors of the eigenvalues.
         bend: the second derivative of z by the length along the branch.
         orientation: the sign of the determinant of the Jacobian closed by `row`.
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
@@ -54,7 +54,7 @@ class Sample:
 
 
 def sample_of(point: Point, weights: Array) -> Sample:
-    """What is known at a point; derivatives along the branch by differences of the Jacobian."""
+    """The sample at a point; derivatives along the branch by differences of the Jacobian."""
     from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
     problem, z, t = cast(AlgebraicProblem, point.problem), point.z, point.tangent

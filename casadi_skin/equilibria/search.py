@@ -1,4 +1,4 @@
-"""The search for special points on a stretch of a branch, which is divided until its inside is known."""
+"""The search for special points on a stretch of a branch, which is divided until each part is resolved."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.stretch import WITHIN, Signs, Stretch
 
 DEEPEST = 20  # divisions of a stretch between two points of the continuation
-SHORTEST = 1e-11  # of a step: what is not divided any more
+SHORTEST = 1e-11  # of a step: shorter parts are not divided
 MOST = 400  # parts that it is divided into
 PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
 class Search(ABC):
-    """The search on one stretch of the continuation; `parts` counts what it has been divided into."""
+    """The search on one stretch of the continuation; `parts` counts the parts that it has been divided into."""
 
     def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:
         self.equations, self.signs, self.parts = equations, signs, 0
 
     @abstractmethod
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
-        """Special points on a part that is known, in order; None where it has to be divided, unless it is the last."""
+        """Special points on a resolved part, in order; None where it has to be divided, unless it is the last."""
 
     @abstractmethod
     def unresolved(self, stretch: Stretch) -> Iterator[Point]:
         """The description of a part that can be divided no further."""
 
     def sample(self, point: Point) -> Sample:
-        """What is known at a point."""
+        """The sample at a point."""
         return self.equations.sample(point)
 
     def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point]:

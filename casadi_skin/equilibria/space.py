@@ -136,7 +136,7 @@ class EquilibriumSpace(EquilibriumEquations):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Parameters that are found with the state: none here."""
+        """Parameters that are solved for with the state: none here."""
         return ()
 
     def parameters(self, point: Point) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""A stretch of a branch of equilibria: which quantities change their sign on it, and whether its inside is known.
+"""A stretch of a branch of equilibria: quantities that change their sign on it, and whether it is resolved.
 
 The rate of the parameter and the real parts of eigenvalues are known with their derivatives at both ends and at a place
 between. A cubic through the ends predicts what is in between; by how much it fails there bounds how far the cubics
@@ -20,7 +20,7 @@ from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.statics import ComplexArray
 
-WITHIN = 0.47  # of a stretch: where it is looked at; not the middle, where symmetric functions agree by accident
+WITHIN = 0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
 BOUND = 0.25  # of what a cubic misses by between two ends: four times what cubics of half the length do
 MARGIN = 0.1  # of what a quantity changes by between two samples: is added, for what two cubics miss by alike
 _NEAR = 0.5 ** np.arange(6.0, 24.0, 2.0)
@@ -138,7 +138,7 @@ class Stretch:
 
     @cached_property
     def settled(self) -> NDArray[np.bool_]:
-        """Whether each quantity has no root within the bounds, or one that is simple and seen at the ends."""
+        """Whether each quantity has no root within the bounds, or a simple one that shows at the ends."""
         g, _ = self.quantities
         cubics, bound = self._halves
         t = cubics.places
@@ -180,7 +180,7 @@ class Stretch:
         return float(sigma[k - 1] + share * (sigma[k] - sigma[k - 1]))
 
     def _places(self, quantity: int) -> Array:
-        """Where the cubics of a quantity are looked at, by sigma."""
+        """Places, by sigma, at which the cubics of a quantity are evaluated."""
         return np.asarray(
             self.sigma[:-1, None] + self._halves[0].places[..., quantity] * np.diff(self.sigma)[:, None]
         ).ravel()

@@ -29,8 +29,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import DOUBLING, SpecialPoint
 
-PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, to see where its parameter goes
-SAME = 1e-4  # of a direction: what tells two branches apart
+PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
+SAME = 1e-4  # of a direction: the difference that distinguishes two branches
 SINGULAR = 1e-5  # singular values of the Jacobian that vanish at a branch point
 
 
@@ -73,7 +73,7 @@ def switch(
         far to the other side as `to` is to this side.
 
     Raises:
-        ValueError: an argument is out of range, or nothing leaves there towards `to`.
+        ValueError: an argument is out of range, or no branch leaves there towards `to`.
         BoundaryError, EquilibriumError: the branch cannot be started.
     """
     space = leaving_space(
@@ -180,7 +180,7 @@ def other_branch(
 
 
 def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
-    """Whether the parameter goes on to its end along a tangent, seen a small step along."""
+    """Whether the parameter goes on to its end along a tangent, judged after a small step along it."""
     weights = space.point_solver.metric(space.problem, z)
     guess, row = z + PROBE * tangent, weights * tangent
     correction = space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))

@@ -19,14 +19,14 @@ from casadi_skin.models.expressions import Expression
 
 
 class ExtendedSystem(AlgebraicProblem):
-    """What extended systems share: their unknowns start from an approximate point, which sets their constants."""
+    """Base of extended systems: their unknowns start from an approximate point, which sets their constants."""
 
     def __init__(
         self, statics: Statics, sizes: Array, free: Sequence[Course], walking: Course | None = None, rate: float = 1.0
     ) -> None:
         super().__init__(statics, sizes, free, walking)
         n = statics.size
-        self.rate = float(2.0 ** np.round(np.log2(rate)))  # of time: what omega is measured by
+        self.rate = float(2.0 ** np.round(np.log2(rate)))  # of time: the scale of omega
         self.others, self.added = self.shape(n)
         self.states = n + self.others
         self.constants = np.zeros(self.constant_count(n))
@@ -46,7 +46,7 @@ class ExtendedSystem(AlgebraicProblem):
     ) -> tuple[AlgebraicProblem, Array]:
         """The system with its constants, and its unknowns, from dF/dy at an approximate point; u is 0.
 
-        `near` tells which pair of eigenvalues is meant, by default that nearest to the imaginary axis.
+        `near` selects the pair of eigenvalues, by default that nearest to the imaginary axis.
         """
         raise NotImplementedError
 

@@ -1,4 +1,4 @@
-"""What a page shows of a run: curves, and wave forms and multipliers of a few hundred points of each."""
+"""Contents of a page of a run: curves, and wave forms and multipliers of a few hundred points of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page shows of a map: quantities over its axes, thinned where there are too many cells."""
+"""Contents of a page of a map: quantities over its axes, thinned where there are too many cells."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ endif()
 
 
 def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Collection[str]) -> str:
-    """What is in the directory, how to build it, and which numbers to expect."""
+    """Contents of the directory, how to build it, and the expected numbers."""
     name = exported.name
     plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
     rows = "\n".join(f"| `{what}` | {PARTS[what]} |" for what in parts if what in PARTS)

@@ -49,7 +49,7 @@ class Row:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """What rows of one loop have in common: all but the indices and the constants."""
+        """The common part of the rows of one loop: all but the indices and the constants."""
         return tuple(argument for argument, _ in self.leaves), self.steps
 
 
@@ -122,7 +122,7 @@ def _results(function: ca.Function) -> list[list[Row]] | None:
 
 
 def _row(nodes: Sequence[tuple[object, ...]], root: int) -> Row:
-    """What one result needs, in the order of a walk from its root."""
+    """Operations and leaves of one result, in the order of a walk from its root."""
     if root < 0:
         return Row(((CONSTANT, 0.0),), ())
     order: list[int] = []

@@ -150,7 +150,7 @@ def _are_marked(joints: Array, special: Array, extent: Array) -> NDArray[np.bool
 
 
 def label_of(words: str, piece: Array, path: Array) -> str:
-    """What a legend says of a stretch; nothing where the stretch is too short to be seen on the whole path."""
+    """Legend entry of a stretch; none where the stretch is too short to be seen on the whole path."""
     return words if np.any(np.ptp(piece, axis=0) > SAME_PLACE * np.ptp(path, axis=0)) else "_nolegend_"
 
 

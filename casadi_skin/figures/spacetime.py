@@ -99,7 +99,7 @@ def _has_few_states(evolution: Evolution) -> bool:
 
 
 def _shown(evolution: Evolution) -> Array:
-    """What the colours are: displacements, or the states of a model of first order."""
+    """Meaning of the colours: displacements, or the states of a model of first order."""
     return evolution.displacements if evolution.equations.positions else evolution.states
 
 
@@ -148,7 +148,7 @@ def _rows_label(evolution: Evolution) -> str:
 
 
 def _largest(evolution: Evolution, orbit: Orbit | None = None) -> float:
-    """What the brightest colour is: as far as the orbit goes, at most the edge of a well beyond which states escape."""
+    """Value of the brightest colour: the range of the orbit, at most the edge of a well beyond which states escape."""
     shown = _shown(evolution)
     if orbit is not None:
         shown = orbit.evaluate(orbit.period * np.arange(PHASES) / PHASES)[:, : shown.shape[1]]

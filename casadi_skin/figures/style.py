@@ -1,4 +1,4 @@
-"""What all pictures share: settings, layout, titles, colours, and saving so that bytes depend on the data alone."""
+"""Common style of all pictures: settings, layout, titles, colours, and files whose bytes depend on the data alone."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def title(model: Any, parameters: Mapping[str, float] | None = None, name: str =
 
 
 def position_label(model: Any) -> str:
-    """What the positions of a model are called along an axis."""
+    """Axis label of the positions of a model."""
     return "position $n$" if isinstance(model, OdeModel) else "site $n$"
 
 
@@ -143,7 +143,7 @@ def common_model(branches: Sequence[Branch]) -> tuple[Any, Mapping[str, float]]:
 
 
 def family(branch: Branch) -> Family:
-    """What a family's orbits belong to; raises ValueError for another branch."""
+    """The family of a branch; raises ValueError for another branch."""
     from casadi_skin.orbits.family import Family
 
     if not isinstance(branch.space, Family):
@@ -152,7 +152,7 @@ def family(branch: Branch) -> Family:
 
 
 def amplitude_label(model: Any) -> str:
-    """What S is called along an axis."""
+    """Axis label of S."""
     return AMPLITUDE if is_sum_of_squares(model) else "amplitude $S$"
 
 

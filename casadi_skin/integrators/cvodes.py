@@ -86,7 +86,7 @@ def run_cvodes(function: ca.Function, start: Array, parameters: Array, end_solve
 
 
 def cvodes_reason(error: RuntimeError) -> str:
-    """What CVODES did, as in "returned CV_TOO_MUCH_WORK", from CasADi's message of several lines."""
+    """The outcome of CVODES, as in "returned CV_TOO_MUCH_WORK", from CasADi's message of several lines."""
     flags = re.findall(r'returned "?(CV_\w+)', str(error))
     return f"returned {flags[-1]}" if flags else "failed"
 

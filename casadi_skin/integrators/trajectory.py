@@ -1,4 +1,4 @@
-"""What every integrator returns and raises, and what each asks of a start."""
+"""Common results, errors and starts of all integrators."""
 
 from __future__ import annotations
 

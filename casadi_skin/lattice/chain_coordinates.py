@@ -13,7 +13,7 @@ from casadi_skin.methods import TRIGONOMETRIC
 if TYPE_CHECKING:
     from casadi_skin.orbits.method import Method
 
-NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles tell modes apart; measured
+NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
 NEGLIGIBLE = 1e-16  # of the cubic term: what of it the tail may leave out
 PAYS, PAYS_FROM = 8, 500  # times the core's sites, and sites, from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
@@ -71,7 +71,7 @@ def _check(chain: Chain, number: int) -> None:
 
 
 def _obstacle(chain: Chain, number: int, sites: int, method: Method) -> str:
-    """What would have to be for the tail to be eliminated; empty where it can be."""
+    """Condition that keeps the tail from being eliminated; empty where it can be."""
     if number != chain.mode_number(LAST if chain.g > 0 else FIRST):
         return "the highest mode with g > 0, or the lowest with g < 0 (others have no limit for long chains)"
     if not 0.0 < abs(chain.gamma) < 1.0:

@@ -1,4 +1,4 @@
-"""What a lattice is declared by: sites of a cell, bonds, cells along each direction, boundaries, values by cell."""
+"""Declaration of a lattice: sites of a cell, bonds, cells along each direction, boundaries, values by cell."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Site:
     """A site of a cell: mass * y'' = -onsite - damping * v + drive + forces of bonds; dimensionless.
 
     Attributes:
-        name: what bonds call it.
+        name: name by which bonds refer to it.
         onsite: restoring force, a formula in y.
         mass: a formula in parameters.
         damping: factor of -v, a formula in y and v.
@@ -99,7 +99,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A lattice as it was declared, checked.
+    """A lattice as declared, checked.
 
     Attributes:
         cells: number of cells along each direction, one or two.
@@ -108,7 +108,7 @@ class Declaration:
         boundary: "fixed", "free" or "periodic" along each direction.
         parameters: numbers by name; by cell a list, a formula in n and m, or a `Uniform`.
 
-    Raises ValueError and TypeError, naming the place, what was given and what is accepted.
+    Raises ValueError and TypeError, naming the place, the value and what is accepted.
     """
 
     cells: tuple[int, ...]
@@ -186,7 +186,7 @@ class Declaration:
 
     @cached_property
     def by_cell(self) -> dict[str, Array | Formula]:
-        """Parameters with a value for each cell: arrays of the shape of `cells`, or formulas after what they need."""
+        """Parameters with a value for each cell: arrays of the shape of `cells`, or formulas after their arguments."""
         found: dict[str, Array | Formula] = {}
         for name, value in self.parameters.items():
             place = f"parameters {name}"

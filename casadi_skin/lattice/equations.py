@@ -36,7 +36,7 @@ class Equations:
     # Formulas at cells ------------------------------------------------------------------------------------------------
 
     def values(self, cells: Sequence[tuple[int, ...]]) -> dict[str, ca.SX]:
-        """What parameters and indices stand for in some cells: a column, or one value where it is the same in all."""
+        """Values of parameters and indices in some cells: a column, or one value where it is the same in all."""
         along = np.array(cells, dtype=float).reshape(len(cells), -1).T
         values = dict(self.symbols) | {name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(INDICES, along, strict=False)}
         for name, value in self.declaration.by_cell.items():

@@ -19,7 +19,7 @@ from casadi_skin.theory.linear import standing_wave
 
 
 class ChainCoordinates(Coordinates):
-    """What all coordinates of a chain share: the gauge of a `core`, whose equations are solved, and kappa = g S.
+    """Base of all coordinates of a chain: the gauge of a `core`, whose equations are solved, and kappa = g S.
 
     `declared` is the lattice that declares the chain, with values of its parameters, where there is one.
     """

@@ -44,7 +44,7 @@ class Lattice(OdeModel):
             them where these have one.
 
     Raises:
-        ValueError, TypeError: naming the place, what was given and what is accepted.
+        ValueError, TypeError: the message names the place, the value and what is accepted.
     """
 
     declaration: Declaration

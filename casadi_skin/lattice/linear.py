@@ -223,7 +223,7 @@ def _bond_terms(
 
 
 def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
-    """What displacements lean by a cell along each direction: the ratio of gauge factors of neighbouring cells."""
+    """Decay of displacements per cell along each direction: the ratio of gauge factors of neighbouring cells."""
     declaration, equations = lattice.declaration, lattice.equations
     found = np.ones(len(declaration.cells))
     if lattice.structure.log_weights is None:

@@ -86,7 +86,7 @@ def conservative_part(lattice: Lattice) -> Lattice:
 
 
 def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
-    """What drives give and damping takes in one period.
+    """Energy that drives supply and damping takes in one period.
 
     Arguments:
         lattice: damped and driven.

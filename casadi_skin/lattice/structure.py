@@ -1,4 +1,4 @@
-"""What a lattice shows of itself: gauge, energy, momentum, oddness, mirrors; each is checked at random points."""
+"""Structure of a lattice: gauge, energy, momentum, oddness, mirrors; each is checked at random points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from casadi_skin.lattice.trials import trials_of
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What holds of a lattice.
+    """Properties of a lattice.
 
     Attributes:
         log_weights: logarithms of weights c_i > 0 with c_i gain_i = c_j gain_j on every bond, the smallest 1 in each
@@ -86,7 +86,7 @@ class Structure:
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not finite holds nowhere
 def structure_of(equations: Equations) -> Structure:
-    """What holds of a lattice, checked at random positions and parameters near the declared ones."""
+    """Properties of a lattice, checked at random positions and parameters near the declared ones."""
     trials = list(trials_of(equations))
     log_weights, scale = log_weights_of(equations, trials)
     if log_weights is not None and equations.autonomous and not is_gradient(equations, trials):

@@ -16,7 +16,7 @@ KEPT = 16  # values that are asked for again
 
 
 class Regime(Enum):
-    """What the linear tail of a long lattice does, in words."""
+    """Regime of the linear tail of a long lattice, in words."""
 
     PINNED = "the frequency is pinned to the edge of the band"
     BOUND = "the breather is bound to the edge of the lattice"
@@ -25,7 +25,7 @@ class Regime(Enum):
 
 @dataclass(frozen=True)
 class TailValues:
-    """What the core needs at one value u of the parameter, and derivatives by u.
+    """Values at one u of the parameter that the core needs, and derivatives by u.
 
     Harmonic k = 2 h + 1 has a_(c-1) = across[h] b and a_c = down[h] b: across = e sin(psi_k), down = cos(psi_k).
     """

@@ -62,7 +62,7 @@ class TailUnknown(Protocol):
         ...
 
     def regime(self, values: TailValues) -> Regime:
-        """What the tail does."""
+        """Regime of the tail."""
         ...
 
 
@@ -99,7 +99,7 @@ class CoreWithTailProblem(TrigonometricProblem):
         return self.tail.of_frequency(value) if scalar is Scalar.OMEGA else value
 
     def regime(self, z: Array) -> Regime:
-        """What the tail does at z."""
+        """Regime of the tail at z."""
         return self.tail.regime(self.values(z))
 
     @cached_property

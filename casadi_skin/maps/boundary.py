@@ -29,7 +29,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.scene import Scene, SceneError
 
 Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
-OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that tell where it is
+OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate it
 BOUNDARY = "boundary.csv"
 LINE = "line"  # the column with the number of a line
 MOST_STARTS = 24  # of curves in a plane

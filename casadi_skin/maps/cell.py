@@ -1,4 +1,4 @@
-"""What a worker does with a task: the scene of its cells is made, bound and computed; nothing is written."""
+"""Work of a worker on a task: the scene of its cells is made, bound and computed; nothing is written."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from casadi_skin.threads import one_thread
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What all tasks of a map share: the scene as plain values, the path of its file, and a growth that counts."""
+    """Data shared by all tasks of a map: the scene as plain values, the path of its file, and a growth that counts."""
 
     tables: Tables
     path: str

@@ -1,4 +1,4 @@
-"""Where cells are computed: threads of this process with a worker each, a dask cluster, or any executor.
+"""Engines that compute cells: threads of this process with a worker each, a dask cluster, or any executor.
 
 Every engine runs the same function, `casadi_skin.maps.workers.compute`, whose worker is a process of its own.
 """
@@ -17,7 +17,7 @@ from casadi_skin.arguments import short_repr, whole
 from casadi_skin.maps.workers import end_workers
 
 AHEAD = 3  # tasks a worker that are handed over before they are begun
-GIVEN = 64  # workers of an executor that does not tell
+GIVEN = 64  # workers of an executor without a public number of workers
 CONNECT_LIMIT = 10.0  # seconds until a scheduler answers
 MOST_WORKERS = 256
 ASK = 5.0  # seconds between two questions about the workers of a cluster
@@ -28,9 +28,9 @@ class Engine:
     """An executor of tasks.
 
     Attributes:
-        executor: it.
-        workers: how many tasks it computes at the same time, asked again and again.
-        lost: why it takes no more tasks; empty while it does.
+        executor: the executor itself.
+        workers: how many tasks it computes at the same time, queried repeatedly.
+        lost: reason why it takes no more tasks; empty while it does.
         close: ends it.
     """
 

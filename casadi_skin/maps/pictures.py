@@ -90,7 +90,7 @@ def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
 
 
 def _panel(found: Map, name: str, along: list[int], chosen: Mapping[int, int]) -> Panel:
-    """What is drawn of a quantity where the other axes have certain places."""
+    """The panel of a quantity at certain places of the other axes."""
     axes = found.store.grid.axes
     index = tuple(chosen.get(i, slice(None)) for i in range(len(axes)))
     values, states = found[name].astype(float)[index], found.status[index]

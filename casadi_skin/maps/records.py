@@ -1,4 +1,4 @@
-"""What is sent and kept of tasks: rows of named quantities, results, and records of the journal."""
+"""Records of tasks, sent and kept: rows of named quantities, results, and entries of the journal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Result(msgspec.Struct, frozen=True):
-    """What a task gave: a row for each of its cells, or why it failed and in what way."""
+    """Result of a task: a row for each of its cells, or the reason and kind of its failure."""
 
     rows: tuple[Row, ...] = ()
     kind: str = ""
@@ -53,7 +53,7 @@ class MapHead(msgspec.Struct, frozen=True, tag="map"):
 
 
 class MeaningsRecord(msgspec.Struct, frozen=True, tag="meanings"):
-    """What quantities mean by name, in the order in which they came."""
+    """Meanings of quantities by name, in the order in which they came."""
 
     meanings: dict[str, str]
 

@@ -1,4 +1,4 @@
-"""A map as computed: values of quantities over its axes, read from its journals when they are asked for."""
+"""A map as computed: values of quantities over its axes, read from its journals on demand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Map:
         columns: its quantities, on the disk.
         complete: whether every cell is computed, or was tried twice.
         waits: whether shares of a batch array are not there yet.
-        boundary: lines in the plane of the ranges, shape (points, 2) each, where stability changes, by the places of
+        boundary: lines of changes of stability in the plane of the ranges, shape (points, 2) each, by the places of
             the other axes.
     """
 
@@ -43,7 +43,7 @@ class Map:
 
     @property
     def store(self) -> Store:
-        """What is known of its cells."""
+        """The records of its cells."""
         return self.columns.store
 
     @property

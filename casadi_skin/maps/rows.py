@@ -21,7 +21,7 @@ from casadi_skin.results.quantity import Place
 
 
 class Meanings(dict[str, str]):
-    """What quantities mean by name, filled as rows are made."""
+    """Meanings of quantities by name, filled as rows are made."""
 
     def named(self, pairs: Iterator[tuple[str, Any, str]], suffix: str = "") -> dict[str, Value]:
         """Values by name, those that are not finite left out; their meanings are kept."""
@@ -87,7 +87,7 @@ def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any,
 
 
 def _of_branch(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
-    """What is special on a branch, and how it ended."""
+    """Special points of a branch, and how it ended."""
     if len(branch) > 1:
         yield from _instabilities(branch, growth)
         yield from _special(branch)

@@ -48,15 +48,15 @@ ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
 
 @dataclass(frozen=True)
 class Ways:
-    """How a map is computed: where, and which of it.
+    """Choices for the computation of a map: where, and which part.
 
     Attributes:
         workers: processes on this machine.
         scheduler: address of a dask scheduler in their place.
         executor: an executor of the caller in their place.
-        part: the share that is computed here.
-        collect: nothing is computed: what all parts have is joined.
-        existing: what to do with a directory that is not empty.
+        part: the share to compute here.
+        collect: nothing is computed: the results of all shares are joined.
+        existing: treatment of a directory that is not empty.
         pictures: whether pictures are drawn.
     """
 
@@ -94,7 +94,7 @@ class Mapped:
             check_quantities(request, grid)
             check_boundary(scene, grid)
             named = [pair for pair in grid.settings(0) if pair[0][:2] == ("model", "parameters")]
-            if named:  # by names that the model alone knows
+            if named:  # names of the model's parameters
                 bind(scene_at(plain(scene), named), path)
         except SceneError as error:
             raise SceneError(f"{path}: {error}") from None
@@ -108,7 +108,7 @@ class Mapped:
 
     @property
     def job(self) -> Job:
-        """What all tasks share."""
+        """Data shared by all tasks."""
         return Job(plain(self.scene), str(self.path.resolve()), self.table.growth)
 
 
@@ -134,12 +134,12 @@ def run_map(
         workers: processes on this machine.
         scheduler: address of a dask scheduler, whose workers compute the cells; needs the extra `cluster`.
         executor: any `concurrent.futures.Executor`, which computes the cells.
-        part: the share that is computed here and the number of shares, such as (3, 20); whoever comes last joins them.
-        collect: whether nothing is computed, and what all shares have is joined.
+        part: the share to compute here and the number of shares, such as (3, 20); the last process joins them.
+        collect: whether the results of all shares are joined and nothing is computed.
         resume: whether to go on with a map that was begun; cells whose worker died or took too long are tried again.
         overwrite: whether the results of a run in the directory are replaced.
         pictures: whether a picture a quantity is drawn.
-        quiet: whether nothing is told of the progress.
+        quiet: whether no progress is shown.
 
     Returns:
         The map: values by name, status of cells, `complete` or not.
@@ -147,7 +147,7 @@ def run_map(
     Raises:
         ValueError, TypeError: the scene, a directory or an argument is wrong; the message names it.
         ImportError: dask is not installed.
-        OSError: no scheduler answers, or a file cannot be written; what was computed is kept.
+        OSError: no scheduler answers, or a file cannot be written; computed cells are kept.
     """
     path = file_path("scene", scene)
     directory = Path("results") / path.stem if out is None else file_path("out", out)
@@ -163,7 +163,7 @@ def run_map(
 
 
 def check_ways(ways: Ways) -> None:
-    """Raises ValueError and TypeError for ways that cannot be gone, or not together."""
+    """Raises ValueError and TypeError for choices that are not accepted, or not together."""
     check_workers("workers", ways.workers)
     if ways.executor is not None:
         given_engine(ways.executor)
@@ -189,7 +189,7 @@ def check_ways(ways: Ways) -> None:
 
 
 def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
-    """Compute what is missing of a map and write what there is; see `run_map`."""
+    """Compute the missing cells of a map and write the results; see `run_map`."""
     own = None if ways.collect else journal_name(ways.part)
     if ways.collect and not (directory / SCENE).is_file():
         raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
@@ -251,7 +251,7 @@ def _closed(engine: Engine | None) -> None:
 
 
 def _driven(mapped: Mapped, store: Store, engine: Engine, ways: Ways, progress: Progress) -> bool:
-    """Compute what is missing; False where other shares are waited for."""
+    """Compute the missing cells; False where other shares are still to come."""
     drive = Drive(
         mapped.grid, store, engine, msgspec.msgpack.encode(mapped.job), progress, mapped.table.cell_limit,
         ways.part, ways.workers,
@@ -263,7 +263,7 @@ def _driven(mapped: Mapped, store: Store, engine: Engine, ways: Ways, progress: 
 
 
 def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Progress) -> Map:
-    """The map with its tables and pictures written, but for a share whose other shares are waited for."""
+    """The map with its tables and pictures written, except for a share while others are still to come."""
     store.refresh()
     complete = store.complete
     columns = Columns(store, mapped.table.quantities)

@@ -31,7 +31,7 @@ ATTEMPTS = 2  # at a cell
 
 
 def digest(scene: Scene) -> bytes:
-    """What a journal has of the scene of its map: the same for the same cells with the same results."""
+    """Digest of a scene in its journal: the same for the same cells with the same results."""
     asked = msgspec.structs.replace(scene, title="")
     return sha256(msgspec.json.encode(asked, order="sorted")).digest()
 

@@ -1,4 +1,4 @@
-"""What is watched in a map that is refined: cells have the same label where it is the same."""
+"""Labels of cells in a map that is refined: cells of one label show the same behaviour."""
 
 from __future__ import annotations
 

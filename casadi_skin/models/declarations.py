@@ -188,7 +188,7 @@ def _plain(symbol: Expression) -> bool:
 
 
 def _numbers(model: Equations) -> Iterator[str]:
-    """What has one entry a component."""
+    """Faults of the fields with one entry a component."""
     parameters = int(model.parameters.numel())
     for label, given, count, entries in (
         ("output_scale", model.output_scale, model.size, "factors"),

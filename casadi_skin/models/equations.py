@@ -19,7 +19,7 @@ Signs = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equations:
-    """What an `OdeModel` is made of, not checked; see there for what each field means."""
+    """Fields of an `OdeModel`, not checked; see there for the meaning of each."""
 
     name: str
     state: Expression

@@ -1,4 +1,4 @@
-"""What models are written in: CasADi's expressions, of either kind, and the names of their symbols."""
+"""CasADi's expressions of either kind, of which models are made, and the names of their symbols."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def library_ending() -> str:
 
 
 class FmuWarning(UserWarning):
-    """What is strange in an FMU and does not matter for the model."""
+    """Oddities of an FMU that do not matter for the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def unpack(path: str | Path) -> Unpacked:
 
 
 def read_description(path: Path, folder: Path) -> Any:
-    """What fmpy reads in modelDescription.xml of an FMU of FMI 2.0 or 3.0 with Model Exchange."""
+    """The model description of an FMU of FMI 2.0 or 3.0 with Model Exchange, as fmpy reads it."""
     try:
         from fmpy import read_model_description
     except ImportError as error:

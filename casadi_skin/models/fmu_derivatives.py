@@ -103,7 +103,7 @@ class Differences:
 class Derivatives:
     """Values of some of an FMU's numbers, `unknowns` (its derivatives where that is None), and their Jacobians.
 
-    `by_states` and `by_parameters` tell how Jacobians are computed: "directional" or "differences". `difference` holds
+    `by_states` and `by_parameters` name how Jacobians are computed: "directional" or "differences". `difference` holds
     the error estimate of the latter.
     """
 

@@ -1,4 +1,4 @@
-"""What an FMU's description says of the numbers that a model is made of: states, parameters, inputs and outputs.
+"""Variables in an FMU's description of which a model is made: states, parameters, inputs and outputs.
 
 Arrays of FMI 3.0 are taken number by number: the entry in row 1 and column 2 of A is A[1,2].
 """
@@ -26,7 +26,7 @@ _REAL = ("Real", "Float64")
 
 @dataclass(frozen=True)
 class Asked:
-    """What a script asks of an FMU by name: its states in another order, and its numbers that get values."""
+    """Choices of a script for an FMU, by name: the order of its states, and the variables that get values."""
 
     states: tuple[str, ...] | None = None
     parameters: tuple[str, ...] = ()
@@ -126,7 +126,7 @@ class Variables:
 
     @cached_property
     def given(self) -> tuple[Element, ...]:
-        """What gets values: parameters of the model, then inputs that have a value or a signal."""
+        """Variables that get values: parameters of the model, then inputs that have a value or a signal."""
         variables = [v for v in self.description.modelVariables if v.type in _REAL]
         found: list[Element] = []
         for label, names, kinds in (

@@ -57,7 +57,7 @@ def run_file(path: Path, source: str) -> dict[str, Any]:
 
 
 def named(path: Path, names: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
-    """What a name in a file that was run stands for: an object of one of the kinds, or what a function returns.
+    """Object of a name in a file that was run: one of the kinds, or the result of a function.
 
     Raises ModelFileError for a name that is not there, with the nearest one, and for what is of no such kind.
     """
@@ -76,7 +76,7 @@ def named(path: Path, names: Mapping[str, Any], name: str, kinds: tuple[type, ..
 
 
 def call(path: Path, name: str, function: Any, *arguments: Any) -> Any:
-    """What a function from a file returns; raises ModelFileError where it takes other arguments or fails."""
+    """Result of a function from a file; raises ModelFileError where it takes other arguments or fails."""
     try:
         inspect.signature(function).bind(*arguments)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""What the toolkit needs to know of a model: states, parameters, right-hand side and declared symmetries."""
+"""A model for the toolkit: states, parameters, right-hand side and declared symmetries."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class OdeModel(Equations):
     expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
     state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
     `conserved` are further conserved quantities by name, as a momentum; `symmetries` the directions in which continuous
-    symmetries move the full state, by the names of what they conserve: found from a canonical `hamiltonian` where left
+    symmetries move the full state, by the names of what they conserve: from a canonical `hamiltonian` where left
     out.
     `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
     amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
-    component of `state`, that make of it what users see: errors are measured there as well. `nominal` are usual values
+    component of `state`, for the values that users see: errors are measured there too. `nominal` are usual values
     of the parameters; components are called as their symbols unless labels are given. Where `checked`, the declared
     symmetries and the conserved quantity are evaluated at random points.
 
@@ -56,7 +56,7 @@ class OdeModel(Equations):
 
     @property
     def rounding(self) -> float:
-        """Relative error of the right-hand side's values: that of doubles; models whose values are worse declare it."""
+        """Relative error of the right-hand side's values: that of doubles, unless a model declares a larger one."""
         return EPSILON
 
     @cached_property
@@ -65,7 +65,7 @@ class OdeModel(Equations):
         return self.function("field", ca.densify(self.full_rhs))
 
     def field_at(self, time: Any, state: Any, parameters: Any) -> Expression:
-        """The vector field at expressions, written out: a derivative that nobody asks for is then none of a program."""
+        """The vector field at expressions, written out: derivatives that are not used do not enter a program."""
         return self.vector_field.call([time, state, parameters], True, False)[0]
 
     @cached_property

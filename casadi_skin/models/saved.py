@@ -34,7 +34,7 @@ Sign = Literal[1, -1]
 
 
 class SavedModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a file says of a model. Symbols are numbered in the order time, states, parameters."""
+    """Contents of a file of a model. Symbols are numbered in the order time, states, parameters."""
 
     name: str
     order: Literal[1, 2]
@@ -143,7 +143,7 @@ def loads(text: str, path: str = "text") -> OdeModel:
 
 
 def _checked(text: str) -> SavedModel:
-    """What a file says, where it is complete, says each thing once and has the checksum of what it says."""
+    """The contents of a file that is complete, has each entry once and has the checksum of its contents."""
     found = msgspec.json.decode(text, type=Header).format
     if found != FORMAT:
         raise ValueError(f"format {short_repr(found)}; {ACCEPTED}")
@@ -214,7 +214,7 @@ def _made(
 
 
 def _reduced(model: OdeModel) -> tuple[Any, ...]:
-    """What pickle keeps of a model: CasADi's own function, of any kind but programs."""
+    """Pickled form of a model: CasADi's own function, of any kind but programs."""
     labels, function = _equations(model)
     declared = {key: getattr(model, key) for key in (*PLAIN, "state_labels", "parameter_labels")}
     names = model.state_names, model.parameter_names

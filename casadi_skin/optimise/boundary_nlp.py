@@ -44,7 +44,7 @@ MESHES = 2  # on which a first optimum is sought
 class BoundaryNlp(Nlp):
     """The nonlinear programme of a statement on one mesh; `held` are conditions on expressions in ends and parameters.
 
-    `free` names the scalars by which optima are told apart, relative to these numbers; curvature is measured in them,
+    `free` names the scalars by which optima are compared, relative to these numbers; curvature is measured in them,
     but for the period. Where there are none it is measured in all unknowns.
     """
 
@@ -147,7 +147,7 @@ class Refined:
 
     @property
     def optimum(self) -> of_solution.Optimum:
-        """What a solution carries of it."""
+        """The optimum as a solution carries it."""
         first = self.optimality.kkt
         largest, active = max(first.stationarity, first.complementarity), self.optimality.active
         conditions = of_solution.Optimality(largest, first.violation, active, self.nlp.exact)
@@ -180,7 +180,7 @@ def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.So
 def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bool = False, **more: Any) -> Refined:
     """An optimum on meshes that are refined until it no longer changes; `more` are arguments of their programmes.
 
-    Where a `flat` objective is allowed, which does not tell neighbours apart, one refinement is enough. Raises
+    Where a `flat` objective is allowed, which has the same value at neighbours, one refinement is enough. Raises
     BoundaryError where no mesh on offer is fine enough, or finer ones do not converge.
     """
     name, errors = nlp.statement.model.name, list[float]()
@@ -239,7 +239,7 @@ def _held_rows(problem: BoundaryProblem, z: ca.MX, held: Sequence[Condition]) ->
 
 
 def _objective(problem: BoundaryProblem, z: ca.MX) -> ca.MX:
-    """What is optimised, in ends and parameters, plus an integral."""
+    """The objective, in ends and parameters, plus an integral."""
     statement, n = problem.statement, problem.formulation.states
     model, total = statement.model, ca.MX(0)
     values, scalars = ca.reshape(z[: problem.states], n, problem.columns), z[problem.states :]

@@ -22,7 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.solvers.newton import NewtonCorrector
 
 HARMONICS = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
-UNKNOWN_HARMONICS = 12  # where the first start has no orbit that tells how many it needs
+UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
 MOVED = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 
 
@@ -78,9 +78,9 @@ class FamilySearch(FamilyStatement):
     # Optima ---------------------------------------------------------------------------------------------------------
 
     def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
-        """The optimum on as many harmonics as the tolerance asks for.
+        """The optimum on as many harmonics as the tolerance requires.
 
-        An orbit off the family is taken no farther than the first step that shows it.
+        An orbit off the family is refined no further than the first step that shows this.
         """
         nlp, solution, best = family_nlp(self, self.harmonics), outcome.solution, None
         assert solution is not None
@@ -101,7 +101,7 @@ class FamilySearch(FamilyStatement):
         return best
 
     def _differences(self, nlp: FamilyNlp, solution: Solution, finer: FamilyNlp, better: Solution) -> dict[str, float]:
-        """What objective, Omega and free numbers differ by on two numbers of harmonics."""
+        """Differences of objective, Omega and free numbers between two numbers of harmonics."""
         moved = np.abs(better.x - nlp.prolonged(solution.x, finer))[: len(self.free_names)]
         turned = np.max(np.abs(finer.frequencies(better.x) - nlp.frequencies(solution.x)))
         errors = {"objective": abs(better.objective - solution.objective), "Omega": float(turned)}

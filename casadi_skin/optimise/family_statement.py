@@ -1,4 +1,4 @@
-"""What a search asks of the orbits of one mode's family, in odd cosines, of a chain or of a model of second order."""
+"""Statement of a search among the orbits of one mode's family, in odd cosines, of a chain or of a model."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ FAINTEST = 1e-6  # S where no lower bound is given
 
 @dataclass(frozen=True)
 class FamilyStatement:
-    """What is sought among the orbits of a family at the amplitudes S, which share the parameters.
+    """Search among the orbits of a family at the amplitudes S, which share the parameters.
 
-    Where "S" is free, `amplitudes` has that of the first start; `several` tells that S was given as a list.
+    Where "S" is free, `amplitudes` has that of the first start; `several` is true where S is a list.
     """
 
     family: Family
@@ -81,7 +81,7 @@ class FamilyStatement:
         search._check_expressions()
         return search
 
-    # What is asked --------------------------------------------------------------------------------------------------
+    # The statement --------------------------------------------------------------------------------------------------
 
     @property
     def model(self) -> Any:
@@ -118,7 +118,7 @@ class FamilyStatement:
         return quantity(orbits if self.several else orbits[0])
 
     def values(self, free: Sequence[float] | Array) -> dict[str, Any]:
-        """What is free by name: numbers, or arrays where every component has one."""
+        """Free numbers by name: numbers, or arrays where every component has one."""
         places, found = iter(np.asarray(free, dtype=float)), dict[str, Any]()
         for name, free_number in self._numbers.items():
             values = np.array([next(places) for _ in free_number.names])

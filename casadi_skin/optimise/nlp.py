@@ -77,7 +77,7 @@ class Nlp:
 
     `jacobian` is dg/dx where that is known. Second derivatives are used where they are `exact`; Ipopt approximates them
     elsewhere. `options` of Ipopt are added to those that every search has. `place` are scaled unknowns by which optima
-    are told apart.
+    are distinguished.
     """
 
     place: Expression | None = None
@@ -146,7 +146,7 @@ class Nlp:
         return "the equations of the orbit"
 
     def sizes(self, x: Array) -> Array:
-        """What each unknown is measured by, shape (size,)."""
+        """Scale of each unknown, shape (size,)."""
         return np.ones(self.size)
 
     def fault(self, x: Array) -> str:

@@ -15,7 +15,7 @@ from casadi_skin.optimise.nlp import Nlp, Solution
 
 CURVED = 1e-6  # of what the Hessian does to the free directions: less is rounding
 NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
-FLAT = 1e-9  # curvature of an objective that does not tell neighbours apart
+FLAT = 1e-9  # curvature of an objective that has the same value at neighbours
 NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at which it is active
 HOLDS = 1e-5  # size of a multiplier, relative to the largest, at which its bound is active
 

@@ -41,7 +41,7 @@ class PlainCheck:
     family_words: str = ""
 
     def on_family(self, Omega: float) -> bool | None:
-        """Whether the orbit belongs to the family that grows from the linear mode; None where that is not known."""
+        """Whether the orbit belongs to the family that grows from the linear mode; None where the family is missing."""
         if self.family_difference is None:
             return False if self.family_words else None
         return abs(self.family_difference) <= ON_FAMILY * Omega
@@ -52,18 +52,18 @@ class Optimum:
     """A local optimum: free numbers, orbits, and its checks. Every quantity of the first orbit is an attribute too.
 
     Attributes:
-        objective: what is optimised.
+        objective: value of the objective.
         parameters: the free numbers by name.
         orbits: the orbits; one unless S was given as a list.
-        quantities: quantities of each orbit by name: parameters, period, Omega, and what its problem knows beyond
-            these (of the slopes those that the search used).
+        quantities: quantities of each orbit by name: parameters, period, Omega, and further ones of its problem
+            (of the slopes those that the search used).
         checks: each orbit beside a plain solution.
         conditions: values of the conditions by name.
         active: bounds that are active, such as "gamma >= 0".
         kkt: residuals of the conditions of first order, from multipliers and derivatives.
         curvature: the smallest eigenvalue of the Hessian of the Lagrangian (of the negative objective where that is
             maximised) in the free numbers that the constraints leave: positive at a strict optimum, infinite where
-            nothing is left, nan where it is not known.
+            no number is left, nan where it is not computed.
         errors: estimated absolute errors of the objective, Omega or the period, and free numbers by discretisation.
         resolution: harmonics, or intervals of the mesh.
         starts: numbers of the starts that led here.
@@ -88,7 +88,7 @@ class Optimum:
 
     @classmethod
     def of(cls, nlp: Nlp, solution: Solution, found: Optimality, free_names: Sequence[str], **known: Any) -> Optimum:
-        """From where Ipopt ended, with the conditions of optimality there and all else by name."""
+        """The optimum at the end of Ipopt, with the conditions of optimality there and all else by name."""
         residual, free = nlp.residual(solution.x), solution.x[nlp.measured].tolist()
         return cls(
             objective=solution.objective, parameters=dict(zip(free_names, free, strict=True)), kkt=found.kkt,
@@ -121,6 +121,6 @@ class Optimum:
 
     @property
     def on_family(self) -> bool | None:
-        """Whether every orbit belongs to the mode's family; None where that is not known, or any orbit will do."""
+        """Whether every orbit belongs to the mode's family; None where that is open, or any orbit will do."""
         known = [check.on_family(q["Omega"]) for check, q in zip(self.checks, self.quantities, strict=True)]
         return None if None in known else all(known)

@@ -1,4 +1,4 @@
-"""The Pareto front of two quantities: points where neither gets better without the other getting worse.
+"""The Pareto front of two quantities: points where neither improves unless the other worsens.
 
 Epsilon constraints (Haimes, Lasdon and Wismer 1971): the first quantity is minimised with the second held below values
 spread between its two ends; dominated points, which local optima may leave, are removed.
@@ -32,7 +32,7 @@ class ParetoFront:
         points: the optima.
         values: of both quantities, shape (points, 2).
         dominated: number of optima removed.
-        searches: all that were made.
+        searches: all searches that were run.
     """
 
     points: tuple[Optimum, ...]
@@ -69,7 +69,7 @@ def pareto_front(
             constraints and bounds hold everywhere.
 
     Raises:
-        ValueError, TypeError: arguments that cannot be meant, or an end of the front that is not found.
+        ValueError, TypeError: arguments that are not accepted, or an end of the front without a solution.
         KeyboardInterrupt: after an interruption.
     """
     whole("points", points, 2)

@@ -56,8 +56,8 @@ Solve = Callable[[Any, Monitor | None], Any]  # (start, monitor) -> outcome
 class Runner:
     """Runs starts with `workers` processes or an `executor` of processes, and reports where it is.
 
-    `interrupted` tells whether SIGINT or SIGTERM came while it listened; the second one interrupts at once. Raises
-    TypeError or ValueError for processes that cannot be used.
+    `interrupted` is true after SIGINT or SIGTERM; the second one interrupts at once. Raises TypeError or ValueError for
+    processes that cannot be used.
     """
 
     def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
@@ -174,7 +174,7 @@ class _Shared:
 
 
 def _begin_process() -> None:
-    """What a process does first: it ends with the one that made it, also where that is killed."""
+    """Prepare a new process: it ends with its parent, also where that is killed."""
     _ignore_interrupts()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -217,7 +217,7 @@ def _work(solve: bytes, job: Any, starts: int, shared: _Shared | None) -> Any:
     where = partial(SearchProgress, job.number, starts, 0, name=job.name)
     monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
     with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they would be printed by a process that nobody asked
+        warnings.simplefilter("ignore")  # they would be printed by a worker process
         return unpickled(solve)(job, monitor)
 
 

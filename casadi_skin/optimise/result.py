@@ -1,4 +1,4 @@
-"""What a search finds: its distinct optima, best first, each with its checks, and where every start led."""
+"""Result of a search: its distinct optima, best first, each with its checks, and the outcome of every start."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class SearchResult:
     """Distinct optima, best first.
 
     Attributes:
-        problem: what was searched for.
+        problem: the search problem.
         status, reason: how the search ended; `reason` is a sentence.
-        optima: of the family asked for.
+        optima: optima on the requested family.
         others: optima on orbits that are not of this family.
         outcomes: one a start done, and another for each start that was used again by deflation.
         nearest: where there is no optimum, the outcome that comes nearest; of an infeasible search the orbit that
@@ -67,7 +67,7 @@ class SearchResult:
     def save(self, path: str | Path) -> Path:
         """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
 
-        Raises ValueError for what is no data: a function of the caller's, a model that is a program.
+        Raises ValueError for parts that are no data: a function of the caller's, a model that is a program.
         """
         saved: Path = methods.TASKS["save"].load()(self, path)
         return saved

@@ -1,4 +1,4 @@
-"""The engine of every search: starts one after the other or in processes, distinct optima, and how the search ended."""
+"""The engine of every search: starts run in turn or in processes, distinct optima, and how the search ended."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
 
 SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
-NEAREST = 4  # starts from which the orbit nearest to the constraints is looked for
+NEAREST = 4  # starts of the search for the orbit nearest to the constraints
 
 
 def search(
@@ -35,8 +35,8 @@ def search(
     """Run a search from its starts.
 
     Arguments:
-        problem: what is searched for, as `stated_search` makes it.
-        starts: where it starts, as `problem.starts` makes them.
+        problem: the search problem, as `stated_search` makes it.
+        starts: starts of the search, as `problem.starts` makes them.
         deflate: whether starts that led to a known optimum are used once more, away from it.
         known: outcomes of an earlier run; their starts are not run again.
         keep: called with each new outcome as it ends, such as to write it to a journal.
@@ -92,7 +92,7 @@ class _Search:
         self.outcomes.sort(key=lambda outcome: outcome.start.number)
 
     def run_again(self) -> None:
-        """Run the starts that led to an optimum that another found first once more, away from the optima known."""
+        """Run once more, away from the known optima, each start that led to an optimum of an earlier start."""
         distinct = self._distinct()
         repeated = {number for _, numbers in distinct for number in numbers[1:]}
         known = tuple(outcome.place for outcome, _ in distinct)
@@ -117,13 +117,13 @@ class _Search:
         return -outcome.objective if self.problem.maximise else outcome.objective
 
     def result(self, began: float) -> SearchResult:
-        """The optima made final, and the verdict."""
+        """The optima made final, and the status of the search."""
         made, found = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()], list[Optimum]()
         for optimum in (optimum for optimum in made if optimum is not None):
             same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME)), None)
             if same is None:
                 found.append(optimum)
-            else:  # what differed on coarse discretisations
+            else:  # optima that differed on coarse discretisations
                 found[same] = replace(found[same], starts=(*found[same].starts, *optimum.starts))
         optima = tuple(optimum for optimum in found if optimum.on_family is not False)
         others = tuple(optimum for optimum in found if optimum.on_family is False)
@@ -133,7 +133,7 @@ class _Search:
         return SearchResult(self.problem, status, reason, optima, others, outcomes, near, seconds)
 
     def _nearest(self) -> Outcome | None:
-        """The orbit that misses the conditions least, from a few starts; else what came nearest."""
+        """The orbit that misses the conditions least, from a few starts; else the nearest outcome."""
         tried = [o for o in self.outcomes if o.solution is not None]
         missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
         found = list[Outcome | None]()
@@ -185,6 +185,6 @@ class _Search:
 
 
 def same_optimum(one: Outcome, other: Outcome) -> bool:
-    """Whether two outcomes are one optimum: at one place, with one value of the objective."""
+    """Whether two outcomes are one optimum: the same place, and the same value of the objective."""
     near = np.max(np.abs(one.place - other.place)) <= SAME
     return bool(near and abs(one.objective - other.objective) <= SAME * max(1.0, abs(one.objective)))

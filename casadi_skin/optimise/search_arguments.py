@@ -29,7 +29,7 @@ class Condition:
 
 
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
-    """The names that are free; raises ValueError for unknown ones, for none, and for one that comes twice."""
+    """The names of free numbers; raises ValueError for unknown names, for none, and for one that comes twice."""
     accepted = tuple(known)
     if not isinstance(free, str | list | tuple):
         raise TypeError(f"free: given {short_repr(free)}; accepted: a list of {', '.join(accepted)}")
@@ -44,7 +44,7 @@ def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ..
 
 
 def pair(place: str, given: object) -> tuple[float, float]:
-    """Two bounds; raises TypeError and ValueError for what is no pair of ascending numbers."""
+    """Two bounds; raises TypeError and ValueError unless they are a pair of ascending numbers."""
     ends = tuple(given) if isinstance(given, list | tuple) else ()
     if len(ends) != 2:
         raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR}")
@@ -63,11 +63,11 @@ def checked_bounds(
     fixed: Iterable[str],
     quantities: Iterable[str],
 ) -> tuple[dict[str, tuple[float, float]], tuple[Condition, ...]]:
-    """Limits of what is free, and conditions made of the bounds on quantities.
+    """Limits of the free numbers, and conditions from the bounds on quantities.
 
     Arguments:
         bounds: pairs by name.
-        free: ranges of what is free, where no bound is given.
+        free: default ranges of the free numbers.
         fixed: parameters that are not free: they take no bounds.
         quantities: other names that may have bounds.
 
@@ -97,9 +97,9 @@ def checked_bounds(
 
 
 def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], what: str) -> tuple[Condition, ...]:
-    """Conditions from a list of items, each a quantity that is to vanish or one with its bounds.
+    """Conditions from a list of items, each a quantity that has to vanish or one with its bounds.
 
-    A quantity is a name or of one of `kinds`, which are called `what` where an item is refused.
+    A quantity is a name or of one of `kinds`, which error messages call `what`.
     """
     accepted = CONDITION.format(what)
     if not isinstance(constraints, list | tuple):

@@ -51,11 +51,11 @@ def search_orbit(
             expression. Near a guess a name (of a state, an output, a parameter, "period", "Omega" or "hamiltonian") or
             an expression in states and parameters, taken at phase zero.
         running: near a guess: a name or an expression whose mean over the period is added to the objective.
-        free: names of what is free: of a chain S, gamma, alpha, g, alpha_n (one stiffness a site); of a model its
+        free: names of the free numbers: of a chain S, gamma, alpha, g, alpha_n (one stiffness a site); of a model its
             parameters and, in a family, S.
-        bounds: (lower, upper) by name, None where there is none: of what is free, of quantities, and near a guess of
+        bounds: (lower, upper) by name, None where there is none: of free numbers, of quantities, and near a guess of
             states over the whole period.
-        constraints: each a quantity that is to vanish, or (quantity, lower, upper).
+        constraints: each a quantity that has to vanish, or (quantity, lower, upper).
         maximise: whether the objective is maximised.
         mode: of a family: the linear mode it grows from, a number from 1, "first" or "last"; by default that of the
             end breather of a chain, the first of a model.
@@ -75,7 +75,7 @@ def search_orbit(
         A `SearchResult`: distinct optima, best first, and why the search ended. Ctrl-C ends it with the best so far.
 
     Raises:
-        ValueError, TypeError: arguments that cannot be meant, before anything is solved.
+        ValueError, TypeError: arguments that are not accepted, before anything is solved.
     """
     truth("maximise", maximise)
     truth("deflate", deflate)

@@ -1,4 +1,4 @@
-"""What a search asks of a discretisation: starts, where they lead, and optima made final."""
+"""Interface between a search and a discretisation: starts, their outcomes, and optima made final."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _empty() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a start led to.
+    """Outcome of a start.
 
     Attributes:
         start: the start.
@@ -99,7 +99,7 @@ class Outcome:
 
 
 class SearchProblem(Protocol):
-    """A search as its engine sees it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
+    """A search as its engine uses it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
 
     Attributes:
         model: the chain or the model.
@@ -108,7 +108,7 @@ class SearchProblem(Protocol):
         columns: names of the quantities that tables show.
         resolution_name: what the resolution of an optimum counts.
         wanted: where optima have to be, in words, such as on which family.
-        hint: what may be the reason where nothing is found; empty where nothing is known.
+        hint: possible reason where no optimum is found; empty without one.
     """
 
     @property
@@ -131,7 +131,7 @@ class SearchProblem(Protocol):
         ...
 
     def prepared(self, first: Start) -> Self:
-        """This search with what all starts share, chosen for the first of them."""
+        """This search with the choices that all starts share, made for the first of them."""
         ...
 
     def nlp_at(self, start: Start) -> tuple[Nlp, Array]:
@@ -149,9 +149,9 @@ class SearchProblem(Protocol):
 def solve_start(
     problem: SearchProblem, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
 ) -> Outcome:
-    """Where a start leads: an orbit there, then Ipopt.
+    """Outcome of a start: an orbit there, then Ipopt.
 
-    What keeps away from `known` optima may end on the ball round one of them: it is solved again without, and then
+    A start kept away from `known` optima may end on the ball round one of them: it is solved again without, and then
     leads to a new optimum or back to the known one.
     """
     try:

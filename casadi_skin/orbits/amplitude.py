@@ -32,7 +32,7 @@ class AmplitudeSquare:
 
 
 def amplitude_square(model: OdeModel) -> AmplitudeSquare:
-    """What S is the value of: the sum of squares of the positions at rest, or what the model's normalisation says.
+    """Expression whose value is S: the sum of squares of the positions at rest, or that of the normalisation.
 
     A normalisation is accepted for families as h(y) - p, with h a quadratic form of the positions and p a parameter
     that occurs nowhere else. Raises ValueError for another.

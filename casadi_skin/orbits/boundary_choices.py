@@ -1,4 +1,4 @@
-"""What is chosen for a boundary-value problem, what its unknowns are measured by, and what makes solutions orbits."""
+"""Choices for a boundary-value problem: methods, scales of its unknowns, and the data of orbits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What components of the state and free parameters are measured by at least."""
+    """Least scales of the components of the state and of the free parameters."""
 
     states: Array
     scalars: Array
@@ -51,7 +51,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What makes a solution an orbit: the model as given, that of first order, the part of the period solved for.
+    """Data of an orbit: the model as declared, that of first order, the part of the period solved for.
 
     `turns` are the rotations of the states in a period, none where it is empty.
     """
@@ -62,7 +62,7 @@ class Periodic:
     turns: tuple[int, ...] = ()
 
     def rotated(self, theta: Array) -> Array:
-        """What rotations add at phases to states of the part solved for, mirrored or not, shape (phases, states)."""
+        """Additions of rotations at phases to states of the solved part, mirrored or not, shape (phases, states)."""
         turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
         mirrored = np.mod(turn, 1.0) > self.symmetry.value
         return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))

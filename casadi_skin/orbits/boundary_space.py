@@ -115,7 +115,7 @@ class BoundarySpace:
 
     @cached_property
     def point_solver(self) -> PointSolver:
-        """What makes solutions at the tolerance."""
+        """The solver of points at the tolerance."""
         return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
 
     # The branch -----------------------------------------------------------------------------------------------------

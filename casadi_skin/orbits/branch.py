@@ -37,14 +37,14 @@ class Branch(Result):
     """Solutions of one branch in the order of arclength.
 
     Attributes:
-        space: what the solutions belong to.
+        space: the solution space: equations and discretisations.
         solutions: orbits, equilibria or solutions of a boundary-value problem; special points located on the way among
             them.
-        located: changes of stability between neighbouring solutions of a branch that is no family.
+        located: changes of stability between neighbouring solutions of a branch other than a family.
         with_stability: whether stability was computed with the solutions.
-        end: why the branch ended; None where it was interrupted.
-        detail: more about the end, in words.
-        misses: values that were asked for, by the name of the quantity, at which no solution was found.
+        end: reason for the end; None after an interruption.
+        detail: details of the end, in words.
+        misses: requested values at which no solution was found, by the name of the quantity.
         stopped: whether the condition `until` ended the branch.
         with_events: whether changes of stability are sought.
     """
@@ -78,7 +78,7 @@ class Branch(Result):
 
     @property
     def parameter(self) -> str:
-        """Name of the quantity that the branch is followed in: S of a family."""
+        """Name of the continuation parameter: S of a family."""
         return self.space.parameter
 
     @property
@@ -88,20 +88,20 @@ class Branch(Result):
 
     @property
     def start(self) -> Point:
-        """Where the branch starts: of a family its linear mode at S = 0, which is not among the orbits."""
+        """The point where the branch starts: of a family its linear mode at S = 0, which is not among the orbits."""
         return self.space.start
 
     # Arrays -----------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> Array:
-        """Values of a parameter or of what is followed along the branch, shape (solutions,)."""
+        """Values of a parameter or of the continuation parameter along the branch, shape (solutions,)."""
         if name == self.parameter:
             return self.values
         return np.array([solution.parameters[name] for solution in self.solutions])
 
     @property
     def values(self) -> Array:
-        """Values of the quantity followed, shape (solutions,)."""
+        """Values of the continuation parameter, shape (solutions,)."""
         return np.array([solution.value(self.parameter) for solution in self.solutions])
 
     @property
@@ -132,12 +132,12 @@ class Branch(Result):
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each solution is stable, shape (solutions,); computed now where it was not before."""
+        """Whether each solution is stable, shape (solutions,); computed now where it is missing."""
         return np.array([solution.stable for solution in self.solutions], dtype=bool)
 
     @property
     def max_abs_multiplier(self) -> Array:
-        """Largest modulus of a multiplier of each orbit, shape (orbits,); computed now where it was not before."""
+        """Largest modulus of a multiplier of each orbit, shape (orbits,); computed now where it is missing."""
         return np.array([orbit.floquet().max_abs_multiplier for orbit in self.orbits])
 
     @property
@@ -149,9 +149,9 @@ class Branch(Result):
 
     @cached_property
     def stability_diagram(self) -> StabilityDiagram | None:
-        """Every tongue of instability of a family; None where changes of stability are not sought, or of no family.
+        """Every tongue of instability of a family; None where changes of stability are not sought, or without a family.
 
-        Computed when it is first asked for, from the course of the family and not from its points.
+        Computed on first use, from the course of the family and not from its points.
         """
         if not (self.with_stability and self.with_events and self.solutions and isinstance(self.space, Family)):
             return None
@@ -170,7 +170,7 @@ class Branch(Result):
         return () if self.stability_diagram is None else self.stability_diagram.unresolved
 
     def first_instability(self, growth: float = 0.0) -> Place | None:
-        """Where a family first becomes unstable, with the error of S.
+        """The place where a family first becomes unstable, with the error of S.
 
         Arguments:
             growth: depth of a tongue, log |multiplier| over a period, from which on it counts.
@@ -180,7 +180,7 @@ class Branch(Result):
             `unresolved` names a stretch before it.
 
         Raises:
-            ValueError: changes of stability were not sought, or the branch is no family.
+            ValueError: changes of stability were not sought, or the branch is not a family.
         """
         if self.stability_diagram is None:
             raise ValueError("first_instability: accepted: a family followed with stability=True, events=True")
@@ -197,7 +197,7 @@ class Branch(Result):
             The point; its `curve` follows the edge with S free.
 
         Raises:
-            ValueError: the branch is no family, or has no such change.
+            ValueError: the branch is not a family, or has no such change.
         """
         count = sum(isinstance(change, StabilityEdge) for change in self.changes)
         if str(number) not in map(str, range(count)):
@@ -216,16 +216,16 @@ class Branch(Result):
 
     @cached_property
     def special_points(self) -> tuple[SpecialPoint, ...]:
-        """Points that stand out, in order along the branch.
+        """Special points, in order along the branch.
 
-        Those of a family are located when first asked for: folds, then, where its changes of stability are sought, the
+        Those of a family are located on first use: folds, then, where its changes of stability are sought, the
         points at which orbits of less symmetry leave it.
         """
         if self.space.locates_folds:
             return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
         found = []
         for before, after in itertools.pairwise(self.solutions):
-            with suppress(NotLocatedError):  # what is seen at its ends alone has no place
+            with suppress(NotLocatedError):  # a point that shows only at the ends of a stretch has no place
                 for point in self.space.special_between(before.point, after.point):
                     found.append(self._special(solution_at(self.space, point)))
         return (*found, *self._leaving())
@@ -258,12 +258,12 @@ class Branch(Result):
         return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
 
     def follow_all(self, **options: Any) -> Any:
-        """All that leaves this, and what leaves that: a `Diagram`, by `casadi_skin.equilibria.diagram.follow_all`."""
+        """A `Diagram` of all branches that leave this one or each other; see `casadi_skin.equilibria.diagram`."""
         return methods.TASKS["follow_all"].load()(self, **options)
 
     @property
     def folds(self) -> tuple[Solution, ...]:
-        """Solutions at which the quantity that is followed turns back."""
+        """Solutions at which the continuation parameter turns back."""
         return tuple(point.solution for point in self.special_points if point.kind == FOLD)
 
     @cached_property
@@ -277,12 +277,12 @@ class Branch(Result):
 
     @property
     def missed(self) -> tuple[float, ...]:
-        """Values of the quantity followed that were asked for, and at which no solution was found."""
+        """Requested values of the continuation parameter at which no solution was found."""
         return self.misses.get(self.parameter, ())
 
     @property
     def complete(self) -> bool:
-        """Whether the branch reached what was asked and no requested point is missing."""
+        """Whether the branch reached its requested end and no requested point is missing."""
         return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
 
     @property
@@ -293,10 +293,10 @@ class Branch(Result):
     # At any value -----------------------------------------------------------------------------------------------------
 
     def at(self, value: float | None = None, which: int = 0, **named: float) -> Any:
-        """The solution corrected exactly at a value of what is followed, or of another quantity.
+        """The solution corrected exactly at a value of the continuation parameter, or of another quantity.
 
         Arguments:
-            value: of the quantity that the branch is followed in.
+            value: of the continuation parameter.
             which: counts the passages of the value along the branch, from 0.
             named: one value by name in place of `value`: S, Omega or period of a family; the parameter followed, and
                 Omega or period where the period is unknown, of other branches.
@@ -305,7 +305,7 @@ class Branch(Result):
             The orbit or solution there.
 
         Raises:
-            ValueError, TypeError: not one number is given, or the branch does not pass it that often.
+            ValueError, TypeError: not exactly one number, or the branch does not pass it that often.
             ArithmeticError: no solution is found there.
         """
         name, value = self._asked_at(value, named)
@@ -336,7 +336,7 @@ class Branch(Result):
         return name, number(f"at, {name}", found)
 
     def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
-        """Where the branch passes a value: a solution of it, or a point corrected there, None where none is found."""
+        """Passages of the branch through a value: a solution, or a point corrected there, None where there is none."""
         target, point_solver = self.space.target(name, value), self.space.point_solver
         before = self.space.start if self.space.start_is_limit else None
         for solution in self.solutions:

@@ -274,12 +274,12 @@ class OrbitSampler:
         return self._solved(section.problem, guess, section.row, NEARBY * distance)
 
     def _response(self, problem: Problem, z: Array, solve: Solve) -> float:
-        """What residuals of size 1 do to an orbit, in the metric."""
+        """Response of an orbit to residuals of size 1, in the metric."""
         moved = solve(np.append(problem.probe, 0.0))
         return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * moved**2)))
 
     def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
-        """What spans the trivial direction: q'' at phase zero, or how positions there change along the branch.
+        """Vectors that span the trivial direction: q'' at phase zero, or the rate of positions there along the branch.
 
         With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
         """

@@ -2,7 +2,7 @@
 
 The variational flow over the part of the period that is solved for, a half or a quarter, is Phi = [[A, B], [C, D]] in
 positions and velocities; a perturbation (x, 0) or (0, v) that comes back to one of these is its own mirror image in
-time (Lamb and Roberts 1998). Which block is singular tells what is kept:
+time (Lamb and Roberts 1998). The singular block decides which symmetry is kept:
 
     mu   block      of an odd family (a quarter)             of one that is reversible alone (a half)
     0    C x = 0    the reversal; no half-period symmetry     all: another branch of the same class
@@ -11,7 +11,7 @@ time (Lamb and Roberts 1998). Which block is singular tells what is kept:
     -1   D v = 0    the half-period symmetry; no reversal     the same, about the other phase at rest
 
 At mu = -1 of an odd family, 0 of another, where no block is singular beside the trivial vector, the energy has an
-extremum, and nothing leaves.
+extremum, and no branch leaves.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ HALF_PERIOD, REVERSAL = "half-period symmetry", "reversal"
 
 @dataclass(frozen=True, eq=False)
 class Breaking:
-    """What leaves an orbit of a family.
+    """Orbits that leave an orbit of a family.
 
     Attributes:
         block: "A", "B", "C" or "D", as above.
         vector: the perturbation at phase zero in the coordinates of the model, positions then velocities.
         symmetry: which part of the period of the orbits that leave is unknown.
         turns: how often they run through the period.
-        lost: what they have lost, in words.
+        lost: the symmetries that they lack, in words.
     """
 
     block: str
@@ -72,7 +72,7 @@ KINDS = {
 
 
 def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
-    """What leaves an orbit of a family at the edge of a real tongue with mu 0 or -1; None where nothing does."""
+    """The orbits that leave at the edge of a real tongue with mu 0 or -1; None where there are none."""
     family = orbit.space
     assert isinstance(family, Family)
     transition, acceleration = family.transition(orbit.point)
@@ -153,7 +153,7 @@ def _problem(space: BoundarySpace, start: Orbit, part: float) -> BoundaryProblem
 def _family_tangent(space: BoundarySpace, problem: BoundaryProblem, z: Array) -> Array:
     """The tangent of the family among the two directions that the equations leave open; of norm 1 in the metric.
 
-    By inverse iteration, once with the parameter held, once across what was found so.
+    By inverse iteration, once with the parameter held, once across the result of that.
     """
     from scipy.sparse import csc_matrix, diags, vstack
     from scipy.sparse.linalg import splu

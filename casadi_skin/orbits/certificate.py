@@ -1,4 +1,4 @@
-"""What a proof gives: enclosures of an orbit's quantities, and the constants of the theorem."""
+"""Results of a proof: enclosures of an orbit's quantities, and the constants of the theorem."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_ABSENCE = "this is no proof that there is no orbit"
 
 @dataclass(frozen=True)
 class Constants:
-    """What the theorem needs: |A F| <= Y, |I - A DF| <= Z, and W a Lipschitz constant of A DF within `reach`."""
+    """Constants of the theorem: |A F| <= Y, |I - A DF| <= Z, and W a Lipschitz constant of A DF within `reach`."""
 
     Y: float
     Z: float
@@ -95,7 +95,7 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class ProvedStability:
-    """What is proved of the Floquet multipliers exp(2 pi i sigma/step), those of q' left out.
+    """Proof about the Floquet multipliers exp(2 pi i sigma/step), those of q' left out.
 
     They are those over half a period for orbits of odd cosines (step 2), over the period for the others (step 1).
 

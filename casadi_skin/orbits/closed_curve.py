@@ -19,7 +19,7 @@ NEGLIGIBLE = 1e-2  # of the tolerance: coefficients that a sum of cosines can do
 
 
 class CosineSeries(Protocol):
-    """What a distance from an orbit asks of it, as an `Orbit` has it, or what was kept of one."""
+    """Interface of an orbit for distances from it, as an `Orbit` or a stored orbit has it."""
 
     @property
     def S(self) -> float: ...

@@ -148,7 +148,7 @@ class Coordinates(ABC):
         return None
 
     def regime(self, point: Point) -> Enum | None:
-        """What an eliminated linear part of the model does at a point; None where nothing is eliminated."""
+        """Regime of an eliminated linear part of the model at a point; None where nothing is eliminated."""
         return None
 
     def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:

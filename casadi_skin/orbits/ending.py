@@ -1,4 +1,4 @@
-"""How a branch ended, in a sentence that says what to ask for instead."""
+"""The end of a branch in a sentence, with advice on the next request."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STILL = 1e-2  # a relative change of S, per that of Omega, below which S has com
 
 @dataclass(frozen=True, eq=False)
 class Ending:
-    """What is known of the end of a branch; the attributes are those of `Branch`."""
+    """Data of the end of a branch; the attributes are those of `Branch`."""
 
     space: SolutionSpace
     solutions: tuple[Solution, ...]
@@ -72,7 +72,7 @@ class Ending:
         return str(self.end.value) if self.end is not None else ""
 
     def _softened(self, family: Family, S: float) -> str:
-        """Where the last orbit is a slow one: how slow, and whether S has come to a limit short of the S given."""
+        """The slow last orbit in words: its period, and whether S has come to a limit short of the requested S."""
         last = self.orbits[-1]
         slower = family.coordinates.frequency / last.point.Omega
         if slower < SLOW:
@@ -104,7 +104,7 @@ class Ending:
                 yield f"{softened.removeprefix('; ')}; ask for at_period or at_Omega, and end at a period_max"
 
     def _wandering(self, family: Family) -> str:
-        """What a family did that used up its points, and what to ask for instead."""
+        """The course of a family that used up its points, with advice on the next request."""
         request, S = family.request, np.array([orbit.S for orbit in self.orbits])
         slowest = min(orbit.Omega for orbit in self.orbits)
         turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0) + 1
@@ -127,7 +127,7 @@ class Ending:
 
 
 def _closest(family: Family) -> float:
-    """Relative distance of a family's linear frequency from the nearest other one; infinite where none is known."""
+    """Relative distance of a family's linear frequency from the nearest other one; infinite without others."""
     mode, request = family.coordinates.mode_number - 1, family.request
     try:
         frequencies = linear_frequencies(request.model, request.parameters)

@@ -1,4 +1,4 @@
-"""What computing one family needs, each part built when it is first used: equations by resolution, flow, start."""
+"""One family as a space of solutions, each part built on first use: equations by resolution, flow, start."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
 LARGEST = 10_000_000  # positions times harmonics squared: what fits into about a gigabyte
-SMALL = 1000  # unknowns up to which what a call of Ipopt costs is no matter of their number
-CHEAP = 1_000_000  # the same: what takes a fraction of a second to solve
-SERIES_PRECISION = 1e-6  # of a residual: what is left before Newton's step
+SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend on their number
+CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
+SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
 STABILITY_BATCH = 8  # points whose stability is computed at a time: more gain little and are lost in an interruption
 SLOW = 3.0  # times the period of the linear mode
@@ -60,14 +60,14 @@ UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer s
 class Family:
     """The equations of one family and how their unknowns are read (see `orbits.space.SolutionSpace`).
 
-    Nothing is built before it is asked for; one object serves any number of continuations of the same request.
+    Each part is built on first use; one object serves any number of continuations of the same request.
     """
 
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
     free: Sequence[str] = ()
     knows_stability = False
-    locates_folds = False  # while the family is followed; `Branch.special_points` does when asked
+    locates_folds = False  # while the family is followed; `Branch.special_points` locates them on first use
 
     def __init__(self, request: FamilyRequest) -> None:
         self.request = request
@@ -136,7 +136,7 @@ class Family:
 
     @property
     def corrector_tolerance(self) -> float:
-        """What a corrector may leave of the residual, relative to the state, where round-off allows it."""
+        """Residual that a corrector may leave, relative to the state, where round-off allows it."""
         return float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
 
     def _corrector(self, problem: Problem) -> Corrector:
@@ -155,7 +155,7 @@ class Family:
 
     @cached_property
     def point_solver(self) -> PointSolver:
-        """What makes points of the family at its tolerance."""
+        """The solver of points of the family at its tolerance."""
         return PointSolver(self.levels, self.request.continuation_settings())
 
     @cached_property
@@ -193,7 +193,7 @@ class Family:
         return PolynomialForm.of(self.coordinates.scaled)
 
     def target(self, name: str, value: float) -> Target:
-        """Where S, Omega or the period has a value; raises ValueError for other names."""
+        """Condition that S, Omega or the period has a value; raises ValueError for other names."""
         if name == "S":
             return Target(Scalar.PARAMETER, self.coordinates.parameter_of(value))
         if name not in ("Omega", "period"):
@@ -213,7 +213,7 @@ class Family:
         return {"S": targets.at, "Omega": targets.at_Omega, "period": targets.at_period}
 
     def value(self, name: str, point: Point) -> float:
-        """S, Omega or the period of a point, exactly what was asked for where it is that."""
+        """S, Omega or the period of a point; exactly the requested value at a requested point."""
         if name == "S":
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
@@ -228,7 +228,7 @@ class Family:
         return relative * self.coordinates.S_rate * self.value("S", point)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
-        """LIMIT where all that is left to ask for is an S that the family does not come to."""
+        """LIMIT where the only requests left are values of S that the family does not reach."""
         targets = self.request.targets
         if SLOW * point.Omega > self.start.Omega or targets.period_max is not None:
             return None, ""
@@ -324,7 +324,7 @@ class Family:
         return np.array(self.rhs.map(len(orbits))(starts, parameters)[0]).T
 
     def on_all_positions(self, point: Point) -> Point:
-        """A point of a family whose tail is eliminated as one of `whole`."""
+        """A point of a family whose tail is eliminated, as a point of `whole`."""
         if self.whole is self:
             return point
 
@@ -354,7 +354,7 @@ class Family:
 
 
 def orbit_state(point: Point) -> OrbitState:
-    """A point as flow maps take it, with the better orbit that shows its error.
+    """A point in the form that flow maps take, with the better orbit that shows its error.
 
     Where the point has none, as one read from a journal, the state and Omega are put off by their estimated errors.
     """

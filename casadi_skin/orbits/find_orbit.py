@@ -28,8 +28,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import solve
 
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
-TRIALS, SAME = 3, 1e-9  # random points at which a field is compared with itself a turn later
-SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that is none
+TRIALS, SAME = 3, 1e-9  # random points at which a field is compared with itself after one turn
+SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that counts as rest
 
 
 def find_orbit(
@@ -57,12 +57,12 @@ def find_orbit(
     picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
     only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
     the integral phase condition; without it phase zero is where the guess has it, so that a guess shifted in time makes
-    `select` pick another member of a family, unless what it holds is conserved. It has several entries where more is
-    `conserved` that belongs to no symmetry; one that does has its phase fixed by the guess.
+    `select` pick another member of a family, unless its expression is conserved. It has an entry for each of the
+    `conserved` quantities without a symmetry; the guess fixes the phase of each one with a symmetry.
 
     `rotations` are numbers of turns by the names of states that are angles: 2 pi times as much is added in a period.
 
-    Parameters that are `free` are found with the orbit: by `select`, or so that `objective` (at phase zero, or the word
+    Parameters that are `free` are solved for too: by `select`, or so that `objective` (at phase zero, or the word
     "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
     "period". Expressions may be given as functions f(t, x, p) of CasADi's symbols. Options are those of
     `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
@@ -115,7 +115,7 @@ def forced_statement(
 
 
 def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bool = False) -> Array:
-    """Turns of each state in a period, shape (states,); raises ValueError and TypeError for what is no angle."""
+    """Turns of each state in a period, shape (states,); raises ValueError and TypeError unless states are angles."""
     turns, names = np.zeros(model.full_size), model.state_names
     known = by_name("rotations", given, "whole numbers by the names of states")
     for name, k in known.items():
@@ -139,19 +139,19 @@ def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bo
 
 
 def _check_selects(asked: Asked) -> None:
-    """Raises ValueError where `select` has not as many entries as families have dimensions."""
+    """Raises ValueError where the number of entries of `select` is not the dimension of the family."""
     given = 0 if asked.select is None else int(asked.select.numel())
     if asked.model.forced or asked.free or given == asked.selects:
         return
     if asked.selects < 2 and given < 2:
-        return  # told by name before
+        return  # reported by name before
     alone = [name for name in asked.model.conserved if name not in asked.symmetries]
     why = f"; {', '.join(alone)} belong to no symmetry that is known (symmetries)" if alone else ""
     raise ValueError(f"select: given {given} expressions; accepted: {asked.selects}{why}")
 
 
 def _column_of(label: str, given: Any, model: OdeModel) -> Any:
-    """One or several expressions of what a script gave for them, as a column; None as it is."""
+    """One or several expressions of an argument, as a column; None as it is."""
     if given is None:
         return None
     symbols = [type(model.state).sym("t"), model.full_state, model.parameters]
@@ -159,7 +159,7 @@ def _column_of(label: str, given: Any, model: OdeModel) -> Any:
 
 
 def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
-    """A scalar expression of what a script gave for it, a function f(t, x, p) too; names and None as they are."""
+    """A scalar expression of an argument, a function f(t, x, p) too; names and None as they are."""
     if given is None or isinstance(given, str):
         return given
     time = type(model.state).sym("t") if model.time is None else model.time
@@ -171,7 +171,7 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
 
 
 def _check_moves(orbit: Orbit, solution: Solution, guess: Guess, length: float) -> None:
-    """Raises BoundaryError for what does not move: an equilibrium solves the equations of an orbit of any period."""
+    """Raises BoundaryError for an orbit at rest: an equilibrium solves the equations for any period."""
     statement, states = solution.statement, solution.states
     wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
     moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
@@ -181,7 +181,7 @@ def _check_moves(orbit: Orbit, solution: Solution, guess: Guess, length: float) 
 
 
 def guessed_period(guess: Guess, period: float | None) -> float:
-    """The period that is given, or that the guess has; raises ValueError and TypeError where neither is."""
+    """The period of the argument or of the guess; raises ValueError and TypeError where both are missing."""
     found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
     if found <= 0:
         raise ValueError(f"period: given {period!r}; accepted: a number > 0")

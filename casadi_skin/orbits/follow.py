@@ -57,7 +57,7 @@ def follow_family(
         model: a `Chain`, or an `OdeModel` of second order with a declared reversal and an equilibrium at 0.
         mode: the linear mode by ascending frequency from 1, "first" or "last".
         amplitude_max: S at which the family ends: the sum of squares of the positions at the phase where all velocities
-            vanish, or what the model's normalisation says.
+            vanish, or the S of the model's normalisation.
         at: values of S at which orbits are wanted exactly, as often as the family passes them.
         at_Omega: frequencies, likewise.
         at_period: periods, likewise.
@@ -89,7 +89,7 @@ def follow_family(
 
 
 def _check_choices(stability: object, events: object, until: object, progress: object) -> None:
-    """Raises TypeError for what is no choice, and for what is neither a function nor None."""
+    """Raises TypeError for flags that are no choice, and for callbacks that are neither a function nor None."""
     truth("stability", stability)
     truth("events", events)
     for name, function in (("until", until), ("progress", progress)):
@@ -128,11 +128,11 @@ def follow(
         progress: called with each solution.
 
     Returns:
-        The branch. One that is a closed curve is walked once, and its end says so.
+        The branch. One that is a closed curve is followed once, and its end is named so.
 
     Raises:
         ValueError: an argument is out of range.
-        BoundaryError, EquilibriumError: not even the start can be solved.
+        BoundaryError, EquilibriumError: the start cannot be solved.
     """
     _check_choices(stability, events, until, progress)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)

@@ -1,4 +1,4 @@
-"""Following a branch of any kind: its points, with stability, changes of it and bifurcations computed beside them."""
+"""Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from casadi_skin.threads import one_thread
 class Following:
     """Iterates over the solutions of a branch and, between two of them, over the changes of stability.
 
-    What has been computed is in `branch()` at any time, but for the few points whose stability is computed together;
-    `keep` is called with each point as it converges, and with what the continuation has missed so far. Solutions and
+    `branch()` returns the part computed so far, but for the few points whose stability is computed together;
+    `keep` is called with each point as it converges, and with the targets missed so far. Solutions and
     changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed`: the
     branch goes on from the last of these as if it had not been broken off.
     """
@@ -55,7 +55,7 @@ class Following:
         self.solutions = list(self._with_bifurcations(self.solutions))
 
     def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
-        """Solutions computed earlier, with the orbits between them at which multipliers cross, sought again."""
+        """Earlier solutions, with the orbits between them at which multipliers cross, sought again."""
         self.solutions = []
         for solution in solutions:
             for special in (*self._bifurcations_before(solution), solution):
@@ -69,7 +69,7 @@ class Following:
                 one_thread(),
                 interrupts_deferred(),
                 np.errstate(all="ignore"),
-            ):  # not while whoever iterates is at work
+            ):  # not while the caller of the iteration is at work
                 result = next(results, None)
             if result is None:
                 return
@@ -149,7 +149,7 @@ class Following:
         yield from (solution_at(self.space, point, result) for point, result in zip(points, known, strict=True))
 
     def branch(self) -> Branch:
-        """What has been computed so far."""
+        """The branch computed so far."""
         end = self._walk.ended_early if self._waiting else self._walk.end
         misses = self._walk.misses(self.solutions, self._stopped, end)
         return self.finished(end, self._walk.detail, misses)
@@ -157,7 +157,7 @@ class Following:
     def finished(
         self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
     ) -> Branch:
-        """The branch of what has been computed, with a known end."""
+        """The branch of the solutions computed so far, with a known end."""
         return Branch(
             self.space, tuple(self.solutions), tuple(self.changes),
             self.stability or self.space.knows_stability, end, detail, misses,

@@ -1,4 +1,4 @@
-"""Where a solution is sought: guesses from numbers, functions, arrays, simulations and other solutions."""
+"""Guesses of solutions from numbers, functions, arrays, simulations and other solutions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ACCEPTED = (
 
 
 def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
-    """The guess at times t, shape (time, component); raises ValueError for what is no guess."""
+    """The guess at times t, shape (time, component); raises ValueError unless it is one."""
     n = statement.model.full_size
     values = _values(statement, guess, t)
     if values.shape != (t.size, n):
@@ -45,7 +45,7 @@ def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
 
 
 def known_times(statement: Statement, guess: Guess, count: int) -> Array:
-    """Times over the interval at which a guess is best sampled: its own, as of a simulated cycle, or even ones."""
+    """Times over the interval at which a guess is best sampled: those of a simulated cycle, or even ones."""
     start, end = statement.span(np.array(list(statement.values.values())))
     known = getattr(guess, "times", None)
     return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
@@ -54,7 +54,7 @@ def known_times(statement: Statement, guess: Guess, count: int) -> Array:
 def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -> list[Array]:
     """Lengths of intervals that hold equal parts of time and of the length of a guess with jumps; empty for others.
 
-    One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess that knows
+    One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess with
     its own times, as a simulated cycle, is sampled there.
     """
     start, end = statement.span(np.array(list(statement.values.values())))
@@ -108,7 +108,7 @@ def _column(name: str, given: Any, t: Array) -> Array:
         if not callable(given):
             return np.full(t.size, number(name, given))
         return np.array([float(given(float(x))) for x in t])
-    except Exception:  # of the user's function, and of what is no number
+    except Exception:  # of the user's function, and of values that are no numbers
         raise ValueError(
             f"guess: given {short_repr(given)} for {name}; accepted: a number, or a function of t"
         ) from None

@@ -25,7 +25,7 @@ PLACES = 64  # along the orbit
 
 
 def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:
-    """What is lost at a branch point, in words, as "half-period symmetry in x, y"; empty where nothing known is.
+    """Symmetries lost at a branch point, in words, as "half-period symmetry in x, y"; empty without a known one.
 
     Arguments:
         orbit: at the branch point, over its whole period.

@@ -19,7 +19,7 @@ from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.coordinates import Coordinates, quarter_phases, shift_by_projection
 from casadi_skin.orbits.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
 
-SIMPLE = 1e-10  # relative distance of squared frequencies that doubles tell apart
+SIMPLE = 1e-10  # relative distance of squared frequencies that doubles distinguish
 DEEPEST = -230.0  # of log D: its cube is still a double
 HIGHEST = 7  # harmonic whose resonance with another mode is looked for: the coarsest level has no higher ones
 LARGEST = 1e3  # amplitude of a scaled mode

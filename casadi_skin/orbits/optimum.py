@@ -1,4 +1,4 @@
-"""What was minimised in a boundary-value problem, and how well the optimality conditions hold."""
+"""The objective of a boundary-value problem at its solution, and how well the optimality conditions hold."""
 
 from __future__ import annotations
 

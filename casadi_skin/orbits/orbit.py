@@ -1,4 +1,4 @@
-"""One periodic orbit of any model in the coordinates of the model, with its stability when asked for."""
+"""One periodic orbit of any model in the coordinates of the model, with its stability on demand."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Orbit(Solution):
 
     @property
     def symmetry(self) -> SymmetryClass:
-        """Which part of the period was unknown."""
+        """The part of the period that was unknown, by the symmetries."""
         return self.space.symmetry
 
     @property
@@ -80,7 +80,7 @@ class Orbit(Solution):
     def S_error(self) -> float:
         """Estimated absolute error of S: 0 where the other errors are those at the S that the orbit has.
 
-        Not 0 for an orbit asked for by its Omega or period, which has these exactly, and where S hardly changes along
+        Not 0 for an orbit requested by its Omega or period, which has these exactly, and where S hardly changes along
         the family: near its folds, and where S has come to a limit that the period has not.
         """
         return self.point.error.parameter * self.space.S_rate * self.S
@@ -92,7 +92,7 @@ class Orbit(Solution):
 
     @property
     def unfolding(self) -> float:
-        """Coefficient of what a conservative model does not have, the largest of several: zero but for errors."""
+        """Coefficient of the unfolding terms, the largest of several: zero but for errors in a conservative model."""
         known = [value for name, value in self.parameters.items() if name.startswith("unfolding")]
         return max(known, key=abs, default=0.0)
 
@@ -116,7 +116,7 @@ class Orbit(Solution):
             the model is odd; all states of another orbit.
 
         Raises:
-            ValueError: times that are no numbers, components that are not there.
+            ValueError: times that are not numbers, components that do not exist.
         """
         return self._at_phases(2.0 * np.pi / self.period * as_times(t), sites)
 
@@ -131,7 +131,7 @@ class Orbit(Solution):
         """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
 
         Of sites that tie, as in a reciprocal chain, the last one decides; an orbit whose model is not odd has no image
-        of the other sign. What the corrector left of the normalisation is divided out, so that the amplitude is
+        of the other sign. The corrector's residual of the normalisation is divided out, so that the amplitude is
         sqrt(S) to round-off.
         """
         coordinates = self._family().coordinates
@@ -145,7 +145,7 @@ class Orbit(Solution):
     def S(self) -> float:
         """Total amplitude: the sum of squares of the positions at t = 0, where all velocities vanish.
 
-        What a model's normalisation says in its place, where it has one. Raises ValueError for an orbit of a model
+        A model with a normalisation has the S of that in its place. Raises ValueError for an orbit of a model
         without positions.
         """
         if isinstance(self.space, Family):
@@ -207,7 +207,7 @@ class Orbit(Solution):
     def energy(self) -> float:
         """The conserved quantity that the model declares; raises ValueError where it declares none.
 
-        Of a chain that of its gauge, with rho = 1 at the edge that the modes lean to; infinite where an infinite tail
+        For a chain that of its gauge, with rho = 1 at the edge that the modes lean to; infinite where an infinite tail
         moves along.
         """
         return self.space.energy(self.point)

@@ -288,7 +288,7 @@ def _symmetric(asked: Asked) -> Statement:
 
 
 def _closure(asked: Asked, model: OdeModel) -> Expression:
-    """What vanishes where the orbit comes back to its start, turned as often as its rotations say."""
+    """Expression that vanishes where the orbit returns to its start, turned by its rotations."""
     closure = model.end(model.state) - model.start(model.state)
     return closure - ca.DM(TWO_PI * asked.rotations) if np.any(asked.rotations) else closure
 

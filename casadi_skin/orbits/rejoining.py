@@ -1,6 +1,6 @@
-"""Where orbits that left others, at a period doubling or where a symmetry is lost, come back to these.
+"""The place where orbits that left others, at a period doubling or where a symmetry is lost, rejoin them.
 
-What they have and the others have not, x - S x(t + sT), changes its sign there: beyond it the same orbits come again,
+The part that the others lack, x - S x(t + sT), changes its sign there: beyond it the same orbits come again,
 half a period later or as their mirror images. The others are the mean of both.
 """
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.boundary_space import BoundarySpace
 
 PLACES = 65  # along an orbit at which it is compared with its image
-NOTHING = 1e-9  # of the orbit: a difference that is none
+NOTHING = 1e-9  # of the orbit: a difference that counts as zero
 OPPOSITE = -0.5  # cosine of the angle between differences, below which their sign has changed
 
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """What a branch of orbits has left.
+    """The branch that a branch of orbits has left.
 
     Attributes:
         space: of the orbits that it left.

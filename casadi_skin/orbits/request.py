@@ -1,4 +1,4 @@
-"""One family as it is asked for, checked: a model, a linear mode, how far, how accurately, by which methods."""
+"""Request for one family, checked: a model, a linear mode, its end, its tolerance, its methods."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class FamilyRequest:
         model: a `Chain` or another model with coordinates of its own, or an `OdeModel` of second order.
         mode: number of the linear mode by ascending frequency, from 1; "first" or "last".
         amplitude_max: largest S.
-        targets: where orbits are wanted exactly, and further ends.
+        targets: conditions at which orbits are wanted exactly, and further ends.
         tolerance: relative error of Omega, profile and multipliers.
-        method: how; what it leaves open is chosen for the model.
+        method: numerical methods; open choices are made for the model.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
-        certify: whose existence tables prove: True for orbits asked for, "all" for every one.
+        certify: orbits whose existence tables prove: True for requested orbits, "all" for every one.
         decimals: whether proofs take parameters and S for the decimals that Python prints for their doubles.
 
-    Raises ValueError and TypeError, naming the argument, what was given and what is accepted.
+    Raises ValueError and TypeError, naming the argument, its value and what is accepted.
     """
 
     model: FamilyModel | OdeModel
@@ -140,14 +140,14 @@ class FamilyRequest:
         )
 
     def _walker(self, method: Method, transcription: str) -> str:
-        """The continuation asked for, or the fastest: a Taylor series has half the cost of predicted steps."""
+        """The requested continuation, or the fastest: a Taylor series has half the cost of predicted steps."""
         whole = self.coordinates.is_whole
         if method.walker is not None:
             return method.walker
         return "series" if transcription == TRIGONOMETRIC and whole and is_polynomial(self.coordinates) else "arclength"
 
     def for_stability(self, walker: str | None = None) -> FamilyRequest:
-        """With every position an unknown, as stability needs, unless the method asks for another way."""
+        """With every position an unknown, as stability needs, unless the method states another choice."""
         if self.method.tail is not None or self.coordinates.is_whole:
             return self
         self.coordinates.check_whole()
@@ -155,7 +155,7 @@ class FamilyRequest:
 
     @property
     def degree(self) -> int:
-        """Degree of the polynomials of gauss and radau: the one asked for, or the fastest for the tolerance.
+        """Degree of the polynomials of gauss and radau: the requested one, or the fastest for the tolerance.
 
         Measured for both at N = 1, 6 and 24: 5 at 1e-4, 8 or 9 at 1e-8, 10 to 12 at 1e-12.
         """
@@ -180,17 +180,17 @@ class FamilyRequest:
         return replace(settings, max_step=2.0 * settings.max_step, max_parameter_step=2.0 * settings.max_parameter_step)
 
     def S_of(self, parameter: float) -> float:
-        """S at a value of the free parameter; exactly the S asked for where the value came from one."""
+        """S at a value of the free parameter; exactly the requested S where the value came from one."""
         asked = {self.coordinates.parameter_of(S): S for S in (*self.targets.at, self.amplitude_max)}
         return asked.get(parameter) or self.coordinates.S_of(parameter)
 
     @property
     def _Omega_of_period(self) -> dict[float, float]:
-        """Frequencies of the periods asked for, with these."""
+        """Frequencies of the requested periods, with these."""
         return {TWO_PI / period: period for period in self.targets.at_period}
 
     def period_of(self, Omega: float) -> float:
-        """Period at Omega; exactly the period asked for where Omega came from one."""
+        """Period at Omega; exactly the requested period where Omega came from one."""
         asked = self._Omega_of_period
         if self.targets.period_max is not None:
             asked[TWO_PI / self.targets.period_max] = self.targets.period_max

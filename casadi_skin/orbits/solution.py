@@ -30,12 +30,12 @@ class Solution(Result):
     """States over the interval and values of all parameters, with estimated errors.
 
     Attributes:
-        space: what the solution belongs to.
+        space: the solution space: equations and discretisations.
         point: its unknowns, in the discretisation that meets the tolerance.
-        exact: values that the solution was asked for at, by name, which its unknowns need not give back exactly.
-        optimum: what was minimised, and the optimality conditions; None where nothing was.
-        found_by: how it was found, where the first way failed: "Newton's method", or the continuation in a parameter.
-        known_floquet: its stability where that was computed before: in a run that is resumed, or with its neighbours.
+        exact: requested values at this solution, by name, which its unknowns may meet only to round-off.
+        optimum: the objective, and the optimality conditions; None without an objective.
+        found_by: the method, where the first one failed: "Newton's method", or the continuation in a parameter.
+        known_floquet: its stability if computed before: in a run that is resumed, or with its neighbours.
     """
 
     space: SolutionSpace
@@ -52,7 +52,7 @@ class Solution(Result):
 
     @property
     def model(self) -> Any:
-        """The model that the solution belongs to."""
+        """The model of the solution."""
         return self.space.model
 
     @cached_property
@@ -69,7 +69,7 @@ class Solution(Result):
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times in the interval, shape (time, component).
 
-        Raises ValueError for other times, TypeError for what is no number.
+        Raises ValueError for other times, TypeError for values that are not numbers.
         """
         times = as_times(t)
         start, end = self.interval
@@ -88,7 +88,7 @@ class Solution(Result):
         return self.states[:, names.index(name)]
 
     def value(self, name: str) -> float:
-        """A quantity that the branch is followed in or can be corrected at, exactly what was asked for where it is."""
+        """A quantity that the branch can be corrected at; exactly the requested value at a requested solution."""
         return self.exact[name] if name in self.exact else self.space.value(name, self.point)
 
     # The discretisation -----------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ class Solution(Result):
     # Stability ------------------------------------------------------------------------------------------------------
 
     def floquet(self, by: str | None = None) -> Floquet:
-        """Linear stability: multipliers, and of what kind an instability is.
+        """Linear stability: multipliers, and the kind of an instability.
 
         Arguments:
             by: name of the flow map; that of the branch by default. Of an orbit of a family one of
@@ -199,12 +199,12 @@ class Solution(Result):
 
     @property
     def objective(self) -> float:
-        """What is minimised; raises ValueError where nothing is."""
+        """Value of the objective; raises ValueError without an objective."""
         return self._known_optimum().objective
 
     @property
     def status(self) -> str:
-        """What was found, in a sentence; raises ValueError where nothing is minimised."""
+        """The outcome of the optimisation, in a sentence; raises ValueError without an objective."""
         optimality, error = self._known_optimum().optimality, max(self.error, self.parameter_error)
         active = ", ".join(optimality.active)
         kind = "a local optimum" if optimality.curved else "a stationary point"
@@ -225,12 +225,12 @@ class Solution(Result):
         return methods.TASKS["follow"].load()(self, parameter, to, **options)
 
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
-        """The branch through this solution, with all that leaves it; options are those of `follow`."""
+        """The branch through this solution, with all that leave it; options are those of `follow`."""
         return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
 
 
 def as_times(t: ArrayLike) -> Array:
-    """Times as an array of one dimension; raises TypeError and ValueError for what is no number."""
+    """Times as an array of one dimension; raises TypeError and ValueError for values that are not numbers."""
     found = np.atleast_1d(real_array("t", t, "numbers"))
     if found.ndim != 1:
         raise ValueError(f"t: given shape {found.shape}; accepted: numbers, shape (times,)")

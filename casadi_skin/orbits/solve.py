@@ -36,7 +36,7 @@ QUICK_TRIES = 1  # the same by another way
 JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
 STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
 TOLERANCES = (1e-13, 1e-1)
-UNSOLVED = 1e-6  # relative change by a Newton step of what is solved as far as its corrector can see
+UNSOLVED = 1e-6  # relative change by a Newton step of a solution that its corrector accepts
 
 
 def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
@@ -66,11 +66,11 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
             shape (times, states); a simulation; another solution.
         options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
             free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
-            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function that is told
-            in words how far the solution is.
+            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function called
+            with the state of the solution in words.
 
     Returns:
-        The solution with its estimated errors; `found_by` tells where another way than the corrector's led to it.
+        The solution with its estimated errors; `found_by` names the method where the corrector alone did not find it.
 
     Raises:
         ValueError: an argument is out of range.
@@ -89,7 +89,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
     space = space_of(statement, guess, options)
     watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
     try:
-        with watch, np.errstate(all="ignore"):  # what is not finite is a residual that no corrector takes
+        with watch, np.errstate(all="ignore"):  # no corrector takes a residual that is not finite
             return solution_near(space, guess)
     except TimeLimitError as error:
         advice = "try a guess nearer by, or a larger tolerance"
@@ -97,7 +97,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
 
 
 class NotReachedError(BoundaryError):
-    """The corrector does not come to a solution from the guess; another way may lead to one."""
+    """The corrector does not converge from the guess; another method may find a solution."""
 
 
 def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
@@ -116,7 +116,7 @@ def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
 def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) -> Point:
     """The solution near a guess with u = 0 held, refined to the tolerance; raises BoundaryError.
 
-    On so many resolutions at most as `tries` says.
+    `tries` is the largest number of resolutions.
     """
     statement, point_solver = space.statement, space.point_solver
     resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
@@ -151,13 +151,13 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
 def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:
     """The correction, solved to its own size: Ipopt's tolerance is absolute where states are below 1.
 
-    Where the guess of zeros left states `unmeasured`, they are measured by where a Newton step leads.
+    Where the guess of zeros left states `unmeasured`, their scales follow from a Newton step.
     """
     z, row = correction.z, problem.parameter_row()
     residual, nonzeros = problem.evaluate(z)
     try:
         step = levels.solver(problem).factor(z, nonzeros, row)(np.append(residual, 0.0))
-    except SingularError:  # which condition is at fault is told where the solution is refined
+    except SingularError:  # the refinement of the solution names the condition at fault
         return correction
     if unmeasured:
         problem.measure_by(z - step)

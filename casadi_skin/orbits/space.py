@@ -1,4 +1,4 @@
-"""What a branch is made of: the equations of its solutions by resolution, and how their unknowns are read."""
+"""Interface of a branch: the equations of its solutions by resolution, and how their unknowns are read."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class SolutionSpace(Protocol):
     """Solutions of one kind that a branch connects: orbits of a family, or solutions of a boundary-value problem.
 
     Attributes:
-        parameter: name of the quantity that the branch is followed in.
+        parameter: name of the continuation parameter.
         start_is_limit: whether `start` is a limit of the solutions and none of them.
         locates_folds: whether special points are located while the branch is followed.
         tolerance: relative error allowed in the solutions.
         to: value of `parameter` at which the branch ends.
-        knows_stability: whether stability is computed with every solution, asked for or not.
-        free: names of parameters that are found with the state.
+        knows_stability: whether stability is computed with every solution, requested or not.
+        free: names of parameters that are solved for with the state.
         state_names, output_sites: names and numbers of the components in files and pictures.
         symmetry: which part of the period is unknown.
         S_rate: the relative change of S per that of the free parameter.
@@ -68,7 +68,7 @@ class SolutionSpace(Protocol):
         ...
 
     def target(self, name: str, value: float) -> Target:
-        """Where a quantity has a value; raises ValueError for quantities that cannot be held."""
+        """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
         ...
 
     def asked(self) -> Mapping[str, Sequence[float]]:
@@ -76,11 +76,11 @@ class SolutionSpace(Protocol):
         ...
 
     def value(self, name: str, point: Point) -> float:
-        """A quantity that can be held at a point, exactly what was asked for where it is that."""
+        """A quantity that can be held at a point; exactly the requested value at a requested point."""
         ...
 
     def stop(self, point: Point) -> tuple[End | None, str]:
-        """Why a branch ends at a point, with the reason in words; None where it does not."""
+        """End of a branch at a point, with the reason in words; None where it goes on."""
         ...
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
@@ -88,7 +88,7 @@ class SolutionSpace(Protocol):
         ...
 
     def parameter_error(self, point: Point) -> float:
-        """Estimated absolute error of what is followed at a special point."""
+        """Estimated absolute error of the continuation parameter at a special point."""
         ...
 
     def parameters(self, point: Point) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Points of a branch that stand out: folds, at which the quantity that is followed turns back."""
+"""Special points of a branch: folds, at which the continuation parameter turns back, and others."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that i
 
 
 class NotLocatedError(ArithmeticError):
-    """A special point that the branch passes cannot be located; the message says why."""
+    """A special point that the branch passes cannot be located; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point of a branch that stands out, with the coefficient that decides there.
+    """A special point of a branch, with the coefficient of its normal form.
 
     Attributes:
         kind: "fold"; of equilibria also "branch point" and "hopf"; of boundary-value problems "branch point"; of orbits
             whose stability was computed "period doubling", "torus" and "branch point", the first two also of problems
             whose conditions close their solutions; where they end "hopf", or "homoclinic" or "heteroclinic" where their
             period grows without bound.
-        parameter: name of what the branch is followed in.
-        parameters: values of all parameters by name, and of what the branch is followed in.
-        error: estimated error of the value that is followed.
+        parameter: name of the continuation parameter.
+        parameters: values of all parameters by name, and of the continuation parameter.
+        error: estimated error of the continuation parameter.
         solution: the solution there.
-        mu: of an orbit of a family, by which another branch leaves: 0 or -1.
+        mu: value of mu, 0 or -1, at which another branch leaves a family.
     """
 
     kind: str
@@ -70,7 +70,7 @@ class SpecialPoint:
 
     @cached_property
     def lost(self) -> tuple[str, ...]:
-        """Symmetries that orbits of the branch that leaves at a branch point have lost, in words."""
+        """Symmetries that orbits of the branch that leaves at a branch point lack, in words."""
         if self.mu is not None:
             lost: tuple[str, ...] = methods.TASKS["breaking"].load()(self.solution, self.mu).lost
             return lost
@@ -96,7 +96,7 @@ class SpecialPoint:
 
     @property
     def criticality(self) -> str:
-        """What the coefficient means: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic"."""
+        """Meaning of the coefficient: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic"."""
         return str(self._critical.words)
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
@@ -109,19 +109,19 @@ class SpecialPoint:
 
 
 def turns_between(before: Point, after: Point) -> bool:
-    """Whether the quantity that is followed turns back between two points."""
+    """Whether the continuation parameter turns back between two points."""
     return rate(before) * rate(after) < 0.0
 
 
 def folds_between(point_solver: PointSolver, before: Point, after: Point) -> Iterator[Point]:
-    """The points between two at which what is followed turns back, in order; raises NotLocatedError."""
+    """The points between two at which the continuation parameter turns back, in order; raises NotLocatedError."""
     yield from (fold_between(point_solver, *part) for part in turning(point_solver, before, after))
 
 
 def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Point:
     """The point between two at which the free parameter is stationary; raises NotLocatedError where none is found.
 
-    Its place is found on one level of resolution: the errors of orbits at a held parameter, by which others are
+    It is located on one level of resolution: the errors of orbits at a held parameter, by which others are
     refined, are of no use beside a fold.
     """
     from scipy.optimize import brentq

@@ -41,7 +41,7 @@ class Walk:
 
     @property
     def missed(self) -> Sequence[Target]:
-        """What the continuation was asked for and did not find."""
+        """Requested values that the continuation passed without a solution."""
         return () if self._continuation is None else self._continuation.missed
 
     @property

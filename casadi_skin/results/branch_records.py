@@ -1,6 +1,6 @@
 """Records of branches in the journal of a run: points as they converge, their stability, and how a branch ended.
 
-What is read back is not believed: each point is solved for again, and is refused where a Newton step moves it away.
+Points read back are verified: each is solved for again, and is refused where a Newton step moves it away.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
 
 
 class RefinementRecord(msgspec.Struct, frozen=True):
-    """The better solution that shows the error of a point whose stability is not known yet."""
+    """The better solution that shows the error of a point whose stability is not computed yet."""
 
     resolution: int
     constants: bytes
@@ -171,7 +171,7 @@ class Known:
     Attributes:
         solutions, changes: with their stability where that is computed.
         waiting: points after them whose stability is to be computed.
-        missed: what the continuation did not find.
+        missed: requested values without a solution.
         end: how the branch ended; None where it goes on.
         kept: number of its records that hold.
         fault: why the others do not, in words.
@@ -187,7 +187,7 @@ class Known:
 
 
 def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace, stability: bool) -> Known:
-    """What records know of the branch of that name, up to the first point that does not solve the equations."""
+    """The state of a branch by its records, up to the first point that does not solve the equations."""
     known = Known()
     for record in _holding(records, branch):
         if isinstance(record, PointRecord):
@@ -210,7 +210,7 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
 
 
 def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
-    """Why a point is none of the branch; of a special point, where the equations may be singular, by its residual."""
+    """Reason why a point is none of the branch; of a special point, whose equations may be singular, by residual."""
     leaves = bool(getattr(space, "leaves", False)) and not (known.solutions or known.waiting)
     if not (point.special or leaves):
         return space.point_solver.fault(point)

@@ -26,7 +26,7 @@ Cell = float | int | str
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """Values with their dimensions and what they mean; where `may_be_empty` a value that is not finite is left out."""
+    """Values with their dimensions and meaning; where `may_be_empty` a value that is not finite is left out."""
 
     name: str
     dimensions: tuple[str, ...]
@@ -56,7 +56,7 @@ def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
 
 
 def versions() -> dict[str, str]:
-    """What computed the results."""
+    """Versions of the packages that computed the results."""
     import casadi
     import scipy
 

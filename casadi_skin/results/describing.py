@@ -34,7 +34,7 @@ def lines(result: Any) -> str:
 
 @singledispatch
 def words(result: Any) -> tuple[str, Rows]:
-    """What a result is, and its rows; raises TypeError for what is no result."""
+    """Title of a result, and its rows; raises TypeError for other objects."""
     raise TypeError(f"no result: {type(result).__name__}")
 
 

@@ -152,7 +152,7 @@ def family_quantities(branch: Branch) -> list[Quantity]:
 
 
 def _regime(place: Place) -> Enum:
-    """What the linear tail of a long lattice does."""
+    """Regime of the linear tail of a long lattice."""
     space = place.solution.space
     assert isinstance(space, Family)
     regime = space.coordinates.regime(place.solution.point)

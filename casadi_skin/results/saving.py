@@ -1,4 +1,4 @@
-"""Results in files: saved as data with a checksum, and read back to go on from, bit for bit."""
+"""Results in files: saved as data with a checksum, and read back bit for bit, to be continued."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ DAMAGED = (ValueError, TypeError, KeyError, IndexError, AttributeError, Arithmet
 
 
 class SavedResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a file holds."""
+    """Contents of a file."""
 
     format: str
     version: str
@@ -48,15 +48,15 @@ def save_result(result: Any, path: str | Path) -> Path:
     Arguments:
         result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
             certificate, a time evolution, a search, or the smallest kick. A map is in its directory: see `read_map`.
-        path: the file; one that is there is replaced.
+        path: the file; an existing one is replaced.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: the result belongs to a model that is a program, as that of an FMU, or is of another kind; the path
-            is a directory, or in none.
-        TypeError: the path is none.
+        ValueError: the model of the result is a program, as an FMU is, or the result is of another kind; the path
+            is a directory, or its directory does not exist.
+        TypeError: the argument is not a path.
         OSError: the file cannot be written.
     """
     target = file_path("path", path)
@@ -78,17 +78,17 @@ def save_result(result: Any, path: str | Path) -> Path:
 
 
 def read_result(path: str | Path) -> Any:
-    """The result in a file that `save_result` wrote; what is computed from it has the bits of what is computed before.
+    """The result in a file of `save_result`; numbers computed from it equal those of the original, bit for bit.
 
     Arguments:
         path: the file.
 
     Returns:
-        An object of the class that was saved, of which a branch can be followed on.
+        An object of the class that was saved, whose branch can be continued.
 
     Raises:
         ValueError: the file cannot be read, holds no result, or is damaged; in one line.
-        TypeError: the path is none.
+        TypeError: the argument is not a path.
     """
     source = file_path("path", path)
     try:
@@ -112,7 +112,7 @@ def read_result(path: str | Path) -> Any:
 
 
 def _write_shared(writer: Writer, value: Any) -> Any | None:
-    """The data of what is written once; None for everything else."""
+    """The data of an object that is written once; None for all others."""
     if isinstance(value, Lattice) and value.equations.autonomous:
         return ["lattice", value.name, writer.value(value.declaration)]
     if isinstance(value, OdeModel):

@@ -1,1 +1,1 @@
-"""What a scene asks for, planned, computed and written: runs of chain scenes and of scenes of any model."""
+"""Runs of scenes, of chains and of any model: planned, computed and written."""

@@ -30,7 +30,7 @@ PLACES = {
 
 
 def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
-    """Make the model of a scene and check what the scene asks of it.
+    """Make the model of a scene and check the scene against it.
 
     `files` holds what files of models gave before, and is added to: scenes of one model share it with all that is built
     of it. Raises SceneError, in one line with table and key, or with file and line where the user's code fails.
@@ -101,7 +101,7 @@ def _placed(message: str, table: str = "family") -> str:
 
 
 def _check_families(request: Request) -> None:
-    """Refuse families that cannot be followed, one asked for twice, and orbits of families that are not followed."""
+    """Refuse families that cannot be followed, one requested twice, and orbits of families that are not followed."""
     scene = request.scene
     try:
         modes = [family.mode for family in request.families]

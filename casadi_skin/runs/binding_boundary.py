@@ -1,4 +1,4 @@
-"""What a scene asks of orbits and boundary-value problems of a model: names, shapes and symmetries are checked."""
+"""Checks of a scene's orbits and boundary-value problems of a model: names, shapes and symmetries."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Rows(Protocol):
 
 @dataclass
 class OfFamilies:
-    """What was followed from families; the lists fill as a run goes on.
+    """Branches and edges followed from families; the lists fill as a run goes on.
 
     Attributes:
         leaving: branches that leave families, with their names.
@@ -77,13 +77,13 @@ class OfFamilies:
 
 @dataclass
 class Branches:
-    """What is followed for a request.
+    """The branches of a request.
 
     Attributes:
         branches, seconds: fill as branches end.
-        failures: why a part is not what was asked for, in a line each.
+        failures: reasons why a part is not as requested, in a line each.
         tables: rows of what has been computed.
-        of_families: what is followed from families beside them.
+        of_families: branches and edges followed from families.
     """
 
     request: Request
@@ -120,11 +120,11 @@ class Branches:
                     self._seek_changes(name, self.branches[-1])
                 self.seconds.append(time.perf_counter() - started)
             self._from_families(journal)
-        except (ArithmeticError, ValueError) as error:  # of a first orbit that is not found
+        except (ArithmeticError, ValueError) as error:  # no first orbit exists
             self.failures.append(str(error))
 
     def _from_families(self, journal: Records) -> None:
-        """Branches that leave families, and edges of their tongues, where the scene asks for them."""
+        """Branches that leave families, and edges of their tongues, where the scene requests them."""
         table = self.request.scene.continuation
         if self.request.scene.family is None or table is None:
             return
@@ -153,13 +153,13 @@ class Branches:
             self.failures.append(f"{where}{error}")
 
     def _seek_changes(self, name: str, branch: Branch) -> None:
-        """Every change of stability of a family, where the scene asks for events."""
+        """Every change of stability of a family, where the scene requests events."""
         if branch.with_events and isinstance(branch.space, Family):
             self.progress.say(f"j = {name}: changes of stability")
             branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
 
     def _spaces(self, journal: Records) -> Iterator[tuple[str, SolutionSpace]]:
-        """Names and spaces of the branches to follow; what is a single orbit or solution is kept at once."""
+        """Names and spaces of the branches to follow; a single orbit or solution is kept at once."""
         for family in self.request.families:
             self.progress.say(f"j = {family.mode}: building")
             yield str(family.mode), Family(family)

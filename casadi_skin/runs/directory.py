@@ -36,7 +36,7 @@ class DirectoryError(ValueError):
 
 
 class Existing(Enum):
-    """What to do with a directory that is not empty."""
+    """Treatment of a directory that is not empty."""
 
     REFUSE = "refuse"
     RESUME = "resume"

@@ -1,4 +1,4 @@
-"""The time evolution that a scene asks for, in a run: from which orbit or start, how long, and its files."""
+"""The time evolution of a scene, in a run: from which orbit or start, how long, and its files."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def write_dynamics(
 
 
 def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, float | str], str]:
-    """What the motion starts from: attributes, and words of a title."""
+    """Start of the motion: attributes, and words of a title."""
     if orbit is None:
         what = "velocities" if dynamics.moving else "displacements"
         start: dict[str, float | str] = {"start_size": dynamics.size or 0.0, "start": f"{what} {_direction(dynamics)}"}

@@ -1,4 +1,4 @@
-"""What a scene wants out of Python, in a run: C code in DIR/export and an FMU of its model, or of one of its orbits."""
+"""The exports of a run: C code in DIR/export and an FMU of its model, or of one of its orbits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from casadi_skin.scene import ExportTable
 
 
 def export_scene(request: Request, branches: Sequence[Branch], directory: Path) -> tuple[Path, ...]:
-    """Write what the scene's [export] asks for, and return where it is; what a resumed run has is kept.
+    """Write the exports of a scene, and return their place; those of a resumed run are kept.
 
     Raises ValueError where the branch does not reach S or a part cannot be exported, ArithmeticError where no orbit is
     found.

@@ -1,4 +1,4 @@
-"""What belongs to families beside their points: branches that leave them, and edges of tongues in a parameter."""
+"""Results of families beside their points: branches that leave them, and edges of tongues in a parameter."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def reasons(found: OfFamilies) -> Iterator[str]:
 def leaving_spaces(
     families: Sequence[Branch], table: ContinuationTable, failures: list[str]
 ) -> Iterator[tuple[str, SolutionSpace]]:
-    """Names and spaces of what leaves families at the special points of the kinds asked for."""
+    """Names and spaces of the branches that leave families at special points of the requested kinds."""
     for family in families:
         for number, point in enumerate(family.special_points, start=1):
             if point.kind not in table.switch:

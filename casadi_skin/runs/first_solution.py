@@ -29,7 +29,7 @@ TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
 
 
 def first_solution(request: Request, simulated: Cycle | None = None) -> Solution:
-    """The equilibrium, the orbit or the solution that a scene asks for; an orbit from its simulated cycle.
+    """The equilibrium, the orbit or the solution of a scene; an orbit from its simulated cycle.
 
     Raises EquilibriumError and BoundaryError where none is found, IntegrationError and ValueError where `cycle` does,
     ValueError where the guess is none.

@@ -1,4 +1,4 @@
-"""The plan of a scene: what would be built and solved, what would not, and what it is expected to cost."""
+"""The plan of a scene: what would be built and solved, what would not, and its expected cost."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _model_lines(request: Request) -> Lines:
 
 
 def _dynamics(request: Request) -> str:
-    """What of which orbit is followed in time, and how."""
+    """The orbit followed in time, and the method."""
     table = request.scene.dynamics
     assert table is not None
     kicks = {"site": f"at site {table.site}", "vector": "along a vector", "seed": f"at random, seed {table.seed}"}
@@ -142,7 +142,7 @@ def _family_lines(request: Request) -> Lines:
 
 
 def _of_family_lines(request: Request) -> Lines:
-    """What is followed from families."""
+    """Branches and edges followed from families."""
     table, lines = request.scene.continuation, list[tuple[str, str]]()
     if table is not None and table.switch:
         lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, to S = {table.to:g}"))

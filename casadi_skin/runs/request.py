@@ -1,4 +1,4 @@
-"""What a scene asks for, with its model at hand: everything is checked before anything is solved."""
+"""The request of a scene, with its model at hand: everything is checked before anything is solved."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Request:
     """A scene with its model: a chain, a lattice, a model of one's own, or a boundary-value problem of it.
 
     Attributes:
-        scene: what is asked for.
-        model: the `Chain` or the `OdeModel` as it was given.
+        scene: the scene.
+        model: the `Chain` or the `OdeModel` as declared.
         parameters: values of all parameters of a model by name.
         path: the file of the model; None for a chain and a lattice.
         source: its text.
         problem: the boundary-value problem, where the file states one.
-        guess: where its solution is sought.
+        guess: guess of its solution.
     """
 
     scene: Scene
@@ -72,7 +72,7 @@ class Request:
 
     @cached_property
     def families(self) -> tuple[FamilyRequest, ...]:
-        """The families that the scene asks for, in its order; raises ValueError for what cannot be followed."""
+        """The families of the scene, in its order; raises ValueError for families that cannot be followed."""
         family = self.scene.family
         if family is None:
             return ()
@@ -91,7 +91,7 @@ class Request:
 
     @property
     def options(self) -> dict[str, Any]:
-        """What [accuracy] and [method] say to the solver of a boundary-value problem."""
+        """Options of [accuracy] and [method] for the solver of a boundary-value problem."""
         method = self.scene.method
         options = {name: getattr(method, name) for name in ("transcription", "degree", "intervals", "flow")}
         given = {name: value for name, value in options.items() if value is not None}
@@ -110,7 +110,7 @@ class Request:
 
 
 def method_of(scene: Scene) -> Method:
-    """The table [method] as it is handed to families."""
+    """The table [method] in the form for families."""
     table = scene.method
     names = ("transcription", "degree", "corrector", "walker", "flow", "tail", "intervals")
     return Method(**{name: getattr(table, name) for name in names})
@@ -125,7 +125,7 @@ def chain_of(scene: Scene) -> Chain:
 
 
 def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
-    """The lattice of a scene, with a linear tail where one is asked for.
+    """The lattice of a scene, with a linear tail where the table has one.
 
     Raises ValueError and TypeError, with the place in the table.
     """

@@ -33,10 +33,10 @@ class Run:
     Attributes:
         branches, seconds: fill as branches end; an exception or an interruption leaves what was computed in the files
             and in the journal.
-        failures: why a part is not what was asked for, in a line each, with the table that asked for it.
+        failures: reasons why a part is not as requested, in a line each, with the table that requests it.
         evolution: the time evolution, as far as it could be followed.
         search: the result of a search.
-        exported: what was written for use outside of Python.
+        exported: files written for use outside of Python.
     """
 
     request: Request
@@ -84,7 +84,7 @@ class Run:
         followed.follow_all(self.directory / JOURNAL)
 
     def reasons(self) -> list[str]:
-        """Why the run is not what was asked for, in a line each."""
+        """Reasons why the run is not as requested, in a line each."""
         reasons = []
         for branch in self.branches:
             if self._ended_well(branch):
@@ -97,7 +97,7 @@ class Run:
         return [*reasons, *self._other_reasons()]
 
     def _other_reasons(self) -> list[str]:
-        """Why what was followed from families, or another part, is not what was asked for."""
+        """Reasons why branches that leave families, or another part, are not as requested."""
         if self.request.scene.family is None or self.request.scene.continuation is None:
             return self.failures
         from casadi_skin.runs.family_points import reasons
@@ -105,7 +105,7 @@ class Run:
         return [*reasons(self.of_families), *self.failures]
 
     def _ended_well(self, branch: Branch) -> bool:
-        """Whether a branch reached what was asked, or the natural end of what leaves another one."""
+        """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
         if not self.request.scene.has_diagram:
             return branch.complete
         from casadi_skin.runs.diagram import ended_well
@@ -115,7 +115,7 @@ class Run:
     # Other parts ----------------------------------------------------------------------------------------------------
 
     def _evolve(self) -> None:
-        """The time evolution with its files, where the scene asks for one; nothing of it is imported elsewhere."""
+        """The time evolution with its files, where the scene requests one; nothing of it is imported elsewhere."""
         scene = self.request.scene
         alone = scene.family is None and scene.orbit is None
         if scene.dynamics is None or not (self.branches or alone):
@@ -138,7 +138,7 @@ class Run:
                 write_dynamics(self.request, self.scene_text, orbit, self.evolution, self.directory)
 
     def _export(self) -> None:
-        """What the scene wants out of Python; nothing of it is imported elsewhere."""
+        """The exports of the scene; nothing of them is imported elsewhere."""
         if self.request.scene.export is None:
             return
         from casadi_skin.runs.export import export_scene
@@ -150,7 +150,7 @@ class Run:
             self.failures.append(f"[export]: {error}")
 
     def _search(self) -> None:
-        """The search with its files, where the scene asks for one."""
+        """The search with its files, where the scene requests one."""
         if self.request.scene.search is None:
             return
         from casadi_skin.optimise.result import SearchStatus
@@ -180,11 +180,11 @@ class Run:
             self._write_branches(branches)
         except ArithmeticError as error:  # a value that is not finite
             self.failures.append(str(error))
-        self._tell_drift(branches)
-        self._tell_unproved(branches)
+        self._report_drift(branches)
+        self._report_unproved(branches)
 
     def _write_branches(self, branches: Sequence[Branch]) -> None:
-        """The table of points, and what is made of whole branches."""
+        """The table of points, and the files of whole branches."""
         names = self._tables.write()
         if self.request.scene.has_diagram:
             from casadi_skin.runs.diagram import write_diagram
@@ -198,8 +198,8 @@ class Run:
             attributes = origin(self.request, self.scene_text)
             write_of_families(self.request, branches, self.of_families, attributes, self.directory)
 
-    def _tell_unproved(self, branches: Sequence[Branch]) -> None:
-        """Say which orbits no proof was found for."""
+    def _report_unproved(self, branches: Sequence[Branch]) -> None:
+        """Report orbits without a proof."""
         for branch in branches:
             proofs = certified(branch)
             missing = [orbit for orbit in proofs if not orbit.certificate.proved]
@@ -208,8 +208,8 @@ class Run:
                 first = f"the first at S = {missing[0].S:.6g}: {missing[0].certificate.reason}"
                 self.failures.append(f"[accuracy] certify: {count}, {first}")
 
-    def _tell_drift(self, branches: Sequence[Branch]) -> None:
-        """Say where trivial multipliers are farther from their value than errors allow."""
+    def _report_drift(self, branches: Sequence[Branch]) -> None:
+        """Report trivial multipliers that are farther from their value than errors allow."""
         if self.request.scene.stability is None:
             return
         found = [s.floquet() for branch in branches for s in branch.solutions if isinstance(s, Orbit)]

@@ -1,4 +1,4 @@
-"""The tables of a run, a row a solution, rewritten while it goes on so that what is known can be looked at."""
+"""The tables of a run, a row a solution, rewritten as it goes on, so that results can be read meanwhile."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Tables:
 
     Attributes:
         directory: where the tables are written.
-        with_stability: whether rows tell the stability of their solution.
+        with_stability: whether rows have the stability of their solution.
         rows: by name of the file.
     """
 

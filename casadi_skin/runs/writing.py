@@ -53,7 +53,7 @@ def write_branches(
 
 
 def origin(request: Request, scene_text: str, branch: Branch | None = None) -> dict[str, float | str]:
-    """What was asked for, of which model, and what computed it."""
+    """The request, its model, and the versions that computed it."""
     known: dict[str, float | str] = {"title": request.scene.title or "", "scene": scene_text, **versions()}
     if branch is not None and isinstance(branch.space, Family) and request.scene.chain is not None:
         return {**known, **branch.space.coordinates.attributes}

@@ -1,4 +1,4 @@
-"""A scene: what is asked for, declared in TOML, read into frozen objects or refused in one line.
+"""A scene: a request declared in TOML, read into frozen objects or refused in one line.
 
 Loads no numerics, so that reading a scene is instant.
 """

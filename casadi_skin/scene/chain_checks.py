@@ -1,4 +1,4 @@
-"""What a scene of a chain may ask for, as far as it shows without numerics."""
+"""Checks of the scene of a chain, as far as they need no numerics."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What ties one key of a scene to another, of any scene; bounds of single keys are in the tables."""
+"""Checks that tie one key of a scene to another, of any scene; bounds of single keys are in the tables."""
 
 import math
 

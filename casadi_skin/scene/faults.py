@@ -1,4 +1,4 @@
-"""How a fault of a scene is reported: one line with the place, what was given and what is accepted."""
+"""Reports of faults of a scene: one line with the place, the value and what is accepted."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -15,7 +15,7 @@ from casadi_skin.scene.tables import ChainTable
 
 ACCEPTED = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
-MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # what cells may ask for
+MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells
 TOGETHER = ","  # between the names of parameters that one axis moves
 MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
 Path = tuple[str, ...]

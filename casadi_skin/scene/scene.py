@@ -1,4 +1,4 @@
-"""All that one run is asked for, of a chain or of any model: one scene with its tables by name."""
+"""The whole request of one run, of a chain or of any model: one scene with its tables by name."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -81,7 +81,7 @@ class Scene(Table, frozen=True):
         return self.equilibrium is not None or (curves and self.family is None)
 
     def same_request(self, other: "Scene") -> bool:
-        """Whether the other scene asks for the same, whatever its title."""
+        """Whether the other scene states the same request, whatever its title."""
         mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
         return mine == theirs
 

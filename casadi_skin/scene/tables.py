@@ -1,4 +1,4 @@
-"""What a scene may ask for, as frozen objects: the tables of a chain, its families, accuracy and methods.
+"""Tables of a scene as frozen objects: a chain, its families, accuracy and methods.
 
 In each `Meta` the title says what a key is, the description what it accepts: messages, the JSON schema and the
 documentation quote it. The model is dimensionless.

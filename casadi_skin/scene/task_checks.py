@@ -1,4 +1,4 @@
-"""What ties the keys of [dynamics], [export], [figures] and [search] to other tables."""
+"""Checks that tie the keys of [dynamics], [export], [figures] and [search] to other tables."""
 
 import math
 
@@ -68,7 +68,7 @@ def _check_envelope(chain: ChainTable) -> None:
 
 
 def _check_start(scene: Scene, dynamics: DynamicsTable) -> None:
-    """What a motion from near rest needs."""
+    """Requirements of a motion from near rest."""
     for name in ("equilibrium", "solution", "search"):
         if getattr(scene, name) is not None:
             raise refusal("[dynamics]", f"beside [{name}]", "beside [family] or [orbit], or with a start of its own")

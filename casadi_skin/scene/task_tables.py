@@ -1,4 +1,4 @@
-"""What a scene may ask for beside orbits: their time evolution, C code and FMUs, a search.
+"""Tables of a scene beside orbits: their time evolution, C code and FMUs, a search.
 
 As in the other tables, titles say what a key is and descriptions what it accepts.
 """

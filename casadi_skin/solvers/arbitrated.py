@@ -13,10 +13,10 @@ from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 
-STEPS = 10  # of Newton's method, before Ipopt is asked
+STEPS = 10  # of Newton's method, before Ipopt is called
 LOWER_STEPS = 30  # of that with smaller residuals at each
 SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
-AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
+AGREED = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
 
 
 class ArbitratedCorrector:
@@ -63,7 +63,7 @@ class ArbitratedCorrector:
         return last if last.converged else correction
 
     def confirm(self, z: Array, row: Array, value: float) -> Correction:
-        """What Ipopt makes of a solution: z itself where it agrees, whatever it was asked before.
+        """The verdict of Ipopt on a solution: z itself where it agrees, whatever its earlier calls.
 
         The free parameter is held in place of `row` where that will do: a row through all unknowns costs more.
         """

@@ -4,7 +4,7 @@ Banded problems are solved by LAPACK's band LU with the dense columns and rows i
 singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
 raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
 Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals first, in
-an order that the model's own pattern asks for, so that dense blocks are left between ends of intervals alone (the
+an order that the model's own pattern determines, so that dense blocks are left between ends of intervals alone (the
 condensation of Ascher, Mattheij and Russell 1995, section 7.2).
 """
 

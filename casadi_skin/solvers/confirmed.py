@@ -18,9 +18,9 @@ from casadi_skin.solvers.ipopt import STATUS, Attached, IpoptCorrector, square_s
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.solvers.watch import heed
 
-STEPS = 10  # of Newton's method, before Ipopt is asked
+STEPS = 10  # of Newton's method, before Ipopt is called
 SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
-AGREED = 10.0  # tolerances within which Ipopt's solution is the one that it was asked about
+AGREED = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
 ITERATIONS = 20
 
 
@@ -47,7 +47,7 @@ class _Blocks:
         self._attached = Attached(square_solver(x, p, results[0], jac_g, tolerance, ITERATIONS))
 
     def __call__(self, points: Sequence[HeldState], numbers: Array) -> tuple[Array, str, int]:
-        """What Ipopt makes of up to `count` points, its words, and its iterations; the last one fills up the rest."""
+        """Ipopt's solutions for up to `count` points, its words, and its iterations; the last point fills the rest."""
         size, count = self._problem.size, self._count
         guess = self._attached.guess.reshape(count, size)
         held = self._attached.held[: (size + 2) * count].reshape(count, size + 2)
@@ -97,7 +97,7 @@ class ConfirmedCorrector:
         return correction if correction.converged else self._ipopt().correct(guess, row, value)
 
     def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
-        """What Ipopt makes of solutions: each itself where it agrees; one by one where it does not solve all."""
+        """The verdicts of Ipopt on solutions: each itself where it agrees; one by one where it does not solve all."""
         if self.together == 1:
             return [self._agreed(z, self._ipopt().correct(z, row, value)) for z, row, value in points]
         results: list[Correction] = []

@@ -108,7 +108,7 @@ def square_solver(
     options = {
         "jac_g": jac_g,
         "hess_lag": hess_lag,
-        "no_nlp_grad": True,  # the gradient of the Lagrangian, which nothing asks for
+        "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used
         "calc_lam_x": False,
         "calc_lam_p": False,
         "calc_f": False,
@@ -136,7 +136,7 @@ class Attached:
         self._buffer.set_res(solver.index_out("x"), self.found.data)
 
     def solve(self) -> tuple[Array, str, int]:
-        """What is found from `guess` with `held`, Ipopt's own words for how it ended, and the iterations."""
+        """Solution from `guess` with `held`, Ipopt's own words for how it ended, and the iterations."""
         with interrupts_deferred():
             self._trigger()
         stats = self._buffer.stats()

@@ -128,7 +128,7 @@ class Levels:
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
         and the round-off of the residual as well. What is `held` keeps its value. Where that is None, `tangent` (unit
-        in the metric) tells the way of the branch: the step is taken across it and then brought back to the parameter
+        in the metric) gives the way of the branch: the step is taken across it and then brought back to the parameter
         along it, but for the neighbourhood of a fold; without a tangent the free parameter is held. Infinite and None
         at the top of the levels. Raises SingularError.
         """

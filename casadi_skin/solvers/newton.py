@@ -12,7 +12,7 @@ from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.watch import heed
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
-SLOW = 0.1  # of the step before: a longer one with old factors asks for new ones
+SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
 DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
 HALVINGS = 6  # of a step
 

@@ -14,10 +14,10 @@ ROUNDED = 4.0  # times the rounding of the largest term
 
 
 class RoundedCorrector:
-    """Another corrector, whose tolerance may lie below what rounding leaves of residuals with large terms.
+    """Another corrector, whose tolerance may lie below the rounding errors of residuals with large terms.
 
-    Where it stops at residuals that are rounding alone there is nothing left to solve: the estimated error of the
-    point, which knows what rounding does, tells what it is worth.
+    Where it stops at residuals that are rounding alone the equations are solved: the estimated error of the point
+    includes rounding and shows its accuracy.
     """
 
     def __init__(self, inner: Corrector) -> None:

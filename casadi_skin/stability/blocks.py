@@ -34,7 +34,7 @@ CLEAR = 2.0  # times what couplings move a mu by: a distance from -1 and 0 that 
 class Blocks:
     """Blocks in which something can happen, on several intervals; m mu in all, c columns, J nodes.
 
-    `labels` (intervals, m) tell the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
+    `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
     interval has fewer. `right` (intervals, J, m, c) and `left` (intervals, J, c, m) are the bases: left @ right is the
     identity and left @ K @ right block diagonal. `real` (intervals, m) tells which mu have real columns. Where `done`
     is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the

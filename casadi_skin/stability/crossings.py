@@ -67,7 +67,7 @@ NOT_LOOKED_AT = "not looked at: the limit of work is reached"
 
 @dataclass
 class Crossings:
-    """What an analysis finds: unstable segments in any order, meetings without instability, and what is not resolved.
+    """Result of an analysis: unstable segments in any order, meetings without instability, and unresolved parts.
 
     `passages` are (coordinate, mu, distance) of pairs of one signature that meet within errors. `intervals` counts
     eigenvalue problems by their size; `spectra` are mu, their rates and signatures at some coordinates.

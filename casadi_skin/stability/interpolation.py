@@ -39,7 +39,7 @@ class OrbitNotFoundError(ArithmeticError):
 
 @dataclass(frozen=True)
 class Samples:
-    """What a branch gives at several coordinates.
+    """Samples of a branch at several coordinates.
 
     `transitions` are Phi, shape (points, 2n, 2n), and `errors` matrices like their errors but for the sign.
     `directions` span the trivial direction, shape (points, n): q'' at phase zero for a symplectic Phi; for one that is
@@ -247,7 +247,7 @@ def interpolate(
 
 
 def in_words(error: Exception) -> str:
-    """What went wrong, in one line."""
+    """The message of an error in one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

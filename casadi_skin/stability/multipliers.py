@@ -147,7 +147,7 @@ def with_reversed_block(transition: Transition) -> Transition:
 
 
 def _flow_part(transitions: Sequence[Transition], matrices: Array, reflections: Reflections) -> Array:
-    """What the truncation of the flow makes of the reduced matrices."""
+    """Part of the reduced matrices that is due to the truncation of the flow."""
     truncations = [np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions]
     errors = reflections.similar(half_cosine_errors(matrices, np.stack(truncations)))
     return errors[:, 1:, 1:]

@@ -1,4 +1,4 @@
-"""The stability of one orbit as numbers: its multipliers with their errors, and of what kind they are."""
+"""The stability of one orbit as numbers: its multipliers with their errors and kinds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Floquet(Result, ABC):
         multipliers: all multipliers over the period, the trivial ones first, shape (components of the full state,).
         trivial: number of multipliers that are 1 for every orbit: one in an autonomous model, two in a conservative or
             reversible one, none in a forced one.
-        trivial_deviation: how far the trivial ones are from their exact value.
+        trivial_deviation: distance of the trivial ones from their exact value.
         monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
     """
 
@@ -89,7 +89,7 @@ class Floquet(Result, ABC):
 
     @property
     def allowed_deviation(self) -> float:
-        """What `trivial_deviation` may be before the multipliers are not to be trusted."""
+        """Largest `trivial_deviation` of multipliers that can be trusted."""
         return np.inf
 
     def warn(self) -> None:

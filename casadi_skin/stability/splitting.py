@@ -48,7 +48,7 @@ class SplittingMap:
         self.fractions = self.sequence.times / steps
 
     def run(self, nonzeros: Array, durations: Array) -> SplittingRun:
-        """What `propagated` needs, from J's non-zeros (points, len(fractions), non-zeros)."""
+        """Data for `propagated`, from J's non-zeros (points, len(fractions), non-zeros)."""
         h = durations / self.steps
         weights = self.sequence.kicks[:, None, None] * (h * h)[:, None]
         return SplittingRun(np.multiply(nonzeros.swapaxes(0, 1), weights, order="C"), h)
@@ -102,7 +102,7 @@ def _kicks(
 def _columns(
     kicks: Sequence[tuple[csr_array, Array]], drifts: Array, h: Array, n: int, first: int, count: int
 ) -> Array:
-    """What follows from unit positions, then velocities, of some components: shape (points, 2, n, 2 count).
+    """States that grow from unit positions, then velocities, of some components: shape (points, 2, n, 2 count).
 
     `h` is the step of each row.
     """

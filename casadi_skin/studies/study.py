@@ -1,4 +1,4 @@
-"""What studies share: a directory to which tables and pictures are written as they become known, and a report."""
+"""Base of studies: a directory to which tables and pictures are written as results arrive, and a report."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Study(ABC):
 
     @property
     def faults(self) -> Sequence[object]:
-        """What is not as it should be; empty where all is."""
+        """Faults of the study; empty where there are none."""
         return ()
 
     def work_through(self, cases: Sequence[Case], words: Callable[[Case], str], work: Callable[[Case], None]) -> None:

@@ -92,7 +92,7 @@ def _pattern(sparsity: ca.Sparsity) -> Pattern:
 def check_smooth(problem: InitialValueProblem) -> None:
     """Raises ValueError, naming the variable and the operation, for equations that jump in time, states or inputs.
 
-    An FMU would tell of events there, which a solver stops at; those of casadi_skin have none.
+    An FMU would report events there, at which a solver stops; those of casadi_skin have none.
     """
     model, count = problem.model, len(problem.inputs)
     every = model.function("every", model.full_rhs, *model.outputs.values())

@@ -63,7 +63,7 @@ class Tally:
 
     @property
     def faults(self) -> list[str]:
-        """What is not as it should be, in words."""
+        """Faults of the study, in words."""
         found = []
         if self.covered < COVERED * self.judged:
             found.append(f"{self.label}: {self.covered} of {self.judged} estimates are no smaller than the true error")

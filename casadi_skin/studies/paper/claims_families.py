@@ -265,7 +265,7 @@ def sensitivity_claims(data: PaperData) -> Iterator[Claim]:
 
 
 def _laws(data: PaperData) -> Iterator[Claim]:
-    """What the text expects of the sensitivity, beside what it fits."""
+    """The text's expectation of the sensitivity, beside that of its fit."""
     powers = {
         N: -float(np.log(analytical_sensitivity(N + 1, GAMMA) / analytical_sensitivity(N - 1, GAMMA)))
         / float(np.log((N + 2) / N))

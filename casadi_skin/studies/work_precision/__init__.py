@@ -1,1 +1,1 @@
-"""What accuracy costs, method by method."""
+"""The cost of accuracy, method by method."""

@@ -48,7 +48,7 @@ class FamilyCase:
 
 
 class Kind(StrEnum):
-    """What a setting computes."""
+    """Computation of a setting."""
 
     ORBITS = "orbits"  # the family without multipliers
     FLOW = "flow"  # multipliers of orbits that are given
