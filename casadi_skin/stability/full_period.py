@@ -30,6 +30,7 @@ LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
 TIGHTEST = 1e-13
 MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1
+LARGEST_LOGARITHM = 709.0  # of a double
 ROUNDED = 1e3  # roundings of the product below which a multiplier has no digits
 CLOSE = 1e-2  # to 1: multipliers that the trivial one disturbs
 SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
@@ -183,8 +184,9 @@ def _eigenvalues(maps: Array, contraction: float | None, across: Array | None = 
     With a basis `across`, of the product between its columns.
 
     Rounding is relative to the norm of either product, so that each serves the eigenvalues on its own side of the
-    modulus at which both are equally good. A single one that is tiny follows from Liouville's formula, their product
-    being exp(contraction): maps of intervals that are long for the fastest contraction have lost its digits.
+    modulus at which both are equally good. A single one that is tiny, or huge where none is tiny, follows from
+    Liouville's formula, their product being exp(contraction): maps of intervals that are long for the fastest
+    contraction or expansion have lost its digits.
     """
     if maps.shape[1] == 0:
         return np.empty(0, dtype=complex)
@@ -206,12 +208,24 @@ def _eigenvalues(maps: Array, contraction: float | None, across: Array | None = 
         even = float(np.sqrt(np.linalg.norm(matrix, 2)) / np.sqrt(np.linalg.norm(inverse, 2)))
     even = np.inf if matrix.size == 1 else even
     small = (np.abs(forward) < SMALL) & (modulus < even)
+    large = np.abs(forward) > 1.0 / SMALL
     if contraction is not None and np.count_nonzero(small) == 1:
-        tiny = np.exp(contraction - np.sum(np.log(np.abs(forward[:-1]))))
-        sign = np.sign(np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(forward[:-1]).real)
-        forward[-1] = sign * tiny
-        return forward
+        return _by_liouville(maps, forward, forward.size - 1, contraction)
+    if contraction is not None and np.count_nonzero(large) == 1 and not small.any():
+        return _by_liouville(maps, forward, 0, contraction)
     return np.asarray(np.where(small, backward, forward))
+
+
+def _by_liouville(maps: Array, values: ComplexArray, index: int, contraction: float) -> ComplexArray:
+    """The eigenvalues, one from their product exp(contraction) and the others; as they are where it exceeds doubles."""
+    others = np.delete(values, index)
+    logarithm = contraction - float(np.sum(np.log(np.abs(others))))
+    if logarithm > LARGEST_LOGARITHM:
+        return values
+    sign = np.sign(np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(others / np.abs(others)).real)
+    result = values.copy()
+    result[index] = sign * np.exp(logarithm)
+    return result
 
 
 def _inverse_product(maps: Array) -> Array | None:

@@ -125,6 +125,19 @@ def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
         assert found.trivial_deviation < 1e-8
 
 
+def test_an_orbit_that_repels_strongly_has_the_reciprocal_multiplier() -> None:
+    """Time runs backwards: exp of the integral of mu (x^2 - 1), 1e37, of which maps over intervals keep no digit."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    reversed_time = OdeModel("van der Pol reversed", ca.vertcat(x, y), ca.vertcat(-y, mu * (x**2 - 1) * y + x), mu)
+    first = find_orbit(reversed_time, lambda t: [2 * np.cos(t), 2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    orbit = first.follow("mu", 5.0, at=[5.0]).at(mu=5.0)
+    growth, _ = quad(lambda t: 5.0 * (orbit.evaluate(t)[0, 0] ** 2 - 1), 0.0, orbit.period, epsabs=1e-9, limit=500)
+    other = orbit.floquet().others[0]
+    assert growth > 80.0
+    assert other.imag == 0.0
+    assert abs(np.log(other.real) - growth) < 1e-6
+
+
 @pytest.mark.slow
 def test_van_der_pol_at_10() -> None:
     """Period 19.0783695669..., and the multiplier, by DOP853: return map and integral of the divergence."""
