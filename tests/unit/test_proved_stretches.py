@@ -5,13 +5,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from cosine_operators import explicit, explicit_residual, norm
 from small_models import two_wells
 
 from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls  # noqa: E402
+from casadi_skin.certify import balls, polynomial_piece  # noqa: E402
 from casadi_skin.certify.attempt import attempt_near, distance  # noqa: E402
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius  # noqa: E402
 from casadi_skin.certify.certify import provable, step_of  # noqa: E402
@@ -109,6 +110,91 @@ def test_bounds_at_any_place_are_below_those_of_the_piece():
             W = max(W, bounds.W(constants.reach))
         assert 0.25 * constants.Z < Z <= constants.Z
         assert 0.25 * constants.W < W <= constants.W
+
+
+def short_piece(stretch, harmonics):
+    """Parabolas on a short interval far from S = 0, about which bounds hardly change from one place to another."""
+    curve = stretch.curve(0.10 * stretch.end, 0.12 * stretch.end, harmonics)
+    return replace(curve, centre=curve.centre[:3], inverse=curve.inverse[:3], factor=curve.factor[:3])
+
+
+def largest_along(curve, nu, harmonics=20):
+    """The largest |A F| and |I - A DF| at places of a piece, from explicit matrices on many harmonics."""
+    Y, Z = 0.0, 0.0
+    for x in np.linspace(-1.0, 1.0, 9).tolist():
+        T, series = [float(t) for t in curve.chebyshev(flint.arb(x))], curve.at(flint.arb(x))
+        bounds = FiniteInverse(series, nu, np.tensordot(T, curve.inverse[: len(T)], axes=1))
+        A, DF, weights = explicit(bounds, harmonics, factor=np.dot(T, curve.factor))
+        Y = max(Y, weights @ np.abs(A @ explicit_residual(series, harmonics)))
+        Z = max(Z, norm(np.eye(len(DF)) - A @ DF, weights))
+    return Y, Z
+
+
+@pytest.fixture
+def many_nodes(monkeypatch):
+    """So many nodes that the largest values between them are bounded by hardly more than those at them."""
+    monkeypatch.setattr(polynomial_piece, "MORE_NODES", 6.0)
+    with flint.ctx.workprec(balls.PRECISION):
+        yield
+
+
+@pytest.mark.usefixtures("many_nodes")
+@pytest.mark.parametrize(("model", "S", "harmonics"), [(Chain(1, 1.0, 0.0, 1.0), 0.4, 3), (soft(), 0.1, 6)])
+def test_each_term_of_z_is_needed_along_a_piece(model, S, harmonics):
+    """One by one the rows of the tail, the finite rows and the factor of the tail's rows are what Z is made of."""
+    stretch = stretch_of(family(model, S), S)
+    good = short_piece(stretch, harmonics)
+    for curve in (good, replace(good, inverse=0.6 * good.inverse), replace(good, factor=0.6 * good.factor)):
+        Z = piece_constants(curve, stretch.nu).Z
+        assert 0.8 * Z < largest_along(curve, stretch.nu)[1] <= Z
+
+
+@pytest.mark.usefixtures("many_nodes")
+@pytest.mark.parametrize(("model", "S", "harmonics"), [(Chain(1, 1.0, 0.0, 1.0), 0.4, 3), (soft(), 0.1, 6)])
+def test_y_counts_what_the_finite_equations_are_off_by(model, S, harmonics):
+    """With lambda shifted, and with the fundamental shifted."""
+    stretch = stretch_of(family(model, S), S)
+    good = short_piece(stretch, harmonics)
+    for unknown in (0, 1 if stretch.system.step == 2 else 2):
+        centre = good.centre.copy()
+        centre[0, unknown] += 0.01
+        curve = replace(good, centre=centre)
+        Y = piece_constants(curve, stretch.nu).Y
+        assert 0.8 * Y < largest_along(curve, stretch.nu)[0] <= Y
+
+
+@pytest.mark.usefixtures("many_nodes")
+def test_y_counts_the_harmonics_beyond_the_finite_part():
+    """q = cos(theta), lambda = 3 + 3 S/4 is off by S/4 cos(3 theta) alone: one cosine's harmonic balance."""
+    stretch = stretch_of(family(Chain(1, 1.0, 0.0, 1.0), 0.4), 0.4)
+    curve = short_piece(stretch, 1)
+    middle, half = 0.5 * (curve.start + curve.end), 0.5 * (curve.end - curve.start)
+    curve = replace(curve, centre=np.array([[3.0 + 0.75 * middle, 1.0], [0.75 * half, 0.0], [0.0, 0.0]]))
+    Y = piece_constants(curve, stretch.nu).Y
+    assert 0.8 * Y < largest_along(curve, stretch.nu)[0] <= Y
+
+
+def test_rounding_of_the_inverse_is_counted():
+    """A_f has an entry in which large terms cancel: in doubles to nothing, or to something else than in truth."""
+    with flint.ctx.workprec(balls.PRECISION):
+        stretch = stretch_of(family(Chain(1, 1.0, 0.0, 1.0), 0.4), 0.4)
+        flat = stretch.curve(0.1, 0.12, 1)
+        centre, factor = np.vstack([flat.centre[:1], np.zeros((3, 2))]), np.append(flat.factor[:1], np.zeros(3))
+        largest = 0.0
+        for i in range(1, 23):
+            x = flint.arb(i) / 23
+            T1, T3 = x, 4 * x**3 - 3 * x
+            inverse = np.concatenate([flat.inverse[:1], np.zeros((3, 2, 2))])
+            inverse[:, 1, 1] = 0.0, -(2.0**50) * float(T3), 0.0, 2.0**50 * float(T1)
+            exact = inverse[0].copy()
+            exact[1, 1] = 2.0**50 * float(T3 * float(T1) - T1 * float(T3))
+            largest = max(largest, abs(exact[1, 1]))
+            curve = replace(flat, centre=centre, inverse=inverse, factor=factor)
+            A, DF, weights = explicit(FiniteInverse(curve.at(x), stretch.nu, exact), 6)
+            node = curve.bounds_at(x, stretch.nu)
+            assert norm((np.eye(len(DF)) - A @ DF)[:2, :2], weights[:2]) <= node.finite
+            assert np.all(weights[:2] @ np.abs(exact) <= node.norms)
+        assert largest > 0.01
 
 
 def test_a_polynomial_between_nodes_is_bounded():
