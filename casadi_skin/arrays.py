@@ -22,7 +22,7 @@ def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArr
             warnings.simplefilter("error")  # of CasADi, where numpy meets expressions
             full = value.full() if type(value).__name__ == "DM" else value
             found = np.asarray(full)
-    except Exception:  # of whatever the object does where numpy asks it for numbers
+    except Exception:  # of the object's own conversion to numbers
         raise TypeError(refused) from None
     if found.dtype.kind not in "iuf" and found.size:  # text, truths, complex numbers and objects are none
         raise TypeError(refused)

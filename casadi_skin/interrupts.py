@@ -18,7 +18,7 @@ from types import FrameType
 def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
     """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends.
 
-    With `end_solver` a signal makes the callback fail that gets it, so that a long integration ends at once; without
+    With `end_solver` a signal makes the running callback fail, so that a long integration ends at once; without
     it the second one does. What the solver raises after a signal is raised only where the signal's own handler returns.
     """
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone

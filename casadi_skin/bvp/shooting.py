@@ -3,7 +3,7 @@
 Unknowns are full states at the ends of M segments of a quarter, half or full period; the equations are continuity by
 the flow (Stoer and Bulirsch 2002, section 7.3.5; Hindmarsh et al. 2005). What `resolution` counts is digits of CVODES'
 local tolerance. The residual jumps by about that tolerance wherever CVODES steps otherwise: no corrector can be
-asked for less.
+with a larger tolerance.
 """
 
 from __future__ import annotations

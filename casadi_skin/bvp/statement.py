@@ -1,4 +1,4 @@
-"""A boundary-value problem as it is stated: a model, what vanishes at the ends and in the mean, what is free."""
+"""Statement of a boundary-value problem: a model, conditions at the ends and in the mean, free parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Statement:
     conditions and integrals as states and free parameters. `objective`, in ends and parameters, plus the integral of
     `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name.
 
-    Raises ValueError and TypeError, naming what was given and what is accepted, where these do not fit.
+    Raises ValueError and TypeError, naming the argument and what is accepted, where these do not fit.
     """
 
     model: OdeModel
@@ -75,7 +75,7 @@ class Statement:
                 raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
 
     def _take_expressions(self) -> None:
-        """Functions, lists and numbers become the expressions that they stand for."""
+        """Turn functions, lists and numbers into the expressions that they stand for."""
         ends = [*self.model.ends, self.model.parameters]
         along = [self._time, self.model.full_state, self.model.parameters]
         taken: dict[str, Any] = {
@@ -129,11 +129,11 @@ class Statement:
                     f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
                 )
 
-    # What it is made of ---------------------------------------------------------------------------------------------
+    # Parts ------------------------------------------------------------------------------------------------------------
 
     @property
     def optimises(self) -> bool:
-        """Whether something is minimised."""
+        """Whether the problem has an objective."""
         return self.objective is not None or self.running is not None
 
     @cached_property
@@ -173,7 +173,7 @@ class Statement:
     def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
         """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`.
 
-        It is made once, and keeps what is made of it: solving again builds nothing.
+        It is made once, and keeps its discretisations: solving again builds nothing.
         """
         if (walking, end) not in self._formulations:
             self._formulations[walking, end] = self._formulated(walking, end)
@@ -209,13 +209,13 @@ class Statement:
         """The same problem at other values of parameters."""
         return replace(self, parameters={**self.parameters, **values})
 
-    # Queries ----------------------------------------------------------------------------------------
+    # Queries ----------------------------------------------------------------------------------------------------------
 
 
 def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:
-    """Value of each parameter of a model by name, in its order: given, or nominal.
+    """Value of each parameter of a model by name, in its order: that of the argument, or nominal.
 
-    Raises ValueError for unknown names and where a parameter has no value, TypeError for what is no mapping.
+    Raises ValueError for unknown names and where a parameter has no value, TypeError for other objects than mappings.
     """
     given = by_name("parameters", given)
     _check_names("parameters", given, model.parameter_names)
@@ -252,7 +252,7 @@ def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None
 
 
 def check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
-    """Raises TypeError for what is no expression of the symbols' kind, ValueError where it depends on others."""
+    """Raises TypeError for other objects than such expressions, ValueError where one depends on other symbols."""
     kind = type(symbols[0])
     if not isinstance(expression, kind):
         raise TypeError(

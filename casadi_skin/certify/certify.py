@@ -121,7 +121,7 @@ def step_of(family: Family) -> int:
     return 2 if family.symmetry is SymmetryClass.QUARTER else 1
 
 
-# What it proves -------------------------------------------------------------------------------------------------------
+# Results of the proof -------------------------------------------------------------------------------------------------
 
 
 def _certificate(orbit: Orbit, family: Family, attempt: Attempt, decimals: bool) -> Certificate:
@@ -181,7 +181,7 @@ def _ends(ball: arb) -> Interval:
 
 
 def reason_of(attempt: Attempt) -> str:
-    """Which constant is too large, and what would help."""
+    """The constant that is too large, and a remedy."""
     c, odd = attempt.constants, "odd " if attempt.series.system.step == 2 else ""
     size = f"with {attempt.series.harmonics} {odd}harmonics"
     if attempt.fault:

@@ -28,7 +28,7 @@ def print_results(directory: Path, complete: bool, reasons: Sequence[str]) -> No
 
     Arguments:
         directory: where its files are.
-        complete: whether all that was asked for was found.
+        complete: whether every requested result was found.
         reasons: why not, in a line each.
     """
     files = sorted(path.name for path in directory.iterdir() if not path.name.startswith("."))

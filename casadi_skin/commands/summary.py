@@ -177,7 +177,7 @@ def _proved_curve(branch: Branch) -> str:
 
 
 def _points(run: Run, branch: Branch) -> Table:
-    """A row for the first and the last point, those asked for, and folds."""
+    """A row for the first and the last point, requested points, and folds."""
     first = branch.solutions[0]
     orbit, names = isinstance(first, Orbit), first.space.state_names
     columns = ["point", "", *([branch.parameter] if branch.parameter else []), *(["period"] if orbit else [])]

@@ -43,7 +43,7 @@ class OrbitCurveSpace(BoundarySpace):
 
     Attributes:
         kind: "fold", "period doubling", "torus" or "branch point".
-        critical: what they solve.
+        critical: the extended problem that they solve.
         orbits: the space of the branch on which the first was found.
     """
 
@@ -59,7 +59,7 @@ class OrbitCurveSpace(BoundarySpace):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameter that is found with the orbit, and those that are found with any."""
+        """The parameter that is solved for with the orbit, and those that every orbit has free."""
         return (self._critical.first, *self._critical.orbit.free)
 
     @property
@@ -107,7 +107,7 @@ class OrbitCurveSpace(BoundarySpace):
         )  # fmt: skip
 
     def shrinks(self, before: Point, after: Point) -> bool:
-        """Whether the orbit passes through amplitude zero: what varies in it changes its sign."""
+        """Whether the orbit passes through amplitude zero: its variation changes sign."""
         if PERIOD not in self.statement.free:
             return False
         one, other = (self._variation(point) for point in (before, after))

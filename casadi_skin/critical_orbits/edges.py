@@ -20,7 +20,7 @@ class EdgePoint:
 
     Attributes:
         orbit: of the family, at the edge.
-        edge: what is known of it, with the error of S.
+        edge: its kind and place, with the error of S.
         parameters: of the model by name, and S.
     """
 
@@ -36,8 +36,8 @@ class EdgeCurve(Result):
     Attributes:
         parameter: that is followed.
         points: in order.
-        end: why it ended; None where it was stopped.
-        detail: more about that.
+        end: reason for its end; None where it was stopped.
+        detail: details of the reason.
     """
 
     parameter: str

@@ -71,7 +71,7 @@ def export_c(
     exported = exported_model(source, name, harmonics)
     chosen = chosen_parts(exported, what)
     target = _free(directory)
-    check_parts(exported.model.vector_field)  # before derivatives are asked for that it may not have
+    check_parts(exported.model.vector_field)  # before its derivatives, which it may not have
     texts = export_texts(exported, chosen)
     _write(texts, target)
     return target

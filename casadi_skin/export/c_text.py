@@ -18,7 +18,7 @@ BY_COLUMNS, BY_ROWS = ("colptr", "row"), ("rowptr", "column")
 def plain(words: str) -> str:
     """Words of a user that may stand in a comment or a string of C: printable ASCII that ends neither.
 
-    Other characters are told by their numbers, as (U+03B1), so that names stay different.
+    Other characters are written as their numbers, as (U+03B1), so that names stay different.
     """
     shown = "".join(char if " " <= char <= "~" else f"(U+{ord(char):04X})" for char in words)
     return shown.replace("\\", "/").replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("@", "(at)")

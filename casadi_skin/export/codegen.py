@@ -75,7 +75,7 @@ class CSource:
 def c_name(words: str) -> str:
     """A C identifier made of `words` (letters, digits, single underscores) that is no keyword and no system header.
 
-    Letters that are not ASCII are told by their numbers, as u3b1, so that names stay different.
+    Letters that are not ASCII are written as their numbers, as u3b1, so that names stay different.
     """
     told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
     stem = re.sub(r"[^a-z0-9]+", "_", told).strip("_") or "model"
@@ -120,7 +120,7 @@ def check_parts(function: ca.Function) -> None:
         kind = part.class_name()
         if kind == EXTERNAL:
             raise CodegenError(f"{function.name()}: calls {part.name()} of an external library, which has no C source")
-        if kind in ("SXFunction", "MXFunction"):  # told by their own parts and operations
+        if kind in ("SXFunction", "MXFunction"):  # described by their own parts and operations
             continue
         with contextlib.redirect_stderr(io.StringIO()):
             single = ca.CodeGenerator("part.c", {"with_export": False})

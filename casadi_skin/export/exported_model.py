@@ -32,7 +32,7 @@ PARTS: Mapping[str, str] = MappingProxyType({
 LONGEST_NAME = 60  # characters: names of files are made of it
 NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType({"variational": ("jacobian",), "newton": ("residual",)})
 EQUATIONS_OF_ORBITS = ("residual", "newton", "ipopt")
-OPTIONAL = ("ipopt",)  # not exported unless asked for: it needs more than libm
+OPTIONAL = ("ipopt",)  # exported only on request: it needs more than libm
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[
 
     Arguments:
         exported: The source.
-        what: The parts asked for; None for all that the source has and that need libm only.
+        what: The requested parts; None for all that the source has and that need libm only.
 
     Raises:
         TypeError: `what` is no list of names.

@@ -14,7 +14,7 @@ FLAGS = "-std=c99 -O2"
 
 
 def cmake_text(name: str, sources: Collection[str]) -> str:
-    """A static library of all that needs libm only, the example program, and Ipopt's part where that is asked for."""
+    """A static library of all that needs libm only, the example program, and Ipopt's part on request."""
     library = "\n".join(f"  {file}" for file in sources if file != "main.c" and "_ipopt" not in file)
     ipopt = [file for file in sources if "_ipopt" in file]
     text = f"""cmake_minimum_required(VERSION 3.10)

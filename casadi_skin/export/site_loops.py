@@ -167,7 +167,7 @@ class Segment:
             names, fixed = list[str](), list[bool]()
             for (argument, _), each in zip(row.leaves, values, strict=True):
                 word, constant = self._leaf(argument, each, arguments, prefix, tables)
-                if constant and "[" in word and self.repeats > 1:  # the compiler cannot know that no result changes it
+                if constant and "[" in word and self.repeats > 1:  # for the compiler, a result might change it
                     before.append(f"const double h{j}_{len(names)}_ = {word};")
                     word = f"h{j}_{len(names)}_"
                 names.append(word)

@@ -1,6 +1,6 @@
 """Pictures of results; dimensionless.
 
-Figures are made without pyplot and leave the caller's matplotlib settings alone. Families and orbits are told apart
+Figures are made without pyplot and leave the caller's matplotlib settings alone. Families and orbits are distinguished
 by labels, markers and dashes, never by colour alone. `figures.spacetime` is imported where a time evolution is drawn.
 """
 

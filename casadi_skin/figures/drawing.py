@@ -104,7 +104,7 @@ def _look(branch: Branch, stable: bool | None) -> dict[str, Any]:
 
 
 def _second(branch: Branch) -> str:
-    """The quantity drawn upwards where none is asked for: the free parameter of a curve, else the first state."""
+    """The default quantity drawn upwards: the free parameter of a curve, else the first state."""
     space = branch.space
     free = [name for name in space.free if name != "period" and not name.startswith("unfolding")]
     return free[0] if isinstance(branch.solutions[0], Equilibrium) and free else space.state_names[0]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COLOURS = "cividis"  # its lightness rises all the way
 CONTOURS = 7
-FEW = 6  # whole numbers told apart by a colour each
+FEW = 6  # whole numbers with a colour each
 COLUMNS = 3  # of panels
 MOST_PANELS = 12
 FLAGS: dict[tuple[float, ...], tuple[str, str]] = {(0.0, 1.0): ("no", "yes")}

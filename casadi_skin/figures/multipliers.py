@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.branch import Branch
     from casadi_skin.orbits.orbit import Orbit
 
-FRAME = 3.0  # multipliers farther from 0 than this are told in words
+FRAME = 3.0  # multipliers farther from 0 than this are named in words
 MODULUS = r"$\left|\lambda\right|$"
 TRIVIAL_LEFT_OUT = ("", " (trivial one left out)", " (trivial pair left out)")
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST = 6  # solutions that are drawn
-CHOSEN = 4  # orbits of a branch, where none was asked for
+CHOSEN = 4  # orbits of a branch, by default
 
 
 def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tuple[int, int] = (0, 1)) -> Figure:
@@ -31,7 +31,7 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
         states: places of the two states among their names, from 0; of one state alone time courses are drawn.
 
     Returns:
-        The figure; solutions are told apart by the parameters in which they differ.
+        The figure; solutions are labelled by the parameters in which they differ.
 
     Raises:
         ValueError: there are no solutions, or more than six.
@@ -61,7 +61,7 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
 
 
 def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:
-    """Solutions for a portrait: those asked for, else an equilibrium where cycles are born and a few of these.
+    """Solutions for a portrait: the requested ones, else an equilibrium where cycles are born and a few of these.
 
     None where no orbit is among the branches: equilibria alone are seen in the diagram.
     """

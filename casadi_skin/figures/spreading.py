@@ -13,7 +13,7 @@ from casadi_skin.lattice.spreading import Spreading
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DECADES = 5.0  # of energies that are told apart by colour
+DECADES = 5.0  # of energies that colours distinguish
 MOST_COLUMNS = 2000  # more samples than that no page resolves
 
 

@@ -17,7 +17,7 @@ NOT_FINITE = "it is not finite then"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States at the times asked for, shape (time, 2n), evaluations of the forces, and the step where it is fixed."""
+    """States at the requested times, shape (time, 2n), evaluations of the forces, and the step where it is fixed."""
 
     states: Array
     evaluations: int

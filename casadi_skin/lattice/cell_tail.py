@@ -1,4 +1,4 @@
-"""The linear tail of a long lattice of any cells joined by one bond: what its end asks of the nonlinear core.
+"""The linear tail of a long lattice of any cells joined by one bond, as a boundary condition of the nonlinear core.
 
 With lambda = (k Omega)^2, let a cell of stiffness K be joined by bonds of strength s at its site o to the core's side
 and at its site i to the far side. A matrix P takes the ratio of amplitudes across a bond from the far side of the cell

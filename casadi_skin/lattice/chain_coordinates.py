@@ -23,7 +23,7 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
     """Coordinates of the family that grows from a linear mode to S = `amplitude_max`.
 
     Every site is an unknown; at |gamma| = 1 the edge site alone; and of a long chain the nonlinear core at its edge
-    where the elimination of its linear tail is asked for, or pays and `method.tail` leaves it open. Raises
+    where the elimination of its linear tail is requested, or pays and `method.tail` leaves it open. Raises
     ValueError, naming the argument, for a chain or a mode without such a family.
     """
     number = chain.mode_number(mode)

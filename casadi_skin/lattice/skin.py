@@ -18,7 +18,7 @@ from casadi_skin.lattice.linear import ComplexArray, cell_matrices
 
 FEWEST, MOST = 512, 32768  # wave numbers
 RESOLVED = 0.25 * np.pi  # change of a phase from one wave number to the next
-ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is told
+ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is computed
 
 
 def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:

@@ -1,4 +1,4 @@
-"""The linear tail of a long chain, site by site in closed form: what its end asks of the nonlinear core.
+"""The linear tail of a long chain, site by site in closed form, as a boundary condition of the nonlinear core.
 
 Where w_n q_n^2 is below round-off the sites of the gauge are linear and every odd harmonic k is by itself: a_n solves
 s (a_(n-1) + a_(n+1)) = (2 + alpha - k^2 Omega^2) a_n with a_0 = 0, so that a_n ~ sin(n theta) in the band and

@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.tail import Tail, Wave
 
-KEPT = 16  # values that are asked for again
+KEPT = 16  # values that are used again
 
 
 class Regime(Enum):

@@ -110,7 +110,7 @@ class _Unkept:
 
 
 def followed(request: Request) -> tuple[list[Branch], str]:
-    """The branches that a scene asks for, as a run follows them, and what failed beside them.
+    """The branches of a scene, as a run follows them, and what failed beside them.
 
     Raises ArithmeticError where there is none.
     """

@@ -79,7 +79,7 @@ def plot(found: Map, name: str, place: Axes | None = None, at: Mapping[str, Any]
 
 
 def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
-    """Which value of a list is drawn: the one that is asked for, or the only one; raises ValueError for no value."""
+    """The value of a list that is drawn: the requested one, or the only one; raises ValueError for no value."""
     if axis.name not in given and len(axis.values) == 1:
         return 0
     value = given.get(axis.name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 Value = float | int | str
-FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation tells the first itself
+FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
 OUTSIDE = (DIED, LATE, LOST)  # those that another run may not meet
 
 
@@ -14,7 +14,7 @@ class Row(msgspec.Struct, frozen=True):
 
     Attributes:
         values: by name.
-        fault: why the solution that the cell asks for is not there; empty where it is.
+        fault: why the cell has no solution; empty where it has one.
         state, period: of a solution at which a second start of a neighbour may begin.
     """
 

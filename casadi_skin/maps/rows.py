@@ -64,7 +64,7 @@ def _mode(branch: Branch) -> int:
 
 
 def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
-    """The solution that a cell is about, and why it is not the one that was asked for."""
+    """The solution of a cell, and the reason where it is not the requested one."""
     if not len(branch):
         return None, branch.reason
     if S is None:

@@ -1,4 +1,4 @@
-"""Somebody's FMU as an `OdeModel`: the right-hand side and its derivatives are those of its binary.
+"""An imported FMU as an `OdeModel`: the right-hand side and its derivatives are those of its binary.
 
 FMI 2.0 and 3.0, Model Exchange without events (https://fmi-standard.org). The equations are functions of a program, not
 expressions: everything that needs no more than their values and first derivatives takes them.
@@ -32,9 +32,9 @@ def import_fmu(
     """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
 
     Jacobians are the FMU's where it offers them and they agree with differences, else by differences, whose estimated
-    error is the model's `noise`. The binary runs with all that you may do. It is loaded and called in a process of its
-    own first, once for each file, so that one that ends its process or never answers is refused; what it does later, at
-    other states, happens in this process.
+    error is the model's `noise`. The binary runs with your permissions. It is loaded and called in a process of its
+    own first, once for each file, so that one that ends its process or never answers is refused; its later calls, at
+    other states, run in this process.
 
     Arguments:
         path: The FMU.

@@ -240,7 +240,7 @@ class Values:
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Where the numbers that are asked for are among the entries."""
+        """Places of the requested numbers among the entries."""
         return self.group.places
 
 

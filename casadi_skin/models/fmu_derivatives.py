@@ -1,6 +1,6 @@
 """Jacobians of an FMU's right-hand side: by its directional derivatives where they are right, else by differences.
 
-Columns that share no row are taken together, as the FMU's ModelStructure tells them (Curtis, Powell and Reid 1974).
+Columns that share no row are taken together, by the FMU's ModelStructure (Curtis, Powell and Reid 1974).
 What the FMU declares and offers is compared with differences along random directions before it is used.
 """
 

@@ -40,7 +40,7 @@ class FmuInstance:
         self._finalizer = weakref.finalize(self, _close, self._components, self._loaded, unpacked.remove)
         self._requests: dict[Group, Values] = {}
         self._buffers: dict[tuple[str, int, int], Buffer] = {}
-        self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and what tells them
+        self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and their key
         self.start_given = np.array([element.start for element in self.given])
         try:
             component = self._instantiated()

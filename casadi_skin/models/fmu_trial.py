@@ -71,7 +71,7 @@ def main() -> None:
         asked = Asked(**names)
         model = made(unpacked, asked, given["inputs"])
         model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
-    except Exception:  # the same is raised, and told, where the FMU is read
+    except Exception:  # the same is raised, and reported, where the FMU is read
         pass
     os._exit(ANSWERED)
 

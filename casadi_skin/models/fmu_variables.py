@@ -83,7 +83,7 @@ class Group:
         return cls(tuple(whole), np.array(places, dtype=np.int64), np.array(starts, dtype=float))
 
     def spread(self, numbers: Array) -> Array:
-        """Rows of numbers as rows of all entries of the variables, with 0 for those that are not asked for."""
+        """Rows of numbers as rows of all entries of the variables, with 0 for all others."""
         entries = np.zeros((len(numbers), self.starts.size))
         entries[:, self.places] = numbers
         return entries
@@ -141,7 +141,7 @@ class Variables:
 
     @cached_property
     def order(self) -> list[int]:
-        """Places of the states in the order that was asked for."""
+        """Places of the states in the requested order."""
         names = [state.name for state in self.states]
         return list(range(len(names))) if self.asked.states is None else [names.index(n) for n in self.asked.states]
 

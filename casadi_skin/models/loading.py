@@ -20,7 +20,7 @@ MODULE = "casadi_skin_user_model"
 
 
 class ModelFileError(ValueError):
-    """A file that does not give the model asked of it, in one line."""
+    """A file does not give the requested model, in one line."""
 
 
 def read_source(path: Path) -> str:

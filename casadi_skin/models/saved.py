@@ -1,6 +1,6 @@
 """Models in files: names, declarations and a list of elementary operations, in JSON with a version and a checksum.
 
-A file is data: what is read is compared with the few things that it may hold, and no code of anybody's runs.
+A file is data: its contents are compared with the few things that it may hold, and no code in it runs.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
 
     Arguments:
         model: A model in CasADi expressions.
-        path: The file, JSON text in UTF-8; one that is there is replaced.
+        path: The file, JSON text in UTF-8; an existing one is replaced.
 
     Returns:
         The path.
@@ -126,7 +126,7 @@ def read_model(path: str | Path) -> OdeModel:
 
     Raises:
         ValueError: The file cannot be read, holds no such model, or is damaged; in one line.
-        TypeError: The path is none.
+        TypeError: The argument is not a path.
     """
     source = file_path("path", path)
     return loads(read_source(source), str(source))

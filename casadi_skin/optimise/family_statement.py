@@ -81,7 +81,7 @@ class FamilyStatement:
         search._check_expressions()
         return search
 
-    # The statement --------------------------------------------------------------------------------------------------
+    # The statement ----------------------------------------------------------------------------------------------------
 
     @property
     def model(self) -> Any:

@@ -65,7 +65,7 @@ class SearchResult:
         return bool(self.optima)
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
+        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
 
         Raises ValueError for parts that are no data: a function of the caller's, a model that is a program.
         """

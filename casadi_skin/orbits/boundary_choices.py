@@ -16,7 +16,7 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.method import Method
 
-DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, where nothing else is asked for
+DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, by default
 
 
 def boundary_method(options: Mapping[str, Any]) -> Method:

@@ -107,7 +107,7 @@ class BoundarySpace:
         return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
 
     def _corrector(self, problem: Problem) -> Corrector:
-        """The corrector, asked for a hundredth of the tolerance where rounding allows it."""
+        """The corrector, for a hundredth of the tolerance where rounding allows it."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
         make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()

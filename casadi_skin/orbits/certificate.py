@@ -138,7 +138,7 @@ class ProvedStretch:
     Attributes:
         S_start, S_end: where it starts, and how far it is proved.
         pieces: intervals of S that it was proved on.
-        reason: why it ends before what was asked; empty where it does not.
+        reason: why it ends before its requested end; empty where it does not.
         breaks: values of S between the pieces.
         radius: largest distance of an orbit from the polynomial of its piece, in the norm for positions over sqrt(S).
     """
@@ -152,7 +152,7 @@ class ProvedStretch:
 
     @property
     def complete(self) -> bool:
-        """Whether all that was asked is proved."""
+        """Whether the whole requested stretch is proved."""
         return not self.reason
 
     def __repr__(self) -> str:

@@ -30,7 +30,7 @@ LOG10 = float(np.log(10.0))
 class Coordinates(ABC):
     """Scaled coordinates of one family, with the linear mode that it grows from; dimensionless.
 
-    `mode_number` counts modes by ascending linear frequency from 1. `symplectic` tells whether the flow of the scaled
+    `mode_number` counts modes by ascending linear frequency from 1. `symplectic` is true where the flow of the scaled
     equations is Hamiltonian in (q, q'). `S_rate` is the relative change of S per that of the free parameter.
     """
 

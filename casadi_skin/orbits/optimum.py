@@ -11,7 +11,7 @@ class Optimality:
     """The Karush-Kuhn-Tucker conditions of a solution, evaluated apart from the solver.
 
     `kkt` is the largest of stationarity and complementarity relative to the largest gradient or multiplier, `violation`
-    that of equations and bounds, and `active` are the bounds with a multiplier, in words. `curved` tells whether the
+    that of equations and bounds, and `active` are the bounds with a multiplier, in words. `curved` is true where the
     curvature is that of a minimum; it is not known where the model holds a program, such as an FMU.
     """
 

@@ -84,7 +84,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A first-order model, a guessed period, parameters, and what is asked of the orbit.
+    """A first-order model, a guessed period, parameters, and the conditions on the orbit.
 
     `rotations` are how many times 2 pi is added to each state in a period, shape (states,).
     """
@@ -231,7 +231,7 @@ def _unfolding(name: str) -> str:
 
 
 def statement_of(asked: Asked) -> Statement:
-    """The boundary-value problem whose solution is the orbit that is asked for."""
+    """The boundary-value problem whose solution is the requested orbit."""
     if asked.model.forced:
         return _forced(asked)
     return _closed(asked) if asked.symmetry is SymmetryClass.FULL else _symmetric(asked)

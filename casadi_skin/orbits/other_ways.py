@@ -1,7 +1,7 @@
 """Other ways to a first solution where the correctors do not reach it from the guess.
 
 Newton's method first, where it has not been tried; then a short continuation: the problem is solved at an easier value
-of one of its parameters, ten or a hundred times as large or as small, and followed from there to what is asked for.
+of one of its parameters, ten or a hundred times as large or as small, and followed from there to the requested values.
 """
 
 from __future__ import annotations

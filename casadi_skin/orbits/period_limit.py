@@ -22,12 +22,12 @@ from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC
 
 PLACES = 2001  # along an orbit at which its speed is looked at
-SMALLEST = 1e-9  # of the largest component: smaller ones are told as 0
+SMALLEST = 1e-9  # of the largest component: smaller ones are reported as 0
 GROWN = 3.0  # times the period at the start of the branch
 SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
 STILL = 1e-15  # of it: a parameter that does not change
-NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter tells no orbits apart
-SAFETY = 3.0  # between an estimated distance and the error that is told
+NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
+SAFETY = 3.0  # between an estimated distance and the reported error
 STEPS, CONVERGED = 30, 1e-10  # of Newton's method for the equilibrium
 NEAR = 0.2  # of what the orbit varies by: how far from its slowest place an equilibrium may be
 
@@ -75,7 +75,7 @@ def resting_places(model: OdeModel, states: Array, p: Array, turns: Sequence[int
         model: of first order, autonomous.
         states: along the orbit, shape (places, components).
         p: parameters of the model.
-        turns: of the states in a period; those that turn are told modulo 2 pi.
+        turns: of the states in a period; those that turn are reported modulo 2 pi.
     """
     field = model.vector_field.map(len(states))
     speeds = np.linalg.norm(np.array(field(0.0, states.T, np.tile(p[:, None], len(states)))), axis=0)

@@ -25,7 +25,7 @@ NAMED = 0.05  # of the largest weight of a condition
 def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False) -> str:
     """Which conditions leave which variable undetermined, and where; empty where the equations at z are regular.
 
-    An orbit that rests is told instead: any period closes it.
+    An orbit that rests is reported instead: any period closes it.
     With `everywhere` also where they are singular at z alone: what has not been reached is then at fault, and not the
     problem.
     """

@@ -59,7 +59,7 @@ class Walk:
         return self._end
 
     def stop(self, end: End, detail: str = "") -> None:
-        """End the branch for a reason that its points do not know of."""
+        """End the branch for a reason that its points do not show."""
         self._end, self._detail = end, detail
 
     def __iter__(self) -> Iterator[Point]:
@@ -141,7 +141,7 @@ class Walk:
         return found is not None and solver.distance(problem, z, found.z) <= CLOSED * length
 
     def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points between two points, and the points asked for so near to folds that they were passed by."""
+        """Special points between two points, and the requested points so near to folds that they were passed by."""
         found = list(self.space.special_between(before, after))
         last = before
         for special in (*found, after):
@@ -152,7 +152,7 @@ class Walk:
             last = special
 
     def _asked_between(self, one: Point, other: Point) -> Iterator[Point]:
-        """The points asked for between two points of which one is a fold, or beside one."""
+        """The requested points between two points of which one is a fold, or beside one."""
         solver = self.space.point_solver
         low, high = sorted((one.parameter, other.parameter))
         wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
@@ -167,10 +167,10 @@ class Walk:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""
         return point.parameter * self.space.point_solver.settings.parameter_max > 0.0
 
-    # What was asked for -----------------------------------------------------------------------------------------------
+    # Requested values -------------------------------------------------------------------------------------------------
 
     def misses(self, solutions: Sequence[Solution], stopped: bool, end: End | None) -> dict[str, tuple[float, ...]]:
-        """Values asked for without a solution, by name: those that were missed, and at the end all others.
+        """Requested values without a solution, by name: those that were missed, and at the end all others.
 
         Where a condition stopped the branch, those that it had passed before.
         """
@@ -185,7 +185,7 @@ class Walk:
         return misses
 
     def _asked(self) -> Mapping[str, Sequence[float]]:
-        """All values asked for by name, the ends among them where the continuation missed them."""
+        """All requested values by name, the ends among them where the continuation missed them."""
         asked = dict(self.space.asked())
         if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
             asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)

@@ -25,7 +25,7 @@ FIXED = ("point", "requested", "fold", "period", "error", "parameter_error", "in
 def branch_quantities(branch: Branch) -> list[Quantity]:
     """Quantities of other solutions, columns of branch.csv in their order and variables of branch.nc.
 
-    Names that users chose are told apart from those of the table by " (of the model)".
+    Names that users chose are distinguished from those of the table by " (of the model)".
     """
     solution = branch.solutions[0]
     names, followed, orbit = list(solution.parameters), branch.parameter, isinstance(solution, Orbit)

@@ -1,6 +1,6 @@
 """Results as data: numbers, names, arrays and the fields of known classes; nothing in them is run when they are read.
 
-A value is written as what MessagePack knows, or as a list that begins with a word: ["array", type, shape, bytes],
+A value is written as a type of MessagePack, or as a list that begins with a word: ["array", type, shape, bytes],
 ["complex", real, imaginary], ["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields],
 ["point", resolution, constants, fields], and ["shared", number] for what stands in the list of models and spaces, each
 of which is written once.

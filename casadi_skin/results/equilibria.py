@@ -19,7 +19,7 @@ FIXED = ("point", "requested", "special", "stable", "unstable", "max_growth", "e
 def equilibrium_quantities(branch: Branch) -> list[Quantity]:
     """Quantities of equilibria in the order of the columns, parameters followed first.
 
-    Names that users chose are told apart from those of the table by " (of the model)".
+    Names that users chose are distinguished from those of the table by " (of the model)".
     """
     first = _equilibrium(Place(branch.solutions[0], 0))
     quantities = [

@@ -65,7 +65,7 @@ FAMILY_ARRAYS: tuple[Quantity, ...] = (
 
 
 def _certificate(place: Place) -> Certificate | None:
-    """The proof of an orbit that one is asked for, else None."""
+    """The proof of an orbit, where one was requested, else None."""
     space = place.orbit.space
     assert isinstance(space, Family)
     return place.orbit.certificate if space.request.certify == "all" or place.requested else None
@@ -80,7 +80,7 @@ def _of_proof(value: Callable[[Certificate], float]) -> Callable[[Place], float]
 
 
 def certified(branch: Branch) -> list[Orbit]:
-    """The orbits of a branch that a proof was asked for."""
+    """The orbits of a branch for which a proof was requested."""
     asked = isinstance(branch.space, Family) and branch.space.request.certify
     return [o for o in branch.orbits if asked == "all" or o.point.requested] if asked else []
 
@@ -108,7 +108,7 @@ FAMILY_PROOFS: tuple[Quantity, ...] = (
 
 
 def _proved_stable(place: Place) -> float:
-    """1 or 0 where it is proved, NaN where it is not decided or no proof was asked for."""
+    """1 or 0 where it is proved, NaN where it is not decided or no proof was requested."""
     if _certificate(place) is None:
         return math.nan
     return {STABLE: 1.0, UNSTABLE: 0.0}.get(place.orbit.proved_stability.verdict, math.nan)

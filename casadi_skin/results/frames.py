@@ -1,4 +1,4 @@
-"""Results as tables of other packages: pandas and xarray, each an extra that is imported when it is asked for."""
+"""Results as tables of other packages: pandas and xarray, each an extra that is imported on first use."""
 
 from __future__ import annotations
 

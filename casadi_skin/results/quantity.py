@@ -20,7 +20,7 @@ CSV, NETCDF, BOTH = "csv", "netcdf", "both"
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A solution of a branch with what its quantities need to know: its place, and marks."""
+    """A solution of a branch with the data of its quantities: its place, and marks."""
 
     solution: Solution
     index: int

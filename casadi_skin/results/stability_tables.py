@@ -13,7 +13,7 @@ EVENT_COLUMNS = (
     "mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width",
     "S_error", "multiplier_real", "multiplier_imaginary", "signatures", "tongue", "tongue_width", "tongue_growth",
 )  # fmt: skip
-PROVED_COLUMNS = ("proved_S_lower", "proved_S_upper")  # of events.csv, where proofs are asked for
+PROVED_COLUMNS = ("proved_S_lower", "proved_S_upper")  # of events.csv, where proofs are requested
 TONGUE_COLUMNS = (
     "mode", "tongue", "kind", "S_start", "S_start_error", "S_end", "S_end_error", "width", "growth",
     "max_abs_multiplier", "S_deepest", "modes", "order", "decided",

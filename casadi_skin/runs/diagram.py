@@ -53,7 +53,7 @@ def further_spaces(
 
     `branches` grows: its last one is what was followed for the name and space before. A name ends with the numbers of
     the special points that lead to it; a special point that was met before is not left again. What cannot be started
-    is told in `failures`.
+    is named in `failures`.
     """
     options = {"max_points": table.max_points, "max_step": table.max_step}
     kinds = table.switch or (() if table.depth is None else LEAVING)
@@ -103,7 +103,7 @@ def is_further(branch: Branch) -> bool:
 
 
 def ended_well(branch: Branch) -> bool:
-    """Whether a branch reached what was asked, or its natural end where it left another one."""
+    """Whether a branch reached its requested end, or its natural end where it left another one."""
     return branch.complete or (is_further(branch) and branch.end in NATURAL and not any(branch.misses.values()))
 
 

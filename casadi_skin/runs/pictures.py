@@ -1,4 +1,4 @@
-"""The pictures of a run: drawn once, in the formats that its scene asks for."""
+"""The pictures of a run: drawn once, in the formats of its scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search that a scene asks for: its request, its run with a journal of starts, and its files."""
+"""The search of a scene: its request, its run with a journal of starts, and its files."""
 
 from __future__ import annotations
 

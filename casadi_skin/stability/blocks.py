@@ -36,10 +36,10 @@ class Blocks:
 
     `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
     interval has fewer. `right` (intervals, J, m, c) and `left` (intervals, J, c, m) are the bases: left @ right is the
-    identity and left @ K @ right block diagonal. `real` (intervals, m) tells which mu have real columns. Where `done`
+    identity and left @ K @ right block diagonal. `real` (intervals, m) marks the mu with real columns. Where `done`
     is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the
     interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and `near`
-    tells which mu may come to -1 or 0.
+    marks the mu that may come to -1 or 0.
     """
 
     labels: Indices

@@ -15,7 +15,7 @@ DEGREE = 16  # of the series on an interval
 MIDDLE = DEGREE // 2
 ITERATIONS = 60
 CONVERGED = 1e-9  # of a step: blocks are taken between left and right bases, whose errors they have multiplied
-PROBES = np.arange(0, DEGREE + 1, DEGREE // 4)  # nodes at which it is asked whether all mu stay apart
+PROBES = np.arange(0, DEGREE + 1, DEGREE // 4)  # nodes at which the separation of all mu is tested
 STEPS = 12  # at most, until all of one are small
 SMALL = 1e-3  # steps below this converge
 LARGEST = 1e3  # step of an iteration that converges
@@ -38,7 +38,7 @@ def _weights(K: Numbers, same: Booleans) -> Numbers:
 def contracts(K: Numbers, same: Booleans) -> Booleans:
     """Whether the iteration for T converges for all mu of an interval, and no two mu of different blocks meet.
 
-    It is asked at five nodes, the middle among them; between these the squares of distances are polynomials.
+    It is tested at five nodes, the middle among them; between these the squares of distances are polynomials.
     """
     K = K[:, PROBES]
     weights, inside = _weights(K, same), same[:, None]

@@ -26,7 +26,7 @@ from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_at
 
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
-LOCAL = 1e-3  # of the tolerance, asked of one step of CVODES
+LOCAL = 1e-3  # of the tolerance, for one step of CVODES
 TIGHTEST = 1e-13
 MAX_STEPS = 200_000
 SMALL = 0.5  # modulus above which no multiplier has lost digits in a product with entries near 1

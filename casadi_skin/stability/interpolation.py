@@ -58,7 +58,7 @@ class BranchSampler(Protocol):
 
     The coordinate is one to one, also where S folds, and everything is analytic in it within each of `sections`,
     (start, end) in ascending order. `fraction` of the period is that of the transition matrices, 0.25 or 0.5;
-    `symplectic` tells whether these are.
+    `symplectic` is true where these are.
     """
 
     @property

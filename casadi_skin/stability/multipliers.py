@@ -72,7 +72,7 @@ def floquets(
     """Multipliers of several orbits of one model, with the errors of the flow and of the orbits in those of mu.
 
     The flow's part is brought below `tolerance`, relative to max(1, |mu|), where mu is not near a defective pair.
-    `accelerations` gives q'' at phase zero, shape (orbits, n); `symplectic` tells whether the equations are Hamiltonian
+    `accelerations` gives q'' at phase zero, shape (orbits, n); `symplectic` is true where the equations are Hamiltonian
     in positions and velocities. Raises FlowError.
     """
 

@@ -100,7 +100,7 @@ class PairBlock(Block):
 
     def states(self, x: Array) -> tuple[Booleans, Indices]:
         mean, square, product = self._values(x)
-        # Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) tells which.
+        # Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) decides.
         both = mean + mean**2 + square > 0.0
         outside = np.where(product < 0.0, 1, np.where(both, 2, 0))
         return square < 0.0, np.where(square < 0.0, 2, outside)
@@ -233,7 +233,7 @@ class Pairs:
     def _null_functions(self, fine: Array, ends: Sequence[Array]) -> tuple[list[tuple[Array, Array]], Array, Booleans]:
         """f+ and f-, no numbers where the form is definite, and rho, by the form whose determinant has no zero.
 
-        The last result tells for which pairs there is one.
+        The last result marks the pairs that have one.
         """
         count = len(self.parts)
         usable = np.zeros(count, dtype=bool)

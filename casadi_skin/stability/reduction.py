@@ -80,7 +80,7 @@ class Eigensystems:
     """Eigenvalues (points, m) in ascending order, conjugate ones in pairs; vectors by a real basis, as its columns.
 
     Of a pair a +- i b the basis has a and b: real arithmetic takes a quarter of the time. Rows of `inverse` times
-    columns of `basis` give the identity; at a defective eigenvalue they are infinite. `first` tells the first of pairs,
+    columns of `basis` give the identity; at a defective eigenvalue they are infinite. `first` marks the first of pairs,
     that below the real axis.
     """
 

@@ -39,7 +39,7 @@ class Edge:
 class Segment:
     """A part of an interval in which a block is unstable; an edge is None where the interval ends before.
 
-    `outside` counts mu off the real axis or outside [-1, 0]; `is_complex` tells which of the two. A segment of no
+    `outside` counts mu off the real axis or outside [-1, 0]; `is_complex` distinguishes the two. A segment of no
     length is one whose edge is touched, within errors, but not seen to be passed.
     """
 

@@ -13,12 +13,12 @@ from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
 
-NOISE = 1e-7  # of log |multiplier|: what rounding makes of two mu that nearly meet
+NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place on a branch, with the error of its coordinate and what that makes of S."""
+    """A place on a branch, with the errors of its coordinate and of S."""
 
     coordinate: float
     coordinate_error: float
@@ -29,11 +29,11 @@ class Place:
 
 @dataclass(frozen=True)
 class StabilityEdge:
-    """Where an instability begins, ends or changes its kind.
+    """The place where an instability begins, ends or changes its kind.
 
     `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
     on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
-    what meets: opposite ones where a collision is on the circle, one for "real", none where there are none.
+    these two: opposite ones where a collision is on the circle, one for "real", none where there are none.
     `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
     in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
     multipliers over the period.
@@ -56,7 +56,7 @@ class StabilityEdge:
 
     @property
     def value(self) -> float:
-        """S, which a family is followed in."""
+        """S, the continuation parameter of a family."""
         return self.place.S
 
     @property
@@ -71,7 +71,7 @@ class StabilityEdge:
 
     @property
     def S_error(self) -> float:
-        """Estimated error of S: what the errors of flow, orbits and interpolation move the edge by."""
+        """Estimated error of S: the effect of the errors of flow, orbits and interpolation."""
         return self.place.S_error
 
     @property
@@ -96,12 +96,12 @@ class StabilityEdge:
 class Tongue:
     """A stretch of branch, from `start` to `end`, on which one group of multipliers is off the unit circle.
 
-    Where `open_start` (`open_end`) it reaches to the end of what is known of the branch, and no edge is there. `kind`
+    Where `open_start` (`open_end`) it reaches to the end of the computed branch, and no edge is there. `kind`
     is that of the instability at its start: "real" or "complex". `modes` are the linear modes whose rotation angles
     meet, twice the same for a real one, and `order` the m of p_k + p_l = 2 pi m: omega_k + omega_l = 2 m Omega at small
     amplitude of an odd orbit (m Omega of one that is only reversible); None where they are not known. `growth` is
     log |multiplier| over one period at its deepest place, at S = `S_deepest`. Where it is not `decided`, it is narrower
-    than the errors of its edges: `growth` may be 0 or a few times what is given.
+    than the errors of its edges: `growth` may be 0 or a few times its value here.
     """
 
     start: Place
@@ -151,7 +151,7 @@ class Passage:
 
 @dataclass(frozen=True)
 class Unresolved:
-    """A stretch of branch on which changes of stability may be missing, and why."""
+    """A stretch of branch on which changes of stability may be missing, with the reason."""
 
     S_start: float
     S_end: float
@@ -167,7 +167,7 @@ class StabilityDiagram:
     `changes` are the changes between stable and unstable, in order along the branch; `further` the other edges, where
     orbits are unstable on both sides. `tongues` are in order of their starts. Not counted are `undecided` tongues,
     which are shallower than errors, `windows` between tongues that are narrower than these, and `passages` of
-    multipliers of one signature. `unresolved` lists what is not known. `symplectic` tells whether signatures exist;
+    multipliers of one signature. `unresolved` lists the unresolved parts. `symplectic` is true where signatures exist;
     without them any two mu may leave the real axis where they meet. `power` of lambda(M) gives the multipliers over the
     period, `samples` counts the orbits that were computed.
     """
@@ -201,12 +201,12 @@ class StabilityDiagram:
 
     @property
     def start(self) -> float:
-        """Coordinate where what is known begins."""
+        """Coordinate at which the computed branch begins."""
         return self.pieces[0].matrices.start
 
     @property
     def end(self) -> float:
-        """Coordinate where what is known ends."""
+        """Coordinate at which the computed branch ends."""
         return self.pieces[-1].matrices.end
 
     def S(self, coordinates: Array) -> Array:

@@ -67,7 +67,7 @@ def exact_linear_frequency(chain: Chain, mode: int) -> Decimal:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A kind of numbers, and what is asked of orbits in it.
+    """A kind of numbers, and the operations on orbits in it.
 
     `convert` makes an array of floats one of these numbers, digit by digit; `cosines` gives the table cos(pi k/(4 H)),
     k = 0 .. 8 H - 1. A Newton step shorter than `converged`, relative to the orbit, is the last. There are harmonics

@@ -112,7 +112,7 @@ def _jump(function: ca.Function, inputs: int) -> str | None:
     """An operation that jumps with time, a state or one of the last parameters; None too for a program."""
     try:
         scalar = function.expand()
-    except RuntimeError:  # no C can be generated of it either, which tells why
+    except RuntimeError:  # no C can be generated of it either, and that error names the reason
         return None
     held = function.nnz_in(2) - inputs
     moves: dict[int, bool] = {}  # whether a place of work changes with them

@@ -19,7 +19,7 @@ from casadi_skin.theory.linear import Array
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
 PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
 SAMPLES = 256  # of an orbit, for the sizes along it
-SMALLEST = 1e-250  # size of a state that is told from zero
+SMALLEST = 1e-250  # size of a state that is distinguished from zero
 DEFAULT_S = 0.01  # amplitude of a start from a linear mode: small, so that the mode is nearly an orbit
 
 Bounds = tuple[float, float]

@@ -41,7 +41,7 @@ GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and it
 
 @dataclass(frozen=True, eq=False)
 class SmallestKick:
-    """The smallest kick found; dimensionless. After an interruption the comparisons that are missing are nan.
+    """The smallest kick of a search; dimensionless. After an interruption the comparisons that are missing are nan.
 
     Attributes:
         orbit, time, distance, norm_name: the arguments.
@@ -49,7 +49,7 @@ class SmallestKick:
         reached: the distance that CVODES gives at `escape_time`.
         linear_norm, linear_time, linear_kick: the kick that linear transient growth predicts.
         far_end_size: displacement of the far end alone that escapes within the same time; `far_end_norm` is its norm,
-            `far_end_time` when it does.
+            `far_end_time` the time of its escape.
         interrupted: whether an interruption ended the search.
         tried: number of starts that have ended.
     """
@@ -73,9 +73,9 @@ class SmallestKick:
         return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
+        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
 
-        Raises ValueError for what is no data: a function of the caller's, a model that is a program.
+        Raises ValueError for parts that are no data: a function of the caller's, a model that is a program.
         """
         saved: Path = methods.TASKS["save"].load()(self, path)
         return saved
@@ -102,7 +102,7 @@ class SmallestKick:
 
     @property
     def escape_time(self) -> float:
-        """When the distance is reached."""
+        """Time at which the distance is reached."""
         return self.best.time
 
     @property
@@ -174,8 +174,8 @@ def smallest_kick(
 
     Raises:
         ValueError, TypeError: arguments out of range, or an orbit that is not linearly stable.
-        KickError: nothing is found.
-        KeyboardInterrupt: an interruption before any kick is known to escape.
+        KickError: no start escapes.
+        KeyboardInterrupt: an interruption before any kick escapes.
     """
     check(orbit, time, distance, norm, starts, seed)
     runner = Runner(progress, workers, executor)

@@ -89,7 +89,7 @@ class Quantity:
     """True and estimated error, absolute, of something of size `scale`.
 
     `bounded` is the relative error that the tolerance is to bound, `expected` the result's own estimate of that one.
-    `excused` tells whether the result says that round-off keeps it from the tolerance.
+    `excused` is true where the result says that round-off keeps it from the tolerance.
     """
 
     name: str

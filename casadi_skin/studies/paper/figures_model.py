@@ -15,7 +15,7 @@ from casadi_skin.studies.paper.figures_families import Drawn
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
 from casadi_skin.studies.study import letter, stacked, table
 
-RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; told apart by arrows as well
+RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; distinguished by arrows as well
 
 
 # Figure 1 -----------------------------------------------------------------------------------------------------------

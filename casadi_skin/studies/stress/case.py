@@ -14,7 +14,7 @@ SPARE = 1.0 + 1e-9  # of a bound that is met but for its own rounding
 
 
 class RefusedError(Exception):
-    """The program did not compute what was asked, and said why; what it had computed may be judged in `finding`."""
+    """The program did not meet the request, and said why; its results so far may be judged in `finding`."""
 
     def __init__(self, message: str, finding: Finding | None = None) -> None:
         super().__init__(message)
@@ -36,7 +36,7 @@ class Finding:
 
     @property
     def promised(self) -> float:
-        """Digits that the result promises, or that the case asks for."""
+        """Digits that the result promises, or that the case requires."""
         return digits_of(self.allowed)
 
 

@@ -1,6 +1,6 @@
 """A setting computed: all that this study uses of the package beyond its public functions stands here.
 
-Public functions build their problems anew in each call, which is to be told apart from solving them.
+Public functions build their problems anew in each call, which is not part of solving them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Computation:
 
 
 def requested_orbits(branch: Branch) -> list[Orbit]:
-    """Orbits at the S that were asked for; raises ArithmeticError with the reason where the family has not all."""
+    """Orbits at the requested S; raises ArithmeticError with the reason where the family has not all."""
     if not branch.complete:
         raise ArithmeticError(branch.reason)
     return [orbit for orbit in branch.orbits if orbit.point.requested]

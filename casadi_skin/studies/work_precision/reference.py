@@ -29,7 +29,7 @@ class Errors(NamedTuple):
 
 
 class Reference:
-    """The orbits of a family at the S asked for, and their mu, in long double.
+    """The orbits of a family at the requested S, and their mu, in long double.
 
     `orbits` are those from which they start: the package's, by odd cosines and Newton's method to the tightest
     tolerance. Raises ArithmeticError where the family does not reach them.

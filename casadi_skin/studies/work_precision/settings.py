@@ -15,7 +15,7 @@ from casadi_skin.scene import PRESET_TOLERANCES
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)
-PARTS_OF_FAMILY = 5  # where no points are asked for
+PARTS_OF_FAMILY = 5  # by default
 SHOOTING_SITES = 6  # shooting integrates the sensitivities of all states to all: measured up to here
 SAME_ERROR = 1.5  # factor between errors that count as equal on a Pareto front
 SMALLEST = 1e-16  # written for an error of exactly zero
@@ -38,7 +38,7 @@ class FamilyCase:
         return replace(self, at=(*(end * k / PARTS_OF_FAMILY for k in range(1, PARTS_OF_FAMILY)), end))
 
     def request(self, **methods: Any) -> FamilyRequest:
-        """The family as it is asked of the package, by the methods given."""
+        """The request of the family to the package, by the methods of the setting."""
         return family_request(self.chain, self.mode, self.amplitude_max, at=self.at, **methods)
 
     @property
