@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """A polite kill ends a run like Ctrl-C: what was computed is written."""
+    """A polite kill ends a run like Ctrl-C: the results so far are written."""
     raise KeyboardInterrupt
 
 

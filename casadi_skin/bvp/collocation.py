@@ -36,7 +36,7 @@ class CollocationEquations(Problem):
     in_order = True
 
     def _discretise(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
-        """Set what the equations are made of."""
+        """Set the parts of the equations."""
         self.formulation, self.table, self.resolution = formulation, table, intervals
         self.degree = table.degree
         self.columns = intervals * table.ends.size + 1
@@ -130,7 +130,7 @@ class CollocationEquations(Problem):
 
     @property
     def places(self) -> ca.MX:
-        """Where the stages are in [0, 1], shape (1, K d)."""
+        """Places of the stages in [0, 1], shape (1, K d)."""
         lengths = self.constants_symbol
         starts = ca.cumsum(lengths) - lengths
         return ca.vec(ca.repmat(starts.T, self.degree, 1) + ca.DM(self.table.nodes) @ lengths.T).T
@@ -199,7 +199,7 @@ class CollocationEquations(Problem):
     # Values ---------------------------------------------------------------------------------------------------------
 
     def _fractions(self) -> Array:
-        """Where the columns of state values are in [0, 1], shape (columns,)."""
+        """Places of the columns of state values in [0, 1], shape (columns,)."""
         starts = mesh.edges(self.constants)[:-1]
         inner = starts[:, None] + self.constants[:, None] * self.table.ends
         return np.concatenate([[0.0], inner.ravel()])

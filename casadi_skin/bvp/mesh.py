@@ -1,4 +1,4 @@
-"""Where the intervals of a collocation mesh should lie: equidistribution of a monitor of the solution.
+"""The intervals of a collocation mesh: equidistribution of a monitor of the solution.
 
 With polynomials of degree d on intervals of length h the error between mesh points is proportional to h^(d+1) times
 the derivative of order d + 1. That derivative is estimated from the differences of the constant derivatives of order d

@@ -34,7 +34,7 @@ class OrbitProblem(Problem):
 
     @cached_property
     def output_scale(self) -> Array | None:
-        """Factors that make of the state values what users see, shape (states,); None where these are the same."""
+        """Factors from the state values to those that users see, shape (states,); None where these are the same."""
         factors = self.model.output_scale
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 

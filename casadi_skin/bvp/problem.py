@@ -1,4 +1,4 @@
-"""Equations with one unknown more: what every transcription offers to correctors and walkers."""
+"""Equations with one unknown more: the interface of every transcription to correctors and continuations."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ class Problem(ABC):
         return other
 
     def imbalance(self, z: Array) -> float:
-        """How unevenly the difficulty of z is spread over the unknowns, as largest over mean; 1 is best."""
+        """Imbalance of the difficulty of z over the unknowns, as largest over mean; 1 is best."""
         return 1.0
 
     def expected_error(self, z: Array, error: float, other: Problem) -> float:
@@ -233,7 +233,7 @@ class Problem(ABC):
         return np.asarray(np.cos(np.arange(self.size - 1) ** 2 % 6.25))
 
     def rounding(self, z: Array) -> float:
-        """Size of what rounding leaves of the residuals at z."""
+        """Size of the rounding errors in the residuals at z."""
         _, columns = self.pattern
         return EPSILON * float(np.max(np.abs(self.evaluate(z)[1] * z[columns])))
 

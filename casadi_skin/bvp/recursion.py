@@ -53,7 +53,7 @@ class _Products:
         return np.asarray(self.levels[-1][k])
 
     def complete(self, k: int) -> None:
-        """Add what the states' part of order k, now known, contributes to order k."""
+        """Add the contribution of the states' part of order k to the equations of order k."""
         for place, factor in zip(self._gathered, self._factors, strict=True):
             if place is not None:
                 factor[k] = self._series[k][place]

@@ -1,4 +1,4 @@
-"""How much of the period is unknown: decided by the symmetries that a model declares."""
+"""The unknown part of the period: decided by the symmetries that a model declares."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def pinned_components(model: OdeModel, symmetry: SymmetryClass) -> tuple[list[in
 
 
 def unfolded_phases(model: OdeModel, symmetry: SymmetryClass, theta: Array) -> tuple[Array, Array]:
-    """Where phases of the whole period lie in the part that is solved for, and the signs that the symmetries give.
+    """Places of phases of the whole period in the part that is solved for, and the signs that the symmetries give.
 
     Fractions of the part, shape (len(theta),), and signs of the full state, shape (len(theta), full_size).
     """

@@ -200,7 +200,7 @@ class TrigonometricProblem(OrbitProblem):
         return super().shared if self._kept is None else self._kept.shared
 
     def place(self, equation: int) -> str:
-        """Where an equation, counted from 0, holds, in words."""
+        """Place of an equation, counted from 0, in words."""
         if equation >= self.states:
             return super().place(equation)
         site, node = divmod(equation, self.resolution)

@@ -19,7 +19,7 @@ FIRST = 4  # highest harmonic of the smallest finite part
 
 
 def negative_eigenvalues(problem: Linearised, sigma: float) -> int | None:
-    """How many eigenvalues of L(sigma) are negative; None where no finite part of up to LARGEST rows decides."""
+    """Number of negative eigenvalues of L(sigma); None where no finite part of up to LARGEST rows decides."""
     highest = FIRST
     while problem.harmonics(highest).size * problem.positions <= LARGEST:
         found, helps = _count(problem, sigma, highest)

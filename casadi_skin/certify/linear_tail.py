@@ -1,4 +1,4 @@
-"""The linear tail of a long or infinite chain, solved exactly, with bounds of what its cubic terms do.
+"""The linear tail of a long or infinite chain, solved exactly, with bounds of the effect of its cubic terms.
 
 Beyond the site t of a core the chain goes on with L sites, L finite or not, in a gauge whose linear couplings are c to
 either side: (E_k + c (shifts)) a_k = cubic terms, E_k = lambda k^2 - alpha - 2. Where |E_k| > 2c the linear part has an

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class OperatorSize:
-    """Upper bounds of what the operator A makes of residuals.
+    """Upper bounds of the image of residuals under the operator A.
 
     Attributes:
         norms: of the weighted norms of the columns of A_f, shape (1 + positions * harmonics,).

@@ -24,7 +24,7 @@ def print_json(value: object) -> None:
 
 
 def print_results(directory: Path, complete: bool, reasons: Sequence[str]) -> None:
-    """Print what a run or a study has left in its directory.
+    """Print the results that a run or a study has left in its directory.
 
     Arguments:
         directory: where its files are.

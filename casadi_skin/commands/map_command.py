@@ -95,7 +95,7 @@ def _part(words: str | None) -> tuple[int, int] | None:
 
 
 def _told(found: Map, arguments: argparse.Namespace) -> int:
-    """Say what the map has and what it has not, and return the exit status."""
+    """Report the computed and the missing cells of the map, and return the exit status."""
     waits = found.waits and arguments.part is not None
     failures = [] if waits else [f"{cell}: {reason}" for cell, reason in found.failures(MOST_REASONS + 1)]
     reasons = failures[:MOST_REASONS]

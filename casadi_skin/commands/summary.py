@@ -169,7 +169,7 @@ def _print_proofs(branches: list[Branch]) -> None:
 
 
 def _proved_curve(branch: Branch) -> str:
-    """How far a family is proved to be one curve from its linear mode."""
+    """The part of a family that is proved to be one curve from its linear mode."""
     try:
         return repr(branch.certify(0.0, float(branch.S[-1])))
     except ValueError as error:

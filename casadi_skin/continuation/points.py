@@ -62,7 +62,7 @@ class ContinuationSettings:
 
     @property
     def ends(self) -> tuple[Target, ...]:
-        """Where the walk ends, whichever comes first."""
+        """Ends of the continuation, whichever comes first."""
         end = Target(Scalar.PARAMETER, self.parameter_max)
         return (end,) if self.Omega_end is None else (end, Target(Scalar.OMEGA, self.Omega_end))
 

@@ -88,6 +88,6 @@ class EdgeCurve(Result):
 
     @property
     def reason(self) -> str:
-        """How the curve ended, in a sentence."""
+        """The end of the curve, in a sentence."""
         words = "stopped where the condition holds" if self.end is None else str(self.end.value)
         return f"{words}: {self.detail}" if self.detail else words

@@ -1,4 +1,4 @@
-"""Where a curve of special orbits ends because the orbits shrink to an equilibrium."""
+"""The end of a curve of special orbits where the orbits shrink to an equilibrium."""
 
 from __future__ import annotations
 

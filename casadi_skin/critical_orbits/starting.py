@@ -1,4 +1,4 @@
-"""Where Newton's method on the extended problem of a special orbit starts: an orbit near it, and its null vectors."""
+"""Start of Newton's method on the extended problem of a special orbit: an orbit near it, and its null vectors."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Critical:
 
     @property
     def copies(self) -> int:
-        """How many linearised states there are."""
+        """Number of linearised states."""
         return 2 if self.kind in (TORUS, BRANCH_POINT) else 1
 
     @property

@@ -1,1 +1,1 @@
-"""Equilibria of any model: found, followed in a parameter, with their special points and what leaves there."""
+"""Equilibria of any model: solved, followed in a parameter, with special points and the branches that leave there."""

@@ -106,7 +106,7 @@ class EquilibriumSpace(EquilibriumEquations):
         yield from special_between(self, before, after)
 
     def target(self, name: str, value: float) -> Target:
-        """Where the parameter followed has a value."""
+        """Condition that the continuation parameter has a value."""
         if name != self.parameter or self.course is None:
             raise ValueError(f"at: given {name}; accepted: {self.parameter}")
         return Target(Scalar.PARAMETER, self.course.fraction(value))

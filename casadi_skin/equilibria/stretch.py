@@ -156,7 +156,7 @@ class Stretch:
         return np.asarray(_sign(g[0]) != _sign(g[-1]))
 
     def dip(self) -> float | None:
-        """Where a quantity of one sign at the samples seems to have the other one in between; None where none does."""
+        """A place where a quantity of one sign at the samples seems to have the other one; None where there is none."""
         g, _ = self.quantities
         towards = _sign(g[0]) * self._halves[0].values
         same = np.all(_sign(g) == _sign(g[0]), axis=0) & ~self.settled

@@ -1,4 +1,4 @@
-"""A branch as lines in a plane: a piece for each stretch of one stability, and marks of what stands out on it."""
+"""A branch as lines in a plane: a piece for each stretch of one stability, and marks of special points."""
 
 from __future__ import annotations
 

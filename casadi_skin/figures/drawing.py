@@ -51,7 +51,7 @@ def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
 
 @singledispatch
 def draw(result: Any, axes: Axes, **options: Any) -> None:
-    """Draw a result into axes; raises TypeError for what is no result, ValueError where there is nothing to draw."""
+    """Draw a result into axes; raises TypeError for other objects, ValueError where there is nothing to draw."""
     raise TypeError(f"no result that can be drawn: {type(result).__name__}")
 
 
@@ -91,7 +91,7 @@ def _(result: Diagram, axes: Axes, x: str | None = None, y: str | None = None) -
 
 
 def _look(branch: Branch, stable: bool | None) -> dict[str, Any]:
-    """How a stretch is drawn: of a family by its stability, else by its kind too, with broader lines for orbits."""
+    """Line style of a stretch: of a family by its stability, else by its kind too, with broader lines for orbits."""
     if isinstance(branch.space, Family):
         return LOOKS[stable]
     orbits = isinstance(branch.solutions[0], Orbit)
@@ -145,7 +145,7 @@ def _(result: Solution, axes: Axes, states: Sequence[str] | None = None) -> None
 
 
 def _names(solution: Solution) -> Sequence[str]:
-    """Names of what `evaluate` gives."""
+    """Names of the results of `evaluate`."""
     if isinstance(solution.space, Family):
         return solution.space.coordinates.position_names
     return solution.space.state_names
@@ -207,7 +207,7 @@ def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
 
 
 def _legend(axes: Axes, columns: int = 1) -> None:
-    """A legend in which each label stands once, with what was drawn before."""
+    """A legend in which each label stands once, together with earlier lines."""
     drawn, labels = axes.get_legend_handles_labels()
     if not labels:
         return

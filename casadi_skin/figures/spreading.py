@@ -1,4 +1,4 @@
-"""Where the energy of a lattice is in time: by site, its centre, participation number and second moment."""
+"""The energy of a lattice in time: by site, its centre, participation number and second moment."""
 
 from __future__ import annotations
 

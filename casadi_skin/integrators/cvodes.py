@@ -31,7 +31,7 @@ STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end m
 
 
 class CvodesError(ArithmeticError):
-    """CVODES did not reach the end: the message says what it returned, as in "it returned CV_TOO_MUCH_WORK"."""
+    """CVODES did not reach the end: the message names its return value, as in "it returned CV_TOO_MUCH_WORK"."""
 
 
 @dataclass(frozen=True)

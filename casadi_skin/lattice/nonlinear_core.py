@@ -1,4 +1,4 @@
-"""How many cells at an edge of a long lattice are nonlinear, and these by themselves as a model."""
+"""The number of cells at an edge of a long lattice that are nonlinear, and these by themselves as a model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HARMONICS = 4  # that are looked at before anything is solved
 
 @dataclass(frozen=True)
 class Core:
-    """How many cells are unknown, and the decay a cell in the gauge that these are enough for."""
+    """The number of unknown cells, and the decay a cell in the gauge for which these are enough."""
 
     cells: int
     slowest: float

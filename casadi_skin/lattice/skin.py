@@ -22,7 +22,7 @@ ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding n
 
 
 def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
-    """How often the spectrum of the ring winds round values of omega^2, as the wave number goes from 0 to 2 pi.
+    """Winding number of the spectrum of the ring round values of omega^2, as the wave number goes from 0 to 2 pi.
 
     Arguments:
         lattice: a lattice in one dimension whose cells are all alike.

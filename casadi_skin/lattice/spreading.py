@@ -1,4 +1,4 @@
-"""How energy spreads over a lattice in time: by site, its centre, participation number and second moment."""
+"""The spreading of energy over a lattice in time: by site, its centre, participation number and second moment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from casadi_skin.lattice.lattice import Bond, Lattice, Site
 
 @dataclass(frozen=True, eq=False)
 class Spreading:
-    """Where the energy of a lattice is in time; dimensionless.
+    """The distribution of the energy of a lattice in time; dimensionless.
 
     Attributes:
         t: times, shape (time,).
@@ -45,7 +45,7 @@ class Spreading:
 
 
 def spreading(evolution: Evolution) -> Spreading:
-    """Where the energy of a lattice is in the course of a time evolution.
+    """The distribution of the energy of a lattice in the course of a time evolution.
 
     Arguments:
         evolution: of a `Lattice`, or a `Chain` of finite length.

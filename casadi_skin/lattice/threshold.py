@@ -1,4 +1,4 @@
-"""Where the end breather of a long chain is born: the amplitude at which its frequency leaves the band."""
+"""The threshold of the end breather of a long chain: the amplitude at which its frequency leaves the band."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random points at which what a lattice shows of itself is checked."""
+"""Random points at which the properties of a lattice are checked."""
 
 from __future__ import annotations
 

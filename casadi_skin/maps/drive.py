@@ -56,7 +56,7 @@ class Drive:
     _shown: float = -math.inf
 
     def run(self) -> bool:
-        """Compute what is missing; False where the share of another part is waited for."""
+        """Compute the missing cells; False where the share of another part is still to come."""
         seen = np.zeros(self.grid.size, dtype=bool)
         for batch in self._batches():
             seen[batch] = True
@@ -146,7 +146,7 @@ class Drive:
             return None
 
     def _take_over(self, waiting: dict[Future[bytes], Task], attempt: int) -> None:
-        """Record what was under way on a lost engine, and go on with workers of this machine."""
+        """Record the tasks under way on a lost engine, and go on with workers of this machine."""
         reason = self.engine.lost() or "the engine is lost"
         for task in waiting.values():
             self._keep(task, Result(kind=LOST, reason=reason), attempt)
@@ -162,7 +162,7 @@ class Drive:
         self.computed += len(task.cells)
 
     def _show(self) -> None:
-        """The place of the map, and an estimate of what is left."""
+        """The place of the map, and an estimate of the remaining time."""
         now = time.monotonic()
         if now - self._shown < SHOW:
             return

@@ -85,7 +85,7 @@ def dask_engine(address: str) -> Engine:
 
 
 def given_engine(executor: Executor) -> Engine:
-    """An executor of the caller, who ends it; raises TypeError for what is none."""
+    """An executor of the caller, who ends it; raises TypeError for other objects."""
     if not isinstance(executor, Executor):
         raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor")
     count = getattr(executor, "_max_workers", None)
@@ -98,5 +98,5 @@ def given_engine(executor: Executor) -> Engine:
 
 
 def check_workers(name: str, workers: object) -> int:
-    """The number of workers; raises ValueError for what is none."""
+    """The number of workers; raises ValueError for other values."""
     return whole(name, workers, 1, MOST_WORKERS)

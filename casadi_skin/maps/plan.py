@@ -1,4 +1,4 @@
-"""The plan of a map: how many cells, what one costs (measured now) and what all of them will."""
+"""The plan of a map: the number of cells, the cost of one (measured now) and of all."""
 
 from __future__ import annotations
 

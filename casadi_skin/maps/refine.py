@@ -1,4 +1,4 @@
-"""Which cells a map needs next: those of the coarsest grid, then those where what is watched changes.
+"""The cells that a map needs next: those of the coarsest grid, then those where the watched quantities change.
 
 The grid is halved where the corners of a box, or cells computed on its sides, differ. What is needed follows from the
 cells that are known alone, so that every engine, and a map that is resumed, computes the same.

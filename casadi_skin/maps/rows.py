@@ -1,4 +1,4 @@
-"""The result of a cell as a row of named quantities: those of its solution, what is special, and how it ended."""
+"""The result of a cell as a row of named quantities: its solution, its special points, and its end."""
 
 from __future__ import annotations
 

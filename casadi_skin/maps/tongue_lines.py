@@ -1,4 +1,4 @@
-"""Where families first become unstable, over a parameter: edges of tongues, followed from one of them in the parameter.
+"""First instabilities of families over a parameter: edges of tongues, followed from one of them in the parameter.
 
 Neighbouring families that enter the same tongue share a line. It goes on to the neighbours on both sides, at which
 another tongue is the first one, as long as no other line lies below it.
@@ -28,7 +28,7 @@ Bound = Callable[[Sequence[Any], float], Request]
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a family first becomes unstable: its value of the parameter, S, the tongue, and a cell of it."""
+    """The first instability of a family: its value of the parameter, S, the tongue, and a cell of it."""
 
     value: float
     S: float

@@ -1,4 +1,4 @@
-"""Worker processes, one for each thread that computes cells: what ends or hangs there ends nothing else.
+"""Worker processes, one for each thread that computes cells: one that ends or hangs leaves the others alone.
 
 The same on every engine: a cell is computed in a process of its own kind, with one thread of linear algebra, so that
 its numbers do not depend on what started it.
@@ -83,7 +83,7 @@ class Worker:
         return here
 
     def _how_it_ended(self, error: BaseException) -> str:
-        """Why there is no result, in words; what is left of the process ends."""
+        """Reason why there is no result, in words; the rest of the process ends."""
         process = self._process
         if process is None:
             return f"no worker could be started ({error})"
@@ -110,7 +110,7 @@ class Worker:
 
 
 def compute(job: bytes, task: bytes, limit: float | None) -> bytes:
-    """The encoded result of a task, computed by the worker of this thread: what every engine runs."""
+    """The encoded result of a task, computed by the worker of this thread: the function that every engine runs."""
     worker = getattr(_here, "worker", None)
     if worker is None:
         worker = _here.worker = Worker()

@@ -44,7 +44,7 @@ def direction(model: OdeModel, name: str) -> Expression | None:
 
 
 def directions(model: OdeModel) -> dict[str, Expression]:
-    """Directions of the symmetries that are known, by the names of what they conserve."""
+    """Directions of the symmetries, by the names of the quantities that they conserve."""
     found = {name: direction(model, name) for name in model.conserved}
     return {name: expression for name, expression in found.items() if expression is not None}
 

@@ -1,4 +1,4 @@
-"""The equations of a model and what it declares of them, as data: symbols, expressions, signs and names."""
+"""The equations and declarations of a model as data: symbols, expressions, signs and names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Somebody's FMU as a file: its description is checked, and what is needed of it is unpacked."""
+"""An imported FMU as a file: its description is checked, and its necessary parts are unpacked."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def _check_xml(text: bytes) -> None:
 
 
 def _library(path: Path, description: Any, names: tuple[str, ...], folder: Path) -> Path:
-    """Where the library for this platform will be."""
+    """Place of the library for this platform."""
     here = platform_folder(description.fmiVersion)
     name = f"binaries/{here}/{description.modelExchange.modelIdentifier}.{library_ending()}"
     if name not in names:

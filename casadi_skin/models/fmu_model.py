@@ -37,12 +37,12 @@ class FmuModel(OdeModel):
 
     @property
     def derivatives(self) -> str:
-        """How the Jacobian by the states is computed: "directional" or "differences"."""
+        """Method for the Jacobian by the states: "directional" or "differences"."""
         return self.functions[0].derivatives.by_states
 
     @property
     def parameter_derivatives(self) -> str:
-        """How the Jacobian by the parameters is computed: "directional" or "differences"."""
+        """Method for the Jacobian by the parameters: "directional" or "differences"."""
         return self.functions[0].derivatives.by_parameters
 
     @property

@@ -55,7 +55,7 @@ class FamilyStatement:
         maximise: bool = False,
         tolerance: float = 1e-8,
     ) -> Self:
-        """From the arguments of `search_orbit`; raises ValueError and TypeError for what cannot be meant."""
+        """From the arguments of `search_orbit`; raises ValueError and TypeError for values that are not accepted."""
         several = isinstance(S, list | tuple | np.ndarray)
         amplitudes = tuple(real_array("S", S).ravel().tolist()) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:

@@ -1,4 +1,4 @@
-"""Names of what a search may free and of the quantities that it may optimise or bound; loads no numerics."""
+"""Names of the numbers that a search may free and of the quantities that it may optimise or bound; without numerics."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Limits:
         return np.setdiff1d(np.arange(self.low.size), self.condition_rows)
 
     def violations(self, g: Array) -> Array:
-        """How far each constraint is from its bounds, shape (rows,)."""
+        """Distance of each constraint from its bounds, shape (rows,)."""
         return np.asarray(np.maximum(np.maximum(self.low - g, g - self.high), 0.0))
 
 
@@ -125,7 +125,7 @@ class Nlp:
         return self._constraints(x, self.p)[1].sparse().tocsc()
 
     def gradient(self, x: Array) -> Array:
-        """Derivative of what Ipopt minimises, shape (size,)."""
+        """Derivative of the objective of Ipopt, shape (size,)."""
         return np.array(self._gradient(x, self.p)[1]).ravel()
 
     def hessian(self, x: Array, lam_g: Array) -> Any:
@@ -133,7 +133,7 @@ class Nlp:
         return ca.triu2symm(self._hessian(x, self.p, 1.0, lam_g)).sparse().tocsc()
 
     def violations(self, x: Array) -> Array:
-        """How far each constraint is from its bounds at x, shape (rows,)."""
+        """Distance of each constraint from its bounds at x, shape (rows,)."""
         return self.limits.violations(self.residual(x))
 
     def row_name(self, row: int, x: Array) -> str:

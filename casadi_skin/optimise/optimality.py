@@ -36,7 +36,7 @@ class Kkt:
 
 @dataclass(frozen=True)
 class Optimality:
-    """How well a point satisfies the conditions of optimality.
+    """The conditions of optimality at a point, and how well they hold.
 
     Attributes:
         kkt: the conditions of first order.

@@ -83,7 +83,7 @@ class OrbitSearch:
         cycles: int = 1,
         **method: Any,
     ) -> OrbitSearch:
-        """From the arguments of `search_orbit`; raises ValueError and TypeError for what cannot be meant."""
+        """From the arguments of `search_orbit`; raises ValueError and TypeError for values that are not accepted."""
         accuracy_of(method)  # raises for options that are not accepted
         if objective is None and running is None:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
@@ -200,7 +200,7 @@ class OrbitSearch:
         return _Stated(space, BoundaryNlp(problem, space.tolerance, **more), x, more)
 
     def _statement(self, plain: Orbit) -> Statement:
-        """The plain orbit's problem with free parameters, bounds and what is optimised."""
+        """The plain orbit's problem with free parameters, bounds and the objective."""
         statement = plain.statement
         stated: dict[str, Any] = {}
         if "objective" in self.named:
@@ -271,7 +271,7 @@ class _Stated:
 
 
 def _quantities(model: OdeModel) -> tuple[str, ...]:
-    """Names of what may be optimised or bounded."""
+    """Names of the quantities that may be optimised or bounded."""
     conserved = () if model.hamiltonian is None else (CONSERVED,)
     return tuple(dict.fromkeys((*SPECIAL, *model.state_names, *model.parameter_names, *model.outputs, *conserved)))
 

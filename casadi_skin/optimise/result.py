@@ -13,7 +13,7 @@ from casadi_skin.optimise.search_problem import Outcome, SearchProblem
 
 
 class SearchStatus(Enum):
-    """How a search ended."""
+    """End of a search."""
 
     FOUND = "found an optimum inside its bounds"
     ON_BOUND = "the best optimum sits on a bound"

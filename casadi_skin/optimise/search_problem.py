@@ -21,7 +21,7 @@ MARGIN = 0.02  # of a range, which starts keep from its ends
 
 
 class Ending(Enum):
-    """How one start ended."""
+    """End of one start."""
 
     CONVERGED = "an optimum"
     INFEASIBLE = "nothing near the start meets the constraints"

@@ -1,1 +1,1 @@
-"""Orbits and solutions, their branches, changes of stability; what finds and follows them."""
+"""Orbits and solutions, their branches and changes of stability, with the solvers and continuations."""

@@ -1,4 +1,4 @@
-"""The amplitude S of families of a model: the sum of squares at rest, or what its normalisation says."""
+"""The amplitude S of families of a model: the sum of squares at rest, or the S of its normalisation."""
 
 from __future__ import annotations
 

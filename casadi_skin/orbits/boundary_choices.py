@@ -20,7 +20,7 @@ DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, by
 
 
 def boundary_method(options: Mapping[str, Any]) -> Method:
-    """The methods of a boundary-value problem, every choice made; raises ValueError for what is not accepted."""
+    """The methods of a boundary-value problem, every choice made; raises ValueError for values out of range."""
     for name, accepted, first in (
         ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
         ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
@@ -43,7 +43,7 @@ class Sizes:
 
     @classmethod
     def of(cls, statement: Statement, guess: Array) -> Sizes:
-        """A thousandth of what each component of the guess has, as components have units; 1 for a guess of zeros."""
+        """A thousandth of each component of the guess, as components have units; 1 for a guess of zeros."""
         states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
         values = np.array([statement.values[name] for name in statement.free])
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))

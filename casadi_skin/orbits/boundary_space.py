@@ -198,7 +198,7 @@ class BoundarySpace:
         return resting_places(periodic.model, states, p, periodic.turns)
 
     def shrinks(self, before: Point, after: Point) -> bool:
-        """Whether an orbit with a free period passes through amplitude zero: what varies in it changes its sign."""
+        """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
         varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
@@ -214,7 +214,7 @@ class BoundarySpace:
         return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
 
     def target(self, name: str, value: float) -> Target:
-        """Where the parameter followed, or an unknown period or frequency, has a value."""
+        """Condition that the continuation parameter, or an unknown period or frequency, has a value."""
         if name == self.parameter:
             return Target(Scalar.PARAMETER, self._fraction(value))
         if self.periodic is not None and PERIOD in self.statement.free and name in (PERIOD, "Omega"):

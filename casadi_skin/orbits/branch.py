@@ -287,7 +287,7 @@ class Branch(Result):
 
     @property
     def reason(self) -> str:
-        """How the branch ended, in a sentence."""
+        """The end of the branch, in a sentence."""
         return Ending(self.space, self.solutions, self.end, self.detail, self.misses, self.stopped).reason
 
     # At any value -----------------------------------------------------------------------------------------------------

@@ -116,7 +116,7 @@ class _Stretch:
         return [*self.roots(low, middle), *self.roots(middle, high)]
 
     def _place(self, low: float, high: float, count: int) -> float:
-        """Where branches cross within a part of the way, one or an even number of them in one place."""
+        """Places where branches cross within a part of the way, one or an even number of them in one place."""
         first = self.side(low)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""How the unknowns of a family belong to the orbits of its model: scaled positions, amplitude, linear mode.
+"""The unknowns of a family in terms of the orbits of its model: scaled positions, amplitude, linear mode.
 
 A family is solved in scaled positions q: the positions of the model are y = a D q, with the amplitude a = sqrt(S), a
 diagonal matrix D of positive factors, and sum_n (D_n q_n(0))^2 = 1, so that S = sum_n y_n(0)^2 exactly. The linear mode

@@ -1,4 +1,4 @@
-"""How many branches cross a stretch of a branch, an even number too: eigenvalues from one end of it to the other.
+"""The number of branches that cross a stretch of a branch, an even one too: eigenvalues from one end to the other.
 
 The Jacobian bordered by the tangent is J0 at one end and J1 at the other. The eigenvalues of J0^-1 J1 are all 1 where
 the ends coincide, and one of them passes through zero where J1 passes a branch point: as many are negative as branches
@@ -48,7 +48,7 @@ def closed(problem: Problem, nonzeros: Array, row: Array) -> csc_matrix:
 
 
 def crossings(before: Bordered, after: Bordered) -> int:
-    """How many branches cross between two places: the negative eigenvalues of one matrix relative to the other."""
+    """The number of branches that cross between two places: negative eigenvalues of one matrix relative to another."""
     if np.min(outer_eigenvalues(before, after.matrix).real, initial=1.0) > SUSPECT:
         return 0
     values = _eigenvalues(before, after)

@@ -39,7 +39,7 @@ class Ending:
 
     @property
     def reason(self) -> str:
-        """How the branch ended, in a sentence."""
+        """The end of the branch, in a sentence."""
         if any(self.misses.values()):
             return "; ".join([*self._missing(), *([self.detail] if self.detail else [])])
         if self.stopped:

@@ -1,4 +1,4 @@
-"""How an orbit is shared out among its harmonics, and where along a family the third takes over from the first.
+"""The shares of harmonics in an orbit, and the place along a family where the third takes over from the first.
 
 Where 3 Omega reaches the band of a softening family, the family turns into a third harmonic of a linear mode that
 fills the lattice: an internal resonance.

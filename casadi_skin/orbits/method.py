@@ -1,4 +1,4 @@
-"""How orbits are computed, and where along a branch they are wanted: frozen objects that are handed on whole."""
+"""Numerical methods of orbits, and the places along a branch where they are wanted: frozen objects."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Targets:
-    """Where orbits of a family are wanted exactly, and where it ends but for its largest amplitude.
+    """Places where orbits of a family are wanted exactly, and its ends but for its largest amplitude.
 
     Attributes:
         at: values of S, ascending.

@@ -1,4 +1,4 @@
-"""Points of a branch where neighbours are too far apart to predict what lies between them: a walk in smaller steps.
+"""Neighbouring points of a branch that are too far apart to predict the stretch between them: smaller steps there.
 
 In a narrow resonance a branch turns aside, goes far and comes back, as it was or half a period later. A walk in long
 steps may pass it by, so that two neighbouring points are on either side of it and no orbit is where they predict it.

@@ -27,7 +27,7 @@ class Optimality:
 
 @dataclass(frozen=True)
 class Optimum:
-    """The smallest value found of what is minimised, with its estimated error, and the optimality conditions there."""
+    """The smallest value of the objective, with its estimated error, and the optimality conditions there."""
 
     objective: float
     objective_error: float

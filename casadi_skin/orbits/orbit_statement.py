@@ -1,4 +1,4 @@
-"""A periodic orbit as a boundary-value problem: how it closes, what fixes its phases, what is unfolded.
+"""A periodic orbit as a boundary-value problem: its closure, its phase conditions, its unfolding.
 
 An orbit of an autonomous model has an unknown period and a phase that an integral condition fixes (Doedel 1981): the
 orbit is orthogonal to the derivative of a reference, here a trigonometric polynomial made from the guess, beside what a
@@ -137,7 +137,7 @@ class Asked:
 
     @property
     def selects(self) -> int:
-        """How many conditions pick an orbit among those at fixed parameters."""
+        """Number of conditions that pick an orbit among those at fixed parameters."""
         if self.symmetry is not SymmetryClass.FULL:
             return 1
         return len(self.unfolded) - len(self.symmetries)

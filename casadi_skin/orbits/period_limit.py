@@ -1,4 +1,4 @@
-"""Where the period of a branch of orbits grows without bound: the orbits come to one that joins equilibria.
+"""The limit of a branch of orbits whose period grows without bound: an orbit that joins equilibria.
 
 Near a homoclinic orbit to a saddle the parameter comes to its limit as exp(-lambda T), near one to a saddle-node as a
 power of T (Kuznetsov 2004, sections 6.2 and 7.1). Both are a power law of T locally: from the rates dp/dT at two orbits
@@ -33,7 +33,7 @@ NEAR = 0.2  # of what the orbit varies by: how far from its slowest place an equ
 
 
 def limit_between(start: Point, before: Point, after: Point, tolerance: float) -> float | None:
-    """How far the parameter is from its limit at the later of two orbits, where the period grows without bound there.
+    """Distance of the parameter from its limit at the later of two orbits, where the period grows without bound.
 
     Arguments:
         start: of the branch.
@@ -57,7 +57,7 @@ def _period(point: Point) -> tuple[float, float]:
 
 
 def _distance(before: Point, after: Point) -> float:
-    """How far the parameter is from its limit by a power law; infinite where there is none at a finite distance."""
+    """Distance of the parameter from its limit by a power law; infinite where there is none at a finite distance."""
     (one, first), (other, last) = _period(before), _period(after)
     moved = abs(after.parameter - before.parameter)
     moves = [float(point.tangent[point.problem.parameter_index]) for point in (before, after)]

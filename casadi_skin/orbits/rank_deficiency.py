@@ -1,4 +1,4 @@
-"""Why equations cannot be solved: which conditions repeat or contradict each other, and what they leave open.
+"""Equations that cannot be solved: the conditions that repeat or contradict each other, and the open unknowns.
 
 Where the linearised equations are singular, the left null vector weighs the conditions that depend on each other, and
 the right null vector is what they do not determine. Both come from inverse iteration on the slightly perturbed matrix

@@ -1,4 +1,4 @@
-"""Where stability changes between two orbits of a branch, by root finding on corrected orbits."""
+"""Changes of stability between two orbits of a branch, by root finding on corrected orbits."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class _Bracket:
         self.first, self.last, self.low, self.high = before, after, 0.0, 1.0
 
     def value(self, orbit: Solution) -> float:
-        """Where an orbit is along the branch."""
+        """Place of an orbit along the branch."""
         return self._space.value(self._space.parameter, orbit.point)
 
     @property
     def width(self) -> float:
-        """Distance in what is followed."""
+        """Distance in the continuation parameter."""
         return abs(self.value(self.last) - self.value(self.first))
 
     @property

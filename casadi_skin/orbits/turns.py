@@ -1,4 +1,4 @@
-"""Where the quantity that is followed turns back between two points of a branch, also twice within one step.
+"""Turns of the continuation parameter between two points of a branch, also two within one step.
 
 Its rate is known at both ends, and at a place between where it comes near zero or changes much. Hermite curves through
 two and through three of them differ by what bounds their errors; a stretch is divided until the rate has no root within
@@ -47,7 +47,7 @@ def _turning(point_solver: PointSolver, before: Point, after: Point, depth: int)
 
 
 def rate(point: Point) -> float:
-    """Rate of what is followed along the branch."""
+    """Rate of the continuation parameter along the branch."""
     return float(point.tangent[point.problem.parameter_index])
 
 
@@ -60,7 +60,7 @@ def _between(point_solver: PointSolver, before: Point, after: Point, fraction: f
 
 
 def _through(point_solver: PointSolver, points: list[Point]) -> Polynomial:
-    """The rate of what is followed from 0 to 1, by the polynomial through its values and rates at points."""
+    """The rate of the continuation parameter from 0 to 1, by the polynomial through values and rates at points."""
     problem = points[-1].problem
     index = problem.parameter_index
     z = [point.problem.prolong(point.z, problem) for point in points]
@@ -83,7 +83,7 @@ def _steady(found: Polynomial) -> bool:
 
 
 def _unsettled(coarse: Polynomial, fine: Polynomial) -> float | None:
-    """Where a stretch is to be divided; None where the rate has no root, or a simple one, within the bounds."""
+    """The place to divide a stretch; None where the rate has no root, or a simple one, within the bounds."""
     g, missed = fine(PLACES), float(np.max(np.abs(fine(PLACES) - coarse(PLACES))))
     half = np.where(PLACES < WITHIN, PLACES / WITHIN, (PLACES - WITHIN) / (1.0 - WITHIN))
     bound = BOUND * missed + MARGIN * float(np.ptp(g))

@@ -40,7 +40,7 @@ def _fine_times(solution: Solution) -> Array:
 
 
 def _vertex(t: Array, x: Array, k: int) -> float:
-    """Where the parabola through three samples has its vertex; the sample itself at an end or on a line."""
+    """The vertex of the parabola through three samples; the sample itself at an end or on a line."""
     if k in (0, t.size - 1):
         return float(t[k])
     left, right = t[k - 1] - t[k], t[k + 1] - t[k]

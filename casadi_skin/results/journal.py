@@ -1,4 +1,4 @@
-"""The journal of a run: what is computed, appended to one file and flushed to disk at once.
+"""The journal of a run: results, appended to one file and flushed to disk at once.
 
 A record is MessagePack behind a header: a mark, the format, the length, and a CRC-32 of all of these. Reading ends at
 the first record that is cut off, damaged, or of another format; what was written before it holds.

@@ -1,4 +1,4 @@
-"""A quantity of a solution, and a solution with its marks: what tables and datasets are made of."""
+"""A quantity of a solution, and a solution with its marks: the elements of tables and datasets."""
 
 from __future__ import annotations
 

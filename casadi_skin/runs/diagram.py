@@ -1,4 +1,4 @@
-"""A bifurcation diagram: what leaves a branch, curves in two parameters, and the files of all of them."""
+"""A bifurcation diagram: branches that leave a branch, curves in two parameters, and the files of all of them."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to e
 
 
 def plan_lines(request: Request) -> Lines:
-    """Pairs (subject, text) that describe what a run of the request would do."""
+    """Pairs (subject, text) that describe the work of a run of the request."""
     scene, lines = request.scene, _model_lines(request)
     if scene.spectrum is not None:
         lines.append(("spectrum", "linear frequencies and modes"))

@@ -35,7 +35,7 @@ def search_table(scene: Scene) -> SearchTable:
 
 
 def family_search(request: Request) -> FamilySearch:
-    """The search of the scene's [search]; raises ValueError or TypeError for what cannot be meant."""
+    """The search of the scene's [search]; raises ValueError or TypeError for values that are not accepted."""
     table, model = search_table(request.scene), request.model
     constraints = [
         (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))

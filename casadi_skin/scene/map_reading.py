@@ -138,7 +138,7 @@ def _plain(value: object) -> object:
 
 
 def paths_of(scene: Scene, name: str) -> tuple[Path, ...]:
-    """Where the values of an axis go: one place, or one for each of the parameters that a name holds."""
+    """Targets of the values of an axis: one place, or one for each of the parameters that a name holds."""
     found = tuple(path_of(scene, part.strip()) for part in name.split(TOGETHER))
     if len(found) > 1 and AMPLITUDE in found:
         raise refusal(f"[map] {cut(name)}", "S among several", "S alone, or amplitude_max")

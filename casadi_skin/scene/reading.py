@@ -1,4 +1,4 @@
-"""Reading a scene from TOML: names first, then types and bounds by msgspec, then what ties keys together."""
+"""Reading a scene from TOML: names first, then types and bounds by msgspec, then relations between keys."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and as arbiter of what is reported."""
+"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and as arbiter of reported results."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class _Entries:
 
 @dataclass(frozen=True)
 class _Band:
-    """Where each non-zero of the Jacobian goes: the band, the columns right of it, the rows below, the corner.
+    """Places of the non-zeros of the Jacobian: the band, the columns right of it, the rows below, the corner.
 
     The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
     """

@@ -11,7 +11,7 @@ from casadi_skin.bvp.problem import Array, Problem
 
 
 class Status(Enum):
-    """How a correction ended, in a readable sentence."""
+    """The end of a correction, in a readable sentence."""
 
     CONVERGED = "converged"
     TOO_MANY_ITERATIONS = "the iteration did not converge in the steps allowed"

@@ -78,7 +78,7 @@ class NewtonCorrector:
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
 
     def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:
-        """Where the longest of the halved steps leads that makes the residuals smaller; None where none does."""
+        """The point of the longest of the halved steps that makes the residuals smaller; None where none does."""
         before = self._total(z, row, value)
         trials = (z - 0.5**k * step for k in range(HALVINGS))
         return next((x for x in trials if self._total(x, row, value) <= (1.0 - DECREASE) * before), None)

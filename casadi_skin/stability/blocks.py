@@ -1,4 +1,4 @@
-"""Invariant blocks of the matrices on short intervals: what can meet is kept together, what cannot is taken apart.
+"""Invariant blocks of the matrices on short intervals: mu that can meet are kept together, others are separated.
 
 On an interval the matrix K(s) has eigenvalues mu that stay apart from one another and some that may meet. With the
 eigenvectors at its middle as coordinates K is nearly diagonal, and a basis T(s) with unit diagonal blocks makes it

@@ -76,7 +76,7 @@ def find_changes(
 def _looked_at(
     branch: BranchSampler, tolerance: float, work: float, progress: Callable[[float], None] | None, short: bool
 ) -> tuple[Interpolated, Crossings]:
-    """Pieces of the branch one after the other, and what happens on them, as far as the work allows."""
+    """Pieces of the branch one after the other, and the events on them, as far as the work allows."""
     known, found = Interpolated(), Crossings()
     for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
         for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
@@ -90,7 +90,7 @@ def _looked_at(
 
 
 def _unknown(known: Interpolated, found: Crossings) -> set[float]:
-    """Coordinates where what is known of the branch, or of its multipliers, ends."""
+    """Coordinates where the computed part of the branch, or of its multipliers, ends."""
     starts = {piece.matrices.start for piece in known.pieces}
     ends = {piece.matrices.end for piece in known.pieces}
     return (starts ^ ends) | {coordinate for gap in (*known.gaps, *found.gaps) for coordinate in (gap.start, gap.end)}

@@ -1,4 +1,4 @@
-"""Functions on an interval whose zeros are edges of instabilities, with what their errors make of these."""
+"""Functions on an interval whose zeros are edges of instabilities, with the effects of their errors on these."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Function:
         return sorted(found)
 
     def width(self, x: float) -> float:
-        """How far a zero moves when the function changes by its error: by slope, or by curvature where that is more."""
+        """Change of a zero when the function changes by its error: by slope, or by curvature where that is more."""
         degree = len(self.coefficients) - 1
         matrix, error = chebyshev.derivative(degree), self.error(x)
         here, first = chebyshev.basis(x, degree), matrix @ self.coefficients

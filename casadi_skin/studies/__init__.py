@@ -1,1 +1,1 @@
-"""Studies: collections of scenes and what they show together."""
+"""Studies: collections of scenes and their joint results."""

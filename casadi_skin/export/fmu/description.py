@@ -188,7 +188,7 @@ def _text(root: ET.Element) -> bytes:
 
 
 def build_description(identifier: str, files: Iterable[str]) -> bytes:
-    """sources/buildDescription.xml of FMI 3.0: what another platform compiles, and how."""
+    """sources/buildDescription.xml of FMI 3.0: the sources and options for compilers on other platforms."""
     root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": identifier})
     group = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})

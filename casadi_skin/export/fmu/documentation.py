@@ -21,7 +21,7 @@ The equations keep it; a solver in y does so up to its errors at the far end, wh
 
 
 def page(description: Description, fmi: str) -> str:
-    """documentation/index.html: what the model is, its variables, how it was made and how it is compiled elsewhere."""
+    """documentation/index.html: the model, its variables, its origin and how it is compiled elsewhere."""
     problem = description.problem
     name = escape(problem.model.name)
     return f"""<!DOCTYPE html>

@@ -77,7 +77,7 @@ class KickSearch:
         return np.asarray(np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2) * (self.basis @ kick))
 
     def solve(self, start: KickStart, monitor: Monitor | None = None) -> KickOutcome:
-        """Where a start leads; raises KeyboardInterrupt only before a size of it is known to escape."""
+        """Outcome of a start; raises KeyboardInterrupt only before a size of it escapes."""
         first = self._first(start.name, start.direction)
         if first is None:
             return KickOutcome(start)
@@ -113,7 +113,7 @@ class KickSearch:
         return found
 
     def optimum(self, first: KickOptimum, monitor: Monitor | None = None) -> KickOptimum:
-        """Where Ipopt ends from a point."""
+        """End of Ipopt from a point."""
         states = replace(self.flow, time=first.time).run((self.basis @ first.kick)[None])[0]
         size = np.sqrt(self.flow.orbit.S) * self.scale  # the objective is the squared norm in these units
         report = monitor and (lambda i, f, v: monitor(i, float(size * np.sqrt(f)), v))

@@ -1,4 +1,4 @@
-"""A statement of the paper beside what this program computes, and the verdict."""
+"""A statement of the paper beside the result of this program, and the verdict."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Verdict(Enum):
-    """How a statement of the paper compares with the computation."""
+    """Verdict of the comparison of a statement of the paper with the computation."""
 
     AGREES = "agrees"
     IN_RANGE = "agrees in a stated range only"

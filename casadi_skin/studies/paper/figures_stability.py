@@ -1,4 +1,4 @@
-"""Figures 5 and 6 of the paper: Floquet analysis of the softening end breather, and what a kick makes of it."""
+"""Figures 5 and 6 of the paper: Floquet analysis of the softening end breather, and its course after a kick."""
 
 from __future__ import annotations
 

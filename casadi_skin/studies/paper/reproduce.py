@@ -72,7 +72,7 @@ class PaperReproduction(Study):
 
     @property
     def verdicts(self) -> dict[str, int]:
-        """How many claims have each verdict, most frequent first."""
+        """Number of claims by verdict, most frequent first."""
         return dict(Counter(claim.verdict for claim in self.claims).most_common())
 
     def report(self) -> Iterator[str]:

@@ -231,7 +231,7 @@ def _resonance_cases() -> Iterator[Case]:
 
 
 def _takeover(setup: Setup) -> Finding:
-    """Where the shares of first and third harmonic are equal, in the coefficients of 50 digits too."""
+    """The place of equal shares of first and third harmonic, in the coefficients of 50 digits too."""
     orbit = third_harmonic_leads(setup.family())
     if orbit is None:
         return Finding("the third harmonic never leads", 1.0, SHARES_ALLOWED)

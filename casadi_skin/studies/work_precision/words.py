@@ -189,7 +189,7 @@ def _error(value: float) -> str:
 def recommendations(
     family: FamilyCase, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
 ) -> str:
-    """All of it as Markdown: what was measured, what to use, where the presets sit, and the table."""
+    """The whole page as Markdown: measurements, recommendations, places of the presets, and the table."""
     chain = family.chain
     tolerances = promised(measured)
     fronts = (front_words(measured, kind, bounded(kind, *known)) for kind in (Kind.ORBITS, Kind.FLOW))
