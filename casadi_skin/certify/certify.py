@@ -12,8 +12,8 @@ from casadi_skin.certify import balls
 from casadi_skin.certify.attempt import LARGEST, Attempt, attempt_of, carrying
 from casadi_skin.certify.bounds import uniqueness_radius
 from casadi_skin.certify.cosine_system import CosineSystem, Terms
-from casadi_skin.certify.linear_tail import tailed_system
 from casadi_skin.certify.model_terms import energy_terms, evaluate, system_of
+from casadi_skin.certify.tailed_system import tailed_system
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.certificate import NO_ABSENCE, Certificate, Interval
 from casadi_skin.orbits.family import Family

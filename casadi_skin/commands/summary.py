@@ -42,7 +42,7 @@ def print_summary(run: Run) -> None:
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
-        _print_of_families(run)
+        _print_offshoots(run)
     elif branches and run.request.scene.has_diagram:
         Console().print(_diagram(run, branches))
     elif branches:
@@ -55,9 +55,9 @@ def print_summary(run: Run) -> None:
     print(f"{count}results in {run.directory}")
 
 
-def _print_of_families(run: Run) -> None:
+def _print_offshoots(run: Run) -> None:
     """Branches and curves followed from families."""
-    found = run.of_families
+    found = run.offshoots
     if found.leaving:
         points = _counted([branch for _, branch in found.leaving])
         print(f"branches that leave: {len(found.leaving)}, with {points}")

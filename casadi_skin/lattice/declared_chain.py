@@ -3,37 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.declaration import FIXED
+from casadi_skin.lattice.declaration import FIXED, Declaration
 from casadi_skin.lattice.expressions import expression
 from casadi_skin.models.polynomial import NotPolynomialError, polynomial_terms
 
-if TYPE_CHECKING:
-    from casadi_skin.lattice.lattice import Lattice
 
-
-def declared_chain(lattice: Lattice, values: Mapping[str, float]) -> Chain | None:
+def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[str, float]) -> Chain | None:
     """The chain that a lattice is at some values of its parameters.
 
     Arguments:
-        lattice: any lattice.
+        declaration: of any lattice.
+        autonomous: whether it has neither damping nor drive.
         values: of all its parameters, by name.
 
     Returns:
         The chain with the same forces; None for any other lattice.
     """
-    declaration = lattice.declaration
     one = len(declaration.sites) == len(declaration.bonds) == 1 and declaration.boundary == (FIXED,)
-    if not one or not lattice.equations.autonomous or declaration.differing:
+    if not one or not autonomous or declaration.differing:
         return None
     along = declaration.bonds[0].offset[0]
-    mass, onsite = _powers(lattice, values, "site", "mass"), _powers(lattice, values, "site", "onsite")
-    force = _powers(lattice, values, "bond", "force")
-    gains = [_powers(lattice, values, "bond", f"gain {k}").get(0, 0.0) for k in (1, 2)]
+    mass, onsite = _powers(declaration, values, "site", "mass"), _powers(declaration, values, "site", "onsite")
+    force = _powers(declaration, values, "bond", "force")
+    gains = [_powers(declaration, values, "bond", f"gain {k}").get(0, 0.0) for k in (1, 2)]
     right, left = gains[::along] if abs(along) == 1 else (0.0, 0.0)
     if mass != {0: 1.0} or force != {1: 1.0} or not set(onsite) <= {1, 3}:
         return None
@@ -44,12 +40,12 @@ def declared_chain(lattice: Lattice, values: Mapping[str, float]) -> Chain | Non
     return Chain(declaration.size, onsite.get(1, 0.0), gamma, onsite.get(3, 0.0))
 
 
-def _powers(lattice: Lattice, values: Mapping[str, float], kind: str, field: str) -> dict[int, float]:
+def _powers(declaration: Declaration, values: Mapping[str, float], kind: str, field: str) -> dict[int, float]:
     """Coefficients of a formula by the power of its variable; {-1: nan} of what is no polynomial."""
     x = ca.SX.sym("x")
     known = {name: ca.SX(value) for name, value in values.items()} | {"y": x, "d": x}
     try:
-        terms = polynomial_terms(expression(lattice.declaration.formulas[kind, 0, field], known), x, ca.SX.sym("p"))
+        terms = polynomial_terms(expression(declaration.formulas[kind, 0, field], known), x, ca.SX.sym("p"))
     except NotPolynomialError:
         return {-1: float("nan")}
     return {term.degree: float(term.coefficients[0]) for term in terms}

@@ -99,7 +99,7 @@ class Lattice(OdeModel):
     ) -> Coordinates | None:
         """Those of the chain where the lattice declares one with such a family, else None; see `follow_family`."""
         values = named_values(self, parameters)
-        chain = declared_chain(self, values)
+        chain = declared_chain(self.declaration, self.equations.autonomous, values)
         if chain is None:
             return None
         try:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,6 @@ from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.period_limit import joined_words, limit_between, resting_phases, resting_places, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.rejoining import Left
 from casadi_skin.orbits.special_points import BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
@@ -47,6 +46,13 @@ if TYPE_CHECKING:
 INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+
+
+class ParentBranch(Protocol):
+    """The branch that a branch of orbits has left."""
+
+    def rejoined(self, own: BoundarySpace, before: Point, after: Point) -> Point | None:
+        """The orbit of the parent between two of the branch; None where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +84,7 @@ class BoundarySpace:
     first: Point | None = None
     settings: ContinuationSettings | None = None
     leaves: bool = False
-    left: Left | None = None
+    left: ParentBranch | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     knows_stability: bool = field(default=False, init=False)

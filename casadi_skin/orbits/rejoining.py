@@ -7,7 +7,6 @@ half a period later or as their mirror images. The others are the mean of both.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,8 @@ from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.boundary_space import BoundarySpace
 
 PLACES = 65  # along an orbit at which it is compared with its image
 NOTHING = 1e-9  # of the orbit: a difference that counts as zero

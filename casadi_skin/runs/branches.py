@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
 
@@ -32,12 +32,10 @@ from casadi_skin.results.branch_records import (
     stability_record,
 )  # fmt: skip
 from casadi_skin.results.journal import Journal
+from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.request import Request
 from casadi_skin.solvers.watch import watched
 from casadi_skin.stability.flow import FlowError
-
-if TYPE_CHECKING:
-    from casadi_skin.critical_orbits.edges import EdgeCurve
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
 
@@ -63,19 +61,6 @@ class Rows(Protocol):
 
 
 @dataclass
-class OfFamilies:
-    """Branches and edges followed from families; the lists fill as a run goes on.
-
-    Attributes:
-        leaving: branches that leave families, with their names.
-        edges: edges of tongues with the number of the mode, and their places in `changes` from 1.
-    """
-
-    leaving: list[tuple[str, Branch]] = field(default_factory=list)
-    edges: list[tuple[int, int, EdgeCurve]] = field(default_factory=list)
-
-
-@dataclass
 class Branches:
     """The branches of a request.
 
@@ -83,7 +68,7 @@ class Branches:
         branches, seconds: fill as branches end.
         failures: reasons why a part is not as requested, in a line each.
         tables: rows of what has been computed.
-        of_families: branches and edges followed from families.
+        offshoots: branches and edges followed from families.
     """
 
     request: Request
@@ -92,7 +77,7 @@ class Branches:
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
-    of_families: OfFamilies = field(default_factory=OfFamilies)
+    offshoots: Offshoots = field(default_factory=Offshoots)
 
     @property
     def _with_stability(self) -> bool:
@@ -138,9 +123,9 @@ class Branches:
                 with self._named(f"[continuation] switch: {name}: "):
                     self._follow(name, space, journal)
             finally:  # beside the families, also where it is interrupted
-                self.of_families.leaving += [(name, branch) for branch in self.branches[before:]]
+                self.offshoots.leaving += [(name, branch) for branch in self.branches[before:]]
                 del self.branches[before:]
-        follow_edges(families, table, self.of_families, self.failures, self.progress)
+        follow_edges(families, table, self.offshoots, self.failures, self.progress)
 
     @contextmanager
     def _named(self, where: str) -> Iterator[None]:

@@ -16,8 +16,8 @@ from casadi_skin.progress import Progress
 from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
-from casadi_skin.runs.branches import OfFamilies
 from casadi_skin.runs.diagram import ended_well
+from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of
@@ -26,7 +26,7 @@ from casadi_skin.scene.model_tables import ContinuationTable
 POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
 
 
-def reasons(found: OfFamilies) -> Iterator[str]:
+def reasons(found: Offshoots) -> Iterator[str]:
     """Why something that was followed from families did not end well, in a line each."""
     for name, branch in found.leaving:
         if not ended_well(branch):
@@ -55,7 +55,7 @@ def leaving_spaces(
 
 
 def follow_edges(
-    families: Sequence[Branch], table: ContinuationTable, found: OfFamilies, failures: list[str], progress: Progress
+    families: Sequence[Branch], table: ContinuationTable, found: Offshoots, failures: list[str], progress: Progress
 ) -> None:
     """Follow the edge at every change of stability of families in the second parameter."""
     if table.curve is None:
@@ -73,8 +73,8 @@ def follow_edges(
                 found.edges.append((mode_of(family), number, curve))
 
 
-def write_of_families(
-    request: Request, families: Sequence[Branch], found: OfFamilies, attributes: dict[str, float | str], directory: Path
+def write_offshoots(
+    request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
 ) -> None:
     """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
     rows = [row for family in families for row in _rows(f"j{mode_of(family)}", family)]

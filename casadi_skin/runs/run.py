@@ -14,8 +14,9 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.progress import Progress
 from casadi_skin.results.family_quantities import certified
-from casadi_skin.runs.branches import Branches, OfFamilies
+from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
+from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.tables import Tables
 from casadi_skin.runs.writing import mode_of, origin, write_branches, write_spectrum
@@ -46,7 +47,7 @@ class Run:
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
-    of_families: OfFamilies = field(default_factory=OfFamilies)
+    offshoots: Offshoots = field(default_factory=Offshoots)
     evolution: Evolution | None = None
     search: SearchResult | None = None
     exported: tuple[Path, ...] = ()
@@ -79,7 +80,7 @@ class Run:
         if self.request.scene.search is not None:  # its journal is of another kind
             return
         followed = Branches(
-            self.request, self._tables, self.progress, self.branches, self.seconds, self.failures, self.of_families
+            self.request, self._tables, self.progress, self.branches, self.seconds, self.failures, self.offshoots
         )  # fmt: skip
         followed.follow_all(self.directory / JOURNAL)
 
@@ -102,7 +103,7 @@ class Run:
             return self.failures
         from casadi_skin.runs.family_points import reasons
 
-        return [*reasons(self.of_families), *self.failures]
+        return [*reasons(self.offshoots), *self.failures]
 
     def _ended_well(self, branch: Branch) -> bool:
         """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
@@ -193,10 +194,10 @@ class Run:
             return
         write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
         if self.request.scene.family is not None and self.request.scene.continuation is not None:
-            from casadi_skin.runs.family_points import write_of_families
+            from casadi_skin.runs.family_points import write_offshoots
 
             attributes = origin(self.request, self.scene_text)
-            write_of_families(self.request, branches, self.of_families, attributes, self.directory)
+            write_offshoots(self.request, branches, self.offshoots, attributes, self.directory)
 
     def _report_unproved(self, branches: Sequence[Branch]) -> None:
         """Report orbits without a proof."""

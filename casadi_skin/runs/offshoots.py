@@ -1,0 +1,24 @@
+"""Branches and edges that a run follows from families."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from casadi_skin.orbits.branch import Branch
+
+if TYPE_CHECKING:
+    from casadi_skin.critical_orbits.edges import EdgeCurve
+
+
+@dataclass
+class Offshoots:
+    """Branches and edges followed from families; the lists fill as a run goes on.
+
+    Attributes:
+        leaving: branches that leave families, with their names.
+        edges: edges of tongues with the number of the mode, and their places in `changes` from 1.
+    """
+
+    leaving: list[tuple[str, Branch]] = field(default_factory=list)
+    edges: list[tuple[int, int, EdgeCurve]] = field(default_factory=list)
