@@ -121,7 +121,8 @@ def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
     with flint.ctx.workprec(balls.PRECISION):
         bounds, whole = tailed(16, core, S, harmonics, 1.05)
         Y, Z, W = bounds.Y(), bounds.Z(), bounds.W(1e-3)
-        finite, tail = bounds.finite_columns(), bounds.tailed
+        finite, tail, curvature = bounds.finite_columns(), bounds.tailed, float(bounds.tailed.curvature(1e-3))
+        derivatives = np.array([float(bounds.derivative_norm(n)) for n in range(core)])
         amplitude = bounds.series.system.tail.amplitude(bounds.series.tail_series, bounds.series.square)
     A, DF, F, weights = explicit(bounds, whole, 20)
     off = np.eye(len(DF)) - A @ DF
@@ -150,6 +151,12 @@ def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
     inertia = np.diag(float(bounds.series.square) * np.tile((2.0 * np.arange(20) + 1.0) ** 2, 16))
     forces = weights[rows] @ np.abs(DF[1:, 1:] - inertia) / weights[rows]
     assert 0.9 * float(tail.derivative) < np.max(forces[core * 20 :]) <= float(tail.derivative)
+    found = forces.reshape(16, 20)[:core].max(axis=1)  # the last has a neighbour in the tail
+    assert np.all((0.8 * derivatives < found) & (found <= derivatives))
+    first = slice(1 + core * 20, 1 + (core + 1) * 20)
+    nearest = float(weights[first] @ np.abs(DF[first, 0] / (2.0 * np.arange(20) + 1.0) ** 2))
+    second = 6.0 * float(whole.scale[core]) ** 2 * (nearest + 1e-3)  # derivative of q^3 times its factor
+    assert 0.7 * curvature < second <= curvature
     cubic = DF[1 + core * 20 : 1 + (core + 1) * 20, 1 + core * 20 : 1 + (core + 1) * 20].copy()
     cubic[np.arange(20), np.arange(20)] -= inertia[0, 0] * (2.0 * np.arange(20) + 1.0) ** 2 - float(
         bounds.series.system.tail.onsite
@@ -163,6 +170,26 @@ def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
         changed = A @ (explicit(bounds, whole, 20, shift)[1] - DF)
         largest = max(largest, norm(changed, weights) / 1e-3)
     assert 0.05 * W < largest <= W
+
+
+def test_each_size_of_a_tail_enters_the_bounds():
+    """Of a small part of a sum no operator shows that it is counted: each is made large, as in a tail that is."""
+    with flint.ctx.workprec(balls.PRECISION):
+        bounds = tailed(16, 3, 2.0, 4, 1.05)[0]
+        small = bounds.tailed
+        least = {
+            ("residual", "Y"): small.factor,
+            ("cubic_derivative", "Z"): small.factor,
+            ("slope", "Z"): flint.arb(float(bounds.norms[0])),
+            ("derivative", "Z"): bounds.tail_factor * bounds.beyond,
+            ("factor", "W"): small.curvature(1e-3),
+            ("square_factor", "W"): flint.arb(1),
+            ("first", "W"): 6 * small.cubic * small.factor,
+        }
+        for (part, bound), share in least.items():
+            bounds.tailed = replace(small, **{part: flint.arb(1000)})
+            value = bounds.W(1e-3) if bound == "W" else getattr(bounds, bound)()
+            assert value >= 1000.0 * float(share), part
 
 
 def test_closed_forms_of_a_finite_tail():
