@@ -1,12 +1,10 @@
-"""The examples and the README's Python lines, each with numbers that were computed independently."""
+"""The examples, each with numbers that were computed independently."""
 
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -122,19 +120,3 @@ def test_lattices_of_ones_own(
             table = [[float(value) for value in row.values()] for row in csv.DictReader(file)]
         np.testing.assert_allclose(table[100], [table[100][0], *table[0][1:]], atol=1e-6)  # a period later
         assert np.ptp([row[1] for row in table]) < 1e-9
-
-
-@pytest.mark.slow
-def test_the_python_examples_of_the_readme_run() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    family, lattice, own = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    names: dict[str, Any] = {}
-    exec(compile(family, "README.md", "exec"), names)
-    assert np.isfinite(names["branch"].Omega).all()
-    exec(compile(lattice, "README.md", "exec"), names)
-    change = names["follow_family"](names["ring"], "last", 0.5, stability=True).changes[0]
-    assert pytest.approx(0.2503601, abs=1e-6) == change.S
-    names = {}
-    exec(compile(own, "README.md", "exec"), names)
-    assert names["follow_family"](names["fput"], "last", 2.0).Omega[-1] == pytest.approx(3.1814974, abs=1e-7)
-    assert names["orbit"].period == pytest.approx(6.66328685932)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
