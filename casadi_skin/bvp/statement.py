@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_skin.arguments import by_name, check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.models.expressions import Expression, expression_of, is_comparison
+from casadi_skin.models.expressions import Expression, expression_of, in_scalars, is_comparison
 from casadi_skin.models.ode import OdeModel
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -54,6 +54,8 @@ class Statement:
         self._check_expressions()
         self._check_count()
         self._check_bounds()
+        if isinstance(self.model.state, ca.MX):
+            self._take_scalar_operations()
 
     # Checks ---------------------------------------------------------------------------------------------------------
 
@@ -88,6 +90,16 @@ class Statement:
             taken["running"] = expression_of("running", self.running, along, constants=False)
         for label, value in taken.items():
             object.__setattr__(self, label, value)
+
+    def _take_scalar_operations(self) -> None:
+        """Write expressions in MX as scalar operations, which files keep to the last bit."""
+        ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        for label, symbols in (("conditions", ends), ("integrals", along)):
+            object.__setattr__(self, label, tuple(in_scalars(symbols, entry) for entry in getattr(self, label)))
+        for label, symbols in (("objective", ends), ("running", along)):
+            if getattr(self, label) is not None:
+                object.__setattr__(self, label, in_scalars(symbols, getattr(self, label)))
 
     def _check_values(self) -> None:
         start, end = self.span(np.array(list(self.values.values())))

@@ -30,6 +30,15 @@ def is_comparison(expression: Expression) -> bool:
     return any(not entry.is_constant() and not entry.is_symbolic() and entry.op() in truths for entry in entries)
 
 
+def in_scalars(symbols: Sequence[ca.MX], expression: ca.MX) -> ca.MX:
+    """An expression in MX as a function of scalar operations; as it is where a program or a table is part of it."""
+    function = ca.Function("scalars", list(symbols), [expression])
+    try:
+        return function.expand()(*symbols)
+    except RuntimeError:  # a part of it has no operations
+        return expression
+
+
 # What scripts give ----------------------------------------------------------------------------------------------------
 
 

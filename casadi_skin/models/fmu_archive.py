@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import sys
 import warnings
@@ -54,9 +55,9 @@ class FmuWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """An FMU's folder, the library in it for this platform, and what fmpy read in its modelDescription.xml.
+    """An FMU's folder, the library in it for this platform, and its modelDescription.xml as fmpy reads it.
 
-    `remove` removes the folder.
+    `digest` is the SHA-256 of the file, `remove` removes the folder.
     """
 
     path: Path
@@ -64,6 +65,7 @@ class Unpacked:
     library: Path
     description: Any
     remove: Callable[[], object]
+    digest: str = ""
 
 
 def unpack(path: str | Path) -> Unpacked:
@@ -73,8 +75,10 @@ def unpack(path: str | Path) -> Unpacked:
     this platform, and where fmpy is missing; nothing is left behind then.
     """
     path = Path(path)
-    archive = Archive(path)
+    archive = Archive(path)  # refuses pipes and devices
     try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
         if DESCRIPTION not in archive.names:
             raise ValueError(f"{path}: no {DESCRIPTION} inside; accepted: an FMU")
         temporary = TemporaryFolder("casadi_skin_fmu_")
@@ -92,7 +96,7 @@ def unpack(path: str | Path) -> Unpacked:
             raise
     finally:
         archive.close()
-    return Unpacked(path, temporary.path, library, description, temporary.remove)
+    return Unpacked(path, temporary.path, library, description, temporary.remove, digest)
 
 
 def read_description(path: Path, folder: Path) -> Any:

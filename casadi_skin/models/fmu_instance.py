@@ -28,6 +28,7 @@ class FmuInstance:
 
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
         self.path, self.folder, self.variables = unpacked.path, unpacked.folder, variables
+        self.digest = unpacked.digest
         self.given = variables.given
         self._lock = threading.Lock()  # two threads of a map must not set the one state
         self._loaded = Loaded.of(unpacked)

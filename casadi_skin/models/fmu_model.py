@@ -27,13 +27,15 @@ PERIODIC = 1e-9  # of a signal's size, between times that are a period apart
 class FmuModel(OdeModel):
     """A model whose equations are in an FMU's binary; functions made of it live as long as it does.
 
-    `start_state` is where the FMU starts from, shape (states,). Jacobians come from the FMU where `derivatives` is
+    `start_state` is where the FMU starts from, shape (states,), `signals` the function of the time whose values its
+    inputs get. Jacobians come from the FMU where `derivatives` is
     "directional", else from "differences". The instances and their temporary folder go when the model does.
     """
 
     start_state: tuple[float, ...]
     instance: FmuInstance
     functions: tuple[FmuFunction, ...] = field(repr=False)
+    signals: ca.Function = field(repr=False)
 
     @property
     def derivatives(self) -> str:
@@ -110,6 +112,7 @@ def _model(instance: FmuInstance, asked: Asked, signals: Mapping[str, Signal]) -
         start_state=tuple(float(instance.start[i]) for i in variables.order),
         instance=instance,
         functions=tuple(functions),
+        signals=ca.Function("signals", [t], [ca.vertcat(*inputs) if inputs else ca.MX(0, 1)]),
     )
 
 

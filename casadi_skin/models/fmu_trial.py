@@ -6,7 +6,6 @@ may behave otherwise the second time, at another state, or after a while.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import signal
@@ -30,12 +29,11 @@ _answered: set[tuple[str, str]] = set()  # archives and arguments that were trie
 def check_answer(unpacked: Unpacked, asked: Asked, inputs: Mapping[str, float], time_limit: float) -> None:
     """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
     wanted = {"asked": asdict(asked), "inputs": dict(inputs)}
-    with unpacked.path.open("rb") as file:
-        key = hashlib.file_digest(file, "sha256").hexdigest(), json.dumps(wanted)
+    key = unpacked.digest, json.dumps(wanted)
     if key in _answered:
         return
-    told = {"path": str(unpacked.path), "folder": str(unpacked.folder), "library": str(unpacked.library)}
-    words = json.dumps({**told, **wanted, "time_limit": time_limit})
+    places = {"path": str(unpacked.path), "folder": str(unpacked.folder), "library": str(unpacked.library)}
+    words = json.dumps({**places, **wanted, "time_limit": time_limit})
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
     with subprocess.Popen(
         [sys.executable, "-P", "-c", _PROGRAM, words], env=environment, stdin=subprocess.PIPE,

@@ -37,7 +37,7 @@ TWO_PI = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class _Extended(OdeModel):
+class Extended(OdeModel):
     """A model with more parameters; its values are as good as those of the one that it is made of."""
 
     inner: OdeModel
@@ -45,6 +45,25 @@ class _Extended(OdeModel):
     @property
     def rounding(self) -> float:
         return self.inner.rounding
+
+
+def extended(model: OdeModel, length: float, unfolded: Mapping[str, Expression]) -> Extended:
+    """A model with its period, nominally `length`, and the coefficients of what is unfolded among the parameters.
+
+    Time goes from 0 to the period.
+    """
+    kind, names = type(model.state), (*model.parameter_names, PERIOD, *unfolded)
+    p, count = kind.sym("p", len(names)), int(model.parameters.numel())
+    rhs = model.field_at(0.0, model.state, p[:count])
+    for k, quantity in enumerate(unfolded.values(), start=1):
+        slope = model.function("slope", ca.gradient(quantity, model.state))
+        rhs = rhs + p[count + k] * slope(0.0, model.state, p[:count])
+    nominal = [*(model.nominal or ()), length, *(0.0 for _ in unfolded)]
+    return Extended(
+        model.name, model.state, rhs, p, time=kind.sym("t"), forcing_period=p[count], checked=False,
+        nominal=tuple(nominal) if len(nominal) == len(names) else None,
+        state_labels=model.state_names, parameter_labels=names, inner=model,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,23 +164,8 @@ class Asked:
     # The model ------------------------------------------------------------------------------------------------------
 
     def extended(self) -> OdeModel:
-        """The model with its period and the coefficients of what is unfolded among the parameters.
-
-        Time goes from 0 to the period.
-        """
-        model, kind = self.model, type(self.model.state)
-        names = (*model.parameter_names, PERIOD, *self.unfolded)
-        p, count = kind.sym("p", len(names)), int(model.parameters.numel())
-        rhs = model.field_at(0.0, model.state, p[:count])
-        for k, quantity in enumerate(self.unfolded.values(), start=1):
-            slope = model.function("slope", ca.gradient(quantity, model.state))
-            rhs = rhs + p[count + k] * slope(0.0, model.state, p[:count])
-        nominal = [*(model.nominal or ()), self.length, *(0.0 for _ in self.unfolded)]
-        return _Extended(
-            model.name, model.state, rhs, p, time=kind.sym("t"), forcing_period=p[count], checked=False,
-            nominal=tuple(nominal) if len(nominal) == len(names) else None,
-            state_labels=model.state_names, parameter_labels=names, inner=model,
-        )  # fmt: skip
+        """The model with its period and the coefficients of what is unfolded among the parameters."""
+        return extended(self.model, self.length, self.unfolded)
 
     def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:
         """An expression in states and parameters of the model, at phase zero of the extended one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,15 @@ from casadi_skin.files import replacing
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.models.fmu_model import FmuModel
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.operations import from_operations, to_operations
 from casadi_skin.models.saved import dumps, loads, programs_in
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.orbit_statement import Extended, extended
 from casadi_skin.results.encoding import Reader, Writer, class_named
+from casadi_skin.results.fmu_models import OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.results.journal import framed, read_records
 
 FORMAT = "casadi_skin result 1"
@@ -48,14 +52,15 @@ def save_result(result: Any, path: str | Path) -> Path:
     Arguments:
         result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
             certificate, a time evolution, a search, or the smallest kick. A map is in its directory: see `read_map`.
+            Of the model of an FMU the token, a hash and the choices of its import are written.
         path: the file; an existing one is replaced.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: the model of the result is a program, as an FMU is, or the result is of another kind; the path
-            is a directory, or its directory does not exist.
+        ValueError: the model of the result is a program but no FMU, or the result is of another kind; the path is a
+            directory, or its directory does not exist.
         TypeError: the argument is not a path.
         OSError: the file cannot be written.
     """
@@ -77,17 +82,20 @@ def save_result(result: Any, path: str | Path) -> Path:
     return target
 
 
-def read_result(path: str | Path) -> Any:
+def read_result(path: str | Path, *, model: Any = None) -> Any:
     """The result in a file of `save_result`; numbers computed from it equal those of the original, bit for bit.
 
     Arguments:
         path: the file.
+        model: of a result of an FMU, the model that `import_fmu` makes of the same file with the same choices: reading
+            runs no binary.
 
     Returns:
         An object of the class that was saved, whose branch can be continued.
 
     Raises:
-        ValueError: the file cannot be read, holds no result, or is damaged; in one line.
+        ValueError: the file cannot be read, holds no result, or is damaged; the model is another one, is missing, or
+            the file has its own; in one line.
         TypeError: the argument is not a path.
     """
     source = file_path("path", path)
@@ -100,7 +108,11 @@ def read_result(path: str | Path) -> Any:
         saved = records[0]
         if saved.format != FORMAT:
             raise ValueError(f"format {short_repr(saved.format)}")
-        return Reader(saved.shared, _read_shared).value(saved.result)
+        if model is not None and not any(isinstance(data, list) and data[:1] == ["fmu"] for data in saved.shared):
+            raise OtherModelError(f"model: given {short_repr(model)}; accepted: none, the model is in the file")
+        return Reader(saved.shared, partial(_read_shared, given=model)).value(saved.result)
+    except OtherModelError as error:
+        raise ValueError(f"{source}: {error}") from None
     except OSError as error:
         raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED}") from None
     except DAMAGED as error:
@@ -115,6 +127,11 @@ def _write_shared(writer: Writer, value: Any) -> Any | None:
     """The data of an object that is written once; None for all others."""
     if isinstance(value, Lattice) and value.equations.autonomous:
         return ["lattice", value.name, writer.value(value.declaration)]
+    if isinstance(value, FmuModel):
+        return ["fmu", identity(value), noises(value)]
+    if isinstance(value, Extended) and isinstance(value.inner, FmuModel):
+        place = value.inner.parameters.numel()
+        return ["extended", writer.value(value.inner), value.nominal[place] if value.nominal else 1.0]
     if isinstance(value, OdeModel):
         return ["model", dumps(value)]
     if isinstance(value, Chain | LongLattice):
@@ -131,8 +148,12 @@ def _write_shared(writer: Writer, value: Any) -> Any | None:
     return None
 
 
-def _read_shared(reader: Reader, data: Sequence[Any]) -> Any:
+def _read_shared(reader: Reader, data: Sequence[Any], given: Any = None) -> Any:
     word, *rest = data
+    if word == "fmu":
+        return checked(rest[0], rest[1], given)
+    if word == "extended":
+        return extended(reader.value(rest[0]), rest[1], {})
     if word == "lattice":
         d = reader.value(rest[1])
         return Lattice(d.cells, d.sites, d.bonds, d.boundary, d.parameters, rest[0])
@@ -191,10 +212,11 @@ def _statement_of(
     numbers: dict[str, Any], plain: list[bool],
 ) -> Statement:  # fmt: skip
     model = reader.value(model_data)
-    time = ca.SX.sym("t") if model.time is None else model.time
+    time = type(model.state).sym("t") if model.time is None else model.time
     symbols = [*model.ends, time, model.full_state, model.parameters]
-    columns = from_operations([s for block in symbols for s in ca.vertsplit(block)], operations, entries)
-    taken = iter(columns)
+    scalars = [ca.SX.sym("s", block.numel()) if isinstance(block, ca.MX) else block for block in symbols]
+    columns = from_operations([s for block in scalars for s in ca.vertsplit(block)], operations, entries)
+    taken = iter(at_symbols(columns, scalars, symbols))
     parts = {name: [next(taken) for _ in range(count)] for name, count in counts.items()}
     ends: list[Any] = [float(end) if is_plain else end for end, is_plain in zip(parts["interval"], plain, strict=True)]
     statement = Statement(
