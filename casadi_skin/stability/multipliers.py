@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
-from casadi_skin.stability.perturbation import couplings, eigenvalue_errors
+from casadi_skin.stability.perturbation import eigenvalue_errors
 from casadi_skin.stability.reduction import (
     ComplexArray,
     Eigensystems,
@@ -30,6 +30,7 @@ from casadi_skin.stability.reduction import (
     eigensystems,
     half_cosine_errors,
     half_cosines,
+    stacked,
 )
 from casadi_skin.stability.result import ReversibleFloquet
 
@@ -103,7 +104,7 @@ def floquets(
 def _solve(transitions: Sequence[Transition], accelerations: Array, better_accelerations: Array) -> _Solved:
     power = _power(transitions[0])
     trivial = -1.0 if power == 2 else 0.0
-    matrices = np.stack([t.matrix for t in transitions])
+    matrices = stacked([t.matrix for t in transitions])
     reflections = Reflections.of(accelerations)
     similar = reflections.similar(half_cosines(matrices))
     # (0, a_0) is a left eigenvector, so the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
@@ -115,12 +116,10 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
     else:
         flow_part = _flow_part(transitions, matrices, reflections)
         orbit_part = _orbit_part(transitions, reflections, better_accelerations)
-        by_flow = couplings(systems, flow_part)
-        first = np.diagonal(by_flow, axis1=1, axis2=2)
-        flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
         norms = np.linalg.norm(flow_part, axis=(1, 2)) + np.linalg.norm(orbit_part, axis=(1, 2))
-        by_both = by_flow + couplings(systems, orbit_part)
-        errors = eigenvalue_errors(systems, by_both, norms, _round_off(transitions, matrices))
+        parts, round_off = (flow_part, orbit_part), _round_off(transitions, matrices)
+        errors, first = eigenvalue_errors(systems, parts, norms, round_off)
+        flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
     results = [
         ReversibleFloquet(mu, error, float(deviation), power)
         for mu, error, deviation in zip(systems.values, errors, deviations, strict=True)
@@ -149,14 +148,14 @@ def with_reversed_block(transition: Transition) -> Transition:
 def _flow_part(transitions: Sequence[Transition], matrices: Array, reflections: Reflections) -> Array:
     """Part of the reduced matrices that is due to the truncation of the flow."""
     truncations = [np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions]
-    errors = reflections.similar(half_cosine_errors(matrices, np.stack(truncations)))
+    errors = reflections.similar(half_cosine_errors(matrices, stacked(truncations)))
     return errors[:, 1:, 1:]
 
 
 def _orbit_part(transitions: Sequence[Transition], reflections: Reflections, better_accelerations: Array) -> Array:
     """Differences of the reduced matrices along the better orbits and along the orbits, with a safety factor."""
     pairs = [(t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions]
-    along, better = (half_cosines(np.stack(side)) for side in zip(*pairs, strict=True))
+    along, better = (half_cosines(stacked(side)) for side in zip(*pairs, strict=True))
     difference = Reflections.of(better_accelerations).similar(better) - reflections.similar(along)
     return np.asarray(ORBIT_SAFETY * difference[:, 1:, 1:])
 

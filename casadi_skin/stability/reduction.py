@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,11 @@ class Reflections:
         """H (0, x) of the first point, shape (n - 1,) -> (n,)."""
         u = self.u[0]
         return np.asarray(np.append(0.0, reduced) - 2.0 * u * (u[1:] @ reduced))
+
+
+def stacked(matrices: Sequence[Array]) -> Array:
+    """Matrices of several points in one array, without a copy of that of a single point."""
+    return matrices[0][None] if len(matrices) == 1 else np.stack(matrices)
 
 
 def half_cosines(transitions: Array) -> Array:
@@ -99,9 +105,54 @@ class Eigensystems:
         """Left vectors as rows: times `right` they give the identity."""
         return self._by_rows(self.inverse)
 
-    def couplings(self, errors: Array) -> Array:
-        """|left E right| of matrices E, shape (points, m, m); not finite at a defective eigenvalue."""
-        return np.abs(self._by_rows(self._by_columns(self.inverse @ errors @ self.basis)))
+    def of(self, chosen: NDArray[np.bool_]) -> Eigensystems:
+        """Those of some eigenvalues, which include whole pairs, shape (m,)."""
+        if chosen.all():
+            return self
+        parts = self.values[:, chosen], self.basis[:, :, chosen], self.inverse[:, chosen], self.first[:, chosen]
+        return Eigensystems(*parts)
+
+    def whole_pairs(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Eigenvalues chosen, shape (m,), with the other of each pair of any point."""
+        before = np.zeros_like(chosen)
+        firsts = np.any(self.first, axis=0)
+        while not np.array_equal(before, chosen):
+            before = chosen.copy()
+            chosen[1:] |= chosen[:-1] & firsts[:-1]
+            chosen[:-1] |= chosen[1:] & firsts[:-1]
+        return chosen
+
+    def couplings(self, images: Array) -> Array:
+        """|left E right| from E times `basis`, shape (points, n, m); not finite at a defective eigenvalue."""
+        return np.abs(self._by_rows(self._by_columns(self.inverse @ images)))
+
+    def expectations(self, images: Array) -> Array:
+        """Diagonals of `couplings` alone, shape (points, m)."""
+        found: Array = np.abs(np.einsum("pij,pji->pi", self.inverse, images))
+        points, a = np.nonzero(self.first)
+        if a.size:
+            left = self.inverse[points, a] - 1j * self.inverse[points, a + 1]
+            both = np.sum(left * (images[points, :, a] + 1j * images[points, :, a + 1]), axis=1)
+            found[points, a] = found[points, a + 1] = 0.5 * np.abs(both)
+        return found
+
+    def sizes(self, images: Array) -> Array:
+        """Norms of E times right vectors, from E times `basis`, shape (points, m)."""
+        return np.asarray(np.sqrt(self._of_pairs(np.einsum("pij,pij->pj", images, images))))
+
+    @property
+    def left_sizes(self) -> Array:
+        """Norms of the left vectors, shape (points, m)."""
+        factors = np.where(self.first | np.roll(self.first, 1, axis=1), 0.5, 1.0)
+        squares = np.einsum("pij,pij->pi", self.inverse, self.inverse)
+        return np.asarray(factors * np.sqrt(self._of_pairs(squares)))
+
+    def _of_pairs(self, squares: Array) -> Array:
+        """Squares (points, m) of real and imaginary parts, added for both of each pair."""
+        points, a = np.nonzero(self.first)
+        squares[points, a] += squares[points, a + 1]
+        squares[points, a + 1] = squares[points, a]
+        return squares
 
     def _by_columns(self, matrices: Array) -> Array | ComplexArray:
         """Columns a, b of pairs as a + i b and a - i b."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
@@ -24,7 +25,10 @@ from casadi_skin.stability.stepping import SteppedFlow
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+TINY = 1e-300
+NEGLIGIBLE = 1e-20  # of an entry of a transition matrix: what is farther from the diagonal is left out
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+ALIKE = 2  # parts with the same J around them that columns are cut into, at least, in multiples of what they reach
 CACHED = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
 
 
@@ -61,22 +65,30 @@ class SplittingMap:
 def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> list[Array]:
     """Transition matrices of several runs, each (points, 2n, 2n), by the drifts of the one with most steps.
 
-    A kick reaches as far as J's band: what is farther from a column's component than all kicks reach stays zero, and is
-    left out.
+    A kick reaches as far as J's band: what is farther from a column's component than kicks carry more than rounding
+    stays zero, and is left out. Columns with the same J around them, as in a linear tail, are the same: they are
+    computed once.
     """
     n, order = jacobian.size, sorted(range(len(runs)), key=lambda i: -len(runs[i].stages))
     ordered = [runs[i] for i in order]
-    points, reach = sum(run.steps.size for run in runs), jacobian.half_bandwidth * len(ordered[0].stages)
+    points, reach = sum(run.steps.size for run in runs), _reach(jacobian, drifts, ordered)
     width = n
     while width > 1 and points * min(n, width + 2 * reach) * 2 * width > CACHED:
         width = (width + 1) // 2
+    while width > ALIKE * reach > 0 and n > ALIKE * width:
+        width = (width + 1) // 2
     result = np.zeros((points, 2, n, 2 * n))
+    known: tuple[object, ...] = ()
+    found, steps = np.empty(0), np.concatenate([run.steps for run in ordered])
     for start in range(0, n, width):
         end = min(n, start + width)
         first, last = max(0, start - reach), min(n, end + reach)
-        kicks = _kicks(jacobian, ordered, first, last)
-        h = np.repeat(np.concatenate([run.steps for run in ordered]), last - first)
-        found = _columns(kicks, drifts, h, last - first, start - first, end - start)
+        inside, indices, indptr = jacobian.window(first, last)
+        stages = [run.stages[..., inside] for run in ordered]
+        here = (start - first, end - start, indices.tobytes(), indptr.tobytes(), *(part.tobytes() for part in stages))
+        if here != known:
+            kicks, h = _kicks(stages, indices, indptr), np.repeat(steps, last - first)
+            found, known = _columns(kicks, drifts, h, last - first, start - first, end - start), here
         result[:, :, first:last, start:end] = found[..., : end - start]
         result[:, :, first:last, n + start : n + end] = found[..., end - start :]
     ends = np.cumsum([run.steps.size for run in ordered])
@@ -84,17 +96,41 @@ def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingR
     return [part for _, part in sorted(zip(order, parts, strict=True), key=lambda item: item[0])]
 
 
+def _reach(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> int:
+    """Components to either side of its own in which a column is not negligible.
+
+    At a distance of k kicks an entry is a sum of products of k kicks between different components and the drifts
+    between: with the sums K and D of their norms at most (K D)^k / (k! k^k), as the drifts are k parts of D. Other
+    kicks between these, with L as the sum of all, make it no more than exp(2 sqrt(L D)) times larger.
+    """
+    from scipy.special import gammaln
+
+    most, starts, across = len(runs[0].stages), jacobian.indptr[:-1], jacobian.rows() != jacobian.indices
+    if np.any(np.diff(jacobian.indptr) == 0) or most * jacobian.half_bandwidth >= jacobian.size:
+        return most * jacobian.half_bandwidth
+    sums = np.zeros(2)
+    for run in runs:
+        largest = np.max(np.abs(run.stages), axis=1)
+        rows = [np.add.reduceat(part, starts, axis=1) for part in (largest * across, largest)]
+        sums = np.maximum(sums, np.sum(np.max(rows, axis=2), axis=1))
+    K, L = sums * float(np.sum(np.abs(drifts)))
+    k = np.arange(1.0, most + 1.0)
+    logs = k * (np.log(max(K, TINY)) - np.log(k)) - gammaln(k + 1.0) + 2.0 * np.sqrt(L)
+    falling = np.append(np.diff(logs) < -1.0, True)  # then those beyond add up to less than twice the first
+    small = np.flatnonzero((logs < np.log(NEGLIGIBLE)) & falling)
+    return jacobian.half_bandwidth * (int(k[small[0]]) if small.size else most)
+
+
 def _kicks(
-    jacobian: JacobianAlong, runs: Sequence[SplittingRun], first: int, last: int
+    stages: Sequence[Array], indices: NDArray[np.int32], indptr: NDArray[np.int32]
 ) -> list[tuple[csr_array, Array]]:
-    """The matrix of each kick and its data, of components first to last - 1, and of the runs that are not done yet."""
-    inside, indices, indptr = jacobian.window(first, last)
+    """The matrix of each kick and its data, of the runs that are not done yet, from their J (kicks, points, nz)."""
     done, kicks = 0, []
-    for active in range(len(runs), 0, -1):
-        start, done = done, len(runs[active - 1].stages)
+    for active in range(len(stages), 0, -1):
+        start, done = done, len(stages[active - 1])
         if done > start:
-            parts = [run.stages[start:done][..., inside].reshape(done - start, -1) for run in runs[:active]]
-            matrix = repeated(indices, indptr, sum(run.steps.size for run in runs[:active]))
+            parts = [part[start:done].reshape(done - start, -1) for part in stages[:active]]
+            matrix = repeated(indices, indptr, sum(part.shape[1] for part in stages[:active]))
             kicks += [(matrix, data) for data in np.concatenate(parts, axis=1)]
     return kicks
 

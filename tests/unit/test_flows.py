@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,7 +28,7 @@ from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
-from casadi_skin.stability.perturbation import couplings, eigenvalue_errors
+from casadi_skin.stability.perturbation import LARGE, couplings, eigenvalue_errors
 from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
@@ -133,15 +134,22 @@ def test_orbits_together_and_columns_by_themselves_change_nothing(cached: int, m
         np.testing.assert_allclose(found, np.stack(expected), rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("moving", [150, 30])
 @pytest.mark.parametrize("cached", [10**6, 20_000, 3000])
-def test_what_kicks_do_not_reach_is_left_out_of_long_chains(cached: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In 3 steps 34 kicks; columns of all sites from one end to the other, whatever blocks they are taken in."""
+def test_what_kicks_do_not_reach_is_left_out_of_long_chains(
+    cached: int, moving: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In 3 steps 34 kicks; columns of all sites from one end to the other, whatever blocks they are taken in.
+
+    Of sites at rest, all but `moving`, columns with the same sites around them are computed once.
+    """
     chain, steps = Chain(150, 1.0, 0.2, -1.0), 3
     jacobian = JacobianAlong(chain.gauge_model())
     generator = np.random.default_rng(7)
     flow = SplittingMap(jacobian, steps)
     durations = np.array([1.3])
     states, parameters = generator.normal(size=(flow.fractions.size, 150)), np.full(flow.fractions.size, -0.8)
+    states[:, moving:] = 0.0
     nonzeros = jacobian(states, parameters)[None]
     x, v, h = np.eye(150, 300), np.eye(150, 300, 150) * durations[0] / steps, durations[0] / steps
 
@@ -150,7 +158,16 @@ def test_what_kicks_do_not_reach_is_left_out_of_long_chains(cached: int, monkeyp
 
     x, v = flow.sequence.apply(x, v, kick, lambda a, x, v: x + a * v)
     monkeypatch.setattr(splitting, "CACHED", cached)
+    widths: list[int] = []
+    columns = splitting._columns
+
+    def counted(*arguments: Any) -> Array:
+        widths.append(arguments[-1])
+        return columns(*arguments)
+
+    monkeypatch.setattr(splitting, "_columns", counted)
     np.testing.assert_allclose(flow(nonzeros, durations)[0], np.vstack([x, v / h]), rtol=1e-11, atol=1e-13)
+    assert sum(widths) == 150 if moving == 150 else sum(widths) < 150 or cached > 3000
 
 
 @pytest.mark.parametrize("size", [5, 300])
@@ -433,8 +450,7 @@ def test_left_and_right_vectors_belong_together_and_are_infinite_at_a_jordan_blo
     assert np.linalg.norm(systems.left[1, 0]) < 10
     assert np.linalg.norm(systems.left[1, 1]) > 1e12
     errors = np.full((2, 3, 3), 1e-10)
-    W = couplings(systems, errors)
-    bounds = eigenvalue_errors(systems, W, np.linalg.norm(errors, axis=(1, 2)), np.zeros(2))
+    bounds, _ = eigenvalue_errors(systems, [errors], np.linalg.norm(errors, axis=(1, 2)), np.zeros(2))
     np.testing.assert_allclose(bounds[1, 1:], np.sqrt(3e-10), rtol=1e-12)  # as a defective pair moves
 
 
@@ -446,13 +462,41 @@ def test_eigenvalues_that_nearly_meet_move_no_farther_than_their_errors(gap: flo
         matrix = X @ np.diag([-0.2, -0.4, -0.6, -0.8, -0.8 + gap]) @ np.linalg.inv(X)
         change = 1e-7 * generator.normal(size=(5, 5))
         systems: Eigensystems = eigensystems(matrix[None])
-        W, norm = couplings(systems, change[None]), np.array([np.linalg.norm(change)])
-        bounds = eigenvalue_errors(systems, W, norm, np.full(1, 1e-15))[0]
+        norm = np.array([np.linalg.norm(change)])
+        bounds = eigenvalue_errors(systems, [change[None]], norm, np.full(1, 1e-15))[0][0]
         moved = np.linalg.eigvals(matrix + change)
         cost = np.abs(systems.values[0][:, None] - moved)
         rows, columns = linear_sum_assignment(cost)
         assert np.all(cost[rows, columns] <= 1.5 * bounds)
         assert bounds.min() <= 100 * cost[rows, columns].max()
+
+
+def test_couplings_that_are_left_out_of_large_matrices_do_not_matter() -> None:
+    """Beside all couplings of dense matrices with pairs that nearly meet, and with conjugate ones."""
+    generator = np.random.default_rng(6)
+    size = LARGE + 40
+    values = np.sort(generator.uniform(-1.0, 0.0, size))
+    values[1:20:2] = values[:19:2] + 10.0 ** -np.arange(3.0, 13.0)
+    D = np.diag(values)
+    for k in range(40, 60, 4):
+        D[k, k + 1], D[k + 1, k], D[k + 1, k + 1] = 1e-3, -1e-3, D[k, k]
+    X = np.eye(size) + 0.02 * generator.normal(size=(size, size))
+    systems = eigensystems(np.stack([X @ D @ np.linalg.inv(X), X.T @ D @ np.linalg.inv(X.T)]))
+    assert np.count_nonzero(systems.first) == 10
+    parts = [10.0**-k * generator.normal(size=(2, size, size)) for k in (8, 9)]
+    norms, round_off = np.full(2, 1e-6), np.full(2, 1e-14)
+    found, alone = eigenvalue_errors(systems, parts, norms, round_off)
+    W = sum(np.abs(systems.left @ part @ systems.right) for part in parts)
+    W = W + (round_off[:, None] * np.linalg.norm(systems.left, axis=2))[:, :, None]
+    first = np.diagonal(W, axis1=1, axis2=2)
+    distance = np.abs(systems.values[:, :, None] - systems.values[:, None, :]) + np.eye(size)
+    product = W * W.swapaxes(1, 2)
+    pairs = np.minimum(product / distance, np.sqrt(product)) * (1.0 - np.eye(size))
+    total = np.fmin(first + 0.1 * np.max(first, axis=1, keepdims=True) + np.max(pairs, axis=2), 1e-3)
+    np.testing.assert_allclose(found, total, rtol=0.011)
+    assert np.max(np.max(pairs, axis=2) / first) > 0.5  # some couplings do matter
+    own = np.diagonal(np.abs(systems.left @ parts[0] @ systems.right), axis1=1, axis2=2)
+    np.testing.assert_allclose(alone, own, rtol=1e-9, atol=1e-20)
 
 
 @pytest.mark.parametrize("power", [1, 2])
