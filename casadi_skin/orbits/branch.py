@@ -16,6 +16,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import cut, number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.orbits.at_edges import between, orbit_at_edge, separate
 from casadi_skin.orbits.certificate import ProvedStretch
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
@@ -28,7 +29,6 @@ from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
-NEAR_EDGE = 1e-6  # relative difference of Omega: the orbit of an edge
 REAL = "real"  # kind of an edge at which a multiplier is 1
 
 
@@ -206,7 +206,7 @@ class Branch(Result):
             )
             raise ValueError(f"number: given {number!r}; accepted: {accepted}")
         change = self.changes[number]
-        orbit = self._at_edge(change) if isinstance(change, StabilityEdge) else None
+        orbit = orbit_at_edge(self, change) if isinstance(change, StabilityEdge) else None
         if orbit is None:
             raise ArithmeticError(f"no orbit is found at the change of stability at S = {change.value:.10g}")
         values = {**orbit.parameters, self.parameter: change.value}
@@ -235,22 +235,15 @@ class Branch(Result):
         diagram = self.stability_diagram
         if diagram is None:
             return
-        for edge in sorted((*diagram.changes, *diagram.further), key=lambda edge: edge.place.coordinate):
-            orbit = self._at_edge(edge) if edge.kind == REAL and edge.mu in (-1.0, 0.0) else None
+        real = (edge for edge in (*diagram.changes, *diagram.further) if edge.kind == REAL and edge.mu in (-1.0, 0.0))
+        for edge in separate(real):
+            orbit = orbit_at_edge(self, edge)
             breaking = None if orbit is None else methods.TASKS["breaking"].load()(orbit, edge.mu)
             if orbit is not None and breaking is not None:
+                if not breaking.lost:  # a branch of the same class crosses, where the equations are singular
+                    orbit = between(self, edge) or orbit
                 kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}
                 yield SpecialPoint(kind, self.parameter, values, edge.error, orbit, edge.mu)
-
-    def _at_edge(self, edge: StabilityEdge) -> Orbit | None:
-        """The orbit at an edge; None where the continuation did not come by."""
-        with suppress(ArithmeticError, ValueError):
-            found: list[Orbit] = []
-            for which in itertools.count():
-                found.append(self.at(edge.S, which))
-                if abs(found[-1].Omega - edge.Omega) <= NEAR_EDGE * edge.Omega:
-                    return found[-1]
-        return None
 
     def _special(self, solution: Solution) -> SpecialPoint:
         values = {**solution.parameters, self.parameter: solution.value(self.parameter)}

@@ -10,6 +10,9 @@ time (Lamb and Roberts 1998). The singular block decides which symmetry is kept:
     -1   A x = 0    all: another branch of the same class     the reversal, with twice the period
     -1   D v = 0    the half-period symmetry; no reversal     the same, about the other phase at rest
 
+Where A and D, or B and C, are singular together, as the orbit runs several times through a shorter period, the family
+with that period crosses, and it has all symmetries.
+
 At mu = -1 of an odd family, 0 of another, where no block is singular beside the trivial vector, the energy has an
 extremum, and no branch leaves.
 """
@@ -37,6 +40,9 @@ from casadi_skin.solvers.levels import ErrorEstimate
 
 SINGULAR = 1e-6  # smallest singular value of a block that is singular, relative to its largest
 SHIFT, ROUNDS = 1e-11, 4  # of inverse iteration, relative
+MOVED, INSTANT = 1e-3, 1e-5  # along the family, and of the period, for differences
+ASKEW = 1e-6  # component of a tangent in the parameter: the branch leaves to both sides
+REPEATED, MOST, PLACES = 1e-5, 7, 16  # of the states' range; parts of the period; times at which they are compared
 HALF_PERIOD, REVERSAL = "half-period symmetry", "reversal"
 
 
@@ -80,7 +86,8 @@ def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
     scale = np.exp(family.whole.coordinates.log_scale)
     trivial = "D" if family.symmetry is SymmetryClass.QUARTER else "B"
     best: tuple[float, str, Array] = (SINGULAR, "", np.empty(0))
-    for name in "CB" if mu > -0.5 else "AD":
+    names = "CB" if mu > -0.5 else "AD"
+    for name in names[:1] if _repeats(orbit) else names:
         _, values, rows = np.linalg.svd(blocks[name])
         place = -2 if name == trivial else -1
         if values.size >= -place and values[place] / values[0] < best[0]:
@@ -96,6 +103,14 @@ def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
     zero = np.zeros(vector.size)
     full = np.concatenate([vector, zero] if name in "AC" else [zero, vector])
     return Breaking(name, full / np.linalg.norm(full), symmetry, turns, lost)
+
+
+def _repeats(orbit: Orbit) -> bool:
+    """Whether an orbit runs several times through a shorter period."""
+    times = orbit.period * np.arange(PLACES) / PLACES
+    states = orbit.evaluate(times)
+    within = REPEATED * float(np.max(np.ptp(states, axis=0)))
+    return any(np.max(np.abs(orbit.evaluate(times + orbit.period / m) - states)) <= within for m in range(2, MOST + 1))
 
 
 def breaking_space(
@@ -132,9 +147,12 @@ def breaking_space(
     free = [length if key == PERIOD else statement.values[key] for key in statement.free]
     z = np.concatenate([start.evaluate(t).ravel(), free, [0.0]])
     error = ErrorEstimate(start.point.error.Omega, start.point.error.profile)
-    own = Point(problem, z, _family_tangent(space, problem, z), error, settings.first_step, 0)
+    along = _family_tangent(space, problem, z) if breaking.lost else _course(orbit, space, problem, t)
+    own = Point(problem, z, along, error, settings.first_step, 0)
     tangent = other_tangent(space.point_solver, own)
-    tangent = side * np.sign(tangent[: first.full_size] @ breaking.vector) * tangent
+    crosses = not breaking.lost and abs(float(tangent[problem.parameter_index])) > ASKEW
+    towards = tangent[problem.parameter_index] if crosses else side * (tangent[: first.full_size] @ breaking.vector)
+    tangent = np.sign(towards) * tangent
     return replace(space, first=replace(own, tangent=tangent))
 
 
@@ -148,6 +166,21 @@ def _problem(space: BoundarySpace, start: Orbit, part: float) -> BoundaryProblem
     found = space.levels.problem(resolution).with_constants(mesh.resampled(lengths / np.sum(lengths), resolution))
     assert isinstance(found, BoundaryProblem)
     return found
+
+
+def _course(orbit: Orbit, space: BoundarySpace, problem: BoundaryProblem, t: Array) -> Array:
+    """The tangent of the family where a branch of its own class crosses: by differences along the family."""
+    ends = []
+    for side in (-1.0, 1.0):
+        moved = Orbit(orbit.space, replace(orbit.point, z=orbit.point.z + side * MOVED * orbit.point.tangent))
+        known = {**space.statement.values, PERIOD: moved.period}
+        way = (moved.S - space.statement.values[space.parameter]) / (space.to - space.statement.values[space.parameter])
+        places, h = t * moved.period / orbit.period, INSTANT * moved.period
+        rates = (moved.evaluate(places + h) - moved.evaluate(places - h)) / (2.0 * h)
+        states = np.hstack([moved.evaluate(places), rates])
+        ends.append(np.concatenate([states.ravel(), [known[key] for key in space.statement.free], [way]]))
+    along = ends[1] - ends[0]
+    return np.asarray(along / np.sqrt(np.sum(space.point_solver.metric(problem, ends[0]) * along**2)))
 
 
 def _family_tangent(space: BoundarySpace, problem: BoundaryProblem, z: Array) -> Array:

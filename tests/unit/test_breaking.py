@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
-from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin import Bond, Branch, Chain, Lattice, Orbit, Site, follow_family
 
 CHAIN = Chain(sites=3, alpha=1.0, gamma=0.25, g=-1.0)
 
@@ -60,3 +61,53 @@ def test_an_extremum_of_the_energy_is_no_branch_point() -> None:
     family = follow_family(chain, 1, 0.5, stability=True)
     assert [edge.mu for edge in family.changes if edge.kind == "real"] == [-1.0]
     assert family.special_points == ()
+
+
+@pytest.mark.slow
+def test_a_family_that_crosses_one_of_a_third_of_its_period_has_one_branch_point_there() -> None:
+    """Mode 1 of five sites turns into mode 5 run through three times: tongues touch there, one point that had been two.
+
+    Its frequency, and those of the branch that crosses, are those of mode 5 as followed from rest.
+    """
+    chain = Chain(sites=5, alpha=0.5, gamma=0.2, g=-1.0)
+    family = follow_family(chain, 1, 2.0, stability=True, tolerance=1e-10)
+    (point,) = (p for p in family.special_points if p.kind == "branch point" and p.mu == -1.0 and not p.lost)
+    S, orbit = point.parameters["S"], point.solution
+    known = follow_family(chain, 5, 1.1, tolerance=1e-10)
+    assert isinstance(orbit, Orbit)
+    assert 3.0 * orbit.Omega == pytest.approx(known.at(S=S).Omega, rel=1e-10)
+    y = orbit.evaluate(orbit.period * np.arange(12) / 12)
+    assert np.max(np.abs(np.roll(y, 4, axis=0) - y)) < 1e-6
+    for to in (0.9, 1.05):
+        crossing = point.follow("S", to)
+        assert crossing.complete
+        assert 3.0 * crossing.orbits[-1].Omega == pytest.approx(known.at(S=to).Omega, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_every_change_of_the_highest_mode_of_a_ring_is_a_special_point() -> None:
+    """FPUT-beta on 8 sites: equal multipliers cross at once, where Hill's equation of a wave has the trace 2."""
+    ring = Lattice([8], [Site("a", onsite="0*y")], [Bond("a", "a", [1], "d + d^3")], "periodic")
+    family = follow_family(ring, 8, 3.0, stability=True)
+    found = [point.parameters["S"] for point in family.special_points]
+    assert found == pytest.approx([_where_a_wave_grows(k, *near) for k, near in ((3, (0.2, 0.3)), (2, (2.5, 2.9)))])
+    assert found[0] == pytest.approx(0.250360, abs=1e-6)
+
+
+def _where_a_wave_grows(k: int, *near: float) -> float:
+    """S = 8 a^2 at which waves of number k on the highest mode of 8 sites begin to grow."""
+
+    def excess(S: float) -> float:
+        def field(_: float, x: np.ndarray) -> list[float]:
+            rate = 4.0 * np.sin(np.pi * k / 8) ** 2 * (1.0 + 12.0 * x[0] ** 2)
+            return [x[1], -4.0 * x[0] - 16.0 * x[0] ** 3, x[3], -rate * x[2], x[5], -rate * x[4]]
+
+        def at_rest(_: float, x: np.ndarray) -> float:
+            return float(x[1])
+
+        at_rest.terminal, at_rest.direction = True, 1.0  # type: ignore[attr-defined]  # y is lowest after half of it
+        start = [np.sqrt(S / 8), 0.0, 1.0, 0.0, 0.0, 1.0]
+        x = solve_ivp(field, (0.0, 10.0), start, "DOP853", rtol=1e-12, atol=1e-13, events=at_rest).y[:, -1]
+        return float(abs(x[2] + x[5]) - 2.0)
+
+    return float(brentq(excess, *near, xtol=1e-10))
