@@ -24,3 +24,4 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("matplotlib.figure.Figure.savefig", write)
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+    patch.setattr("casadi_skin.figures.style.lay_out", lambda *_: None)

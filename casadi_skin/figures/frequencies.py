@@ -159,4 +159,4 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         mode = family(branches[0]).coordinates.mode_number
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=amplitude_label(model), ylabel=label)
-        return finished(figure, [axes], 3, in_black=True)
+        return finished(figure, [axes], 3, in_black=True, plain=True)

@@ -113,23 +113,23 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     with style():
         figure, panels = _panels(len(chosen), with_angles)
         _draw_moduli(panels["a"], branch)
-        panels["a"].set_title("(a)", loc="left")
+        panels["a"].set_title("(a)", loc="left", y=1.0)
         if diagram is not None and with_angles:
             draw_angles(panels["b"], diagram)
             panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
-            panels["b"].set_title("(b)", loc="left")
+            panels["b"].set_title("(b)", loc="left", y=1.0)
         for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
             draw_plane(panels[letter], orbit)
             largest = orbit.floquet().max_abs_multiplier
             words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {number(largest, 4)}$"
-            panels[letter].set_title(f"({letter})  {words}", loc="left")
+            panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)
             panels["a"].plot(value, largest, "o", ms=5, mfc="white", mec="black", zorder=5, clip_on=False)
             box = {"fc": "white", "ec": "none", "pad": 0.5}
             panels["a"].annotate(
                 letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
             )
         figure.suptitle(_title(branch, title))
-        return finished(figure, panels.values(), 3)
+        return finished(figure, panels.values(), 3, plain=True)
 
 
 def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:

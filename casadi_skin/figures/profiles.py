@@ -108,7 +108,7 @@ def _draw_profiles(
         else:
             axes.set_yscale("log")
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
-    panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left")
+    panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)
     panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
     for axes in panels[1:]:
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
@@ -151,4 +151,4 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
             number_sites(axes, int(ends[0]), int(ends[1]), position_label(model))
         figure.suptitle(title(model, parameters))
         figure.align_ylabels()
-        return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3))
+        return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3), plain=True)

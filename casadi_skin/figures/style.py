@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.figures.layout import lay_out
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
@@ -62,8 +63,13 @@ def blank(width: float, height: float) -> Figure:
     return Figure(figsize=(min(width, WIDEST), height))
 
 
-def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False) -> Figure:
-    """The figure with one legend of all panels below them, laid out; in black where colours distinguish families."""
+def finished(
+    figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False, plain: bool = False
+) -> Figure:
+    """The figure with one legend of all panels below them, laid out; in black where colours distinguish families.
+
+    `plain` is as in `figures.layout.lay_out`.
+    """
     handles: dict[str, Artist] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -72,26 +78,8 @@ def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: boo
         legend = figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns)
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
-    _lay_out(figure)
-    for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
-        box = np.round(axes.get_position(original=True).bounds, 9)
-        axes.set_position((float(box[0]), float(box[1]), float(box[2]), float(box[3])))
+    lay_out(figure, DPI, plain)
     return figure
-
-
-def _lay_out(figure: Figure) -> None:
-    """Once and for all, on the canvas of pictures at their resolution, so that texts are measured once: it is slow.
-
-    An engine that stays with the figure would draw everything twice when it is saved.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    FigureCanvasAgg(figure)
-    before = figure.get_dpi()
-    figure.set_dpi(DPI)
-    ConstrainedLayoutEngine().execute(figure)
-    figure.set_dpi(before)
 
 
 def number(value: float, digits: int = 6) -> str:

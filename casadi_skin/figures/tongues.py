@@ -145,18 +145,18 @@ def _followed(S: Array, angles: Array) -> list[Array]:
     """Lines (points, 2) through the angles of one signature, NaN where there is none; angles (places, m)."""
     lines: list[list[tuple[float, float]]] = []
     active: list[list[tuple[float, float]]] = []
+    last = np.empty(0)
     for place, row in zip(S.tolist(), angles, strict=True):
         values = row[np.isfinite(row)]
-        last = np.array([line[-1][1] for line in active])
-        apart = np.abs(values[:, None] - last)
-        following: list[list[tuple[float, float]]] = []
-        for i, value in enumerate(values.tolist()):
-            k = int(np.argmin(apart[i])) if last.size else -1
-            if k < 0 or apart[i, k] > CLOSE or int(np.argmin(apart[:, k])) != i:
-                lines.append([])
-                following.append(lines[-1])
-            else:
-                following.append(active[k])
-            following[-1].append((place, value))
-        active = following
+        joined = np.full(values.size, -1)  # the line that each angle follows: each is the other's nearest
+        if last.size and values.size:
+            apart = np.abs(values[:, None] - last)
+            nearest = apart.argmin(axis=1)
+            mutual = (apart.argmin(axis=0)[nearest] == np.arange(values.size)) & (apart.min(axis=1) <= CLOSE)
+            joined[mutual] = nearest[mutual]
+        following = [active[k] if k >= 0 else [] for k in joined.tolist()]
+        lines += [line for line in following if not line]
+        for line, value in zip(following, values.tolist(), strict=True):
+            line.append((place, value))
+        active, last = following, values
     return [np.array(line) for line in lines]

@@ -1,6 +1,7 @@
 """Pictures: what they draw, where lines change their look, and files that are the same bytes every time."""
 
 import dataclasses
+import itertools
 import re
 import subprocess
 import sys
@@ -13,6 +14,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
@@ -266,6 +269,72 @@ def test_spectrum_leaves_out_modes_that_do_not_oscillate() -> None:
     squares = chain.diagonalise()[0]
     drawn = points(spectrum_figure(chain).axes[0].get_lines()[0])[:, 1]
     assert np.array_equal(np.isfinite(drawn), squares > 0)
+
+
+# Places -------------------------------------------------------------------------------------------------------------
+
+
+def texts(figure: Figure) -> dict[tuple[str, str], Bbox]:
+    """Boxes of all that a drawn figure shows outside of its panels, by panel and words; ticks of an axis together."""
+    figure.canvas.draw()
+    boxes = {("figure", str(artist)): artist.get_window_extent() for artist in (*figure.texts, *figure.legends)}
+    for name, axes in enumerate(figure.axes):
+        titles = [child for child in axes.get_children() if isinstance(child, Text) and child not in axes.texts]
+        outside = [text for text in axes.texts if text.get_window_extent().x0 > axes.bbox.x1]
+        powers = [axes.xaxis.get_offset_text(), axes.yaxis.get_offset_text()]
+        for text in (axes.xaxis.label, axes.yaxis.label, *titles, *outside, *powers):
+            boxes[str(name), str(text)] = text.get_window_extent()
+        for axis in (axes.xaxis, axes.yaxis):
+            labels = [tick.label1.get_window_extent() for tick in axis._update_ticks()]  # type: ignore[attr-defined]
+            boxes[str(name), f"ticks of {axis}"] = Bbox.union([box for box in labels if box.width] or [Bbox.null()])
+    return {name: box for name, box in boxes.items() if box.width > 0.0}
+
+
+def overlaps(figure: Figure) -> list[tuple[tuple[str, str], object]]:
+    """Pairs of texts that overlap, and texts that a panel covers or that leave the figure."""
+    boxes = texts(figure)
+    pairs = [(a, b) for a, b in itertools.combinations(boxes, 2) if _meet(boxes[a], boxes[b]) and not _at_corner(a, b)]
+    panels = [axes.get_window_extent() for axes in figure.axes]
+    covered = [(a, "a panel") for a, box in boxes.items() if any(_meet(box, panel) for panel in panels)]
+    page = figure.bbox.padded(0.5)
+    out = [(a, "the edge") for a, box in boxes.items() if not all(page.contains(*corner) for corner in box.corners())]
+    return [*pairs, *covered, *out]
+
+
+def _meet(one: Bbox, other: Bbox) -> bool:
+    common = Bbox.intersection(one, other)
+    return common is not None and min(common.width, common.height) > 0.5  # of a pixel
+
+
+def _at_corner(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether these are the ticks of the two axes of a panel: boxes of the two zeros where axes meet overlap."""
+    return one[0] == other[0] and all(words.startswith("ticks") for _, words in (one, other))
+
+
+SLOWER = ("several", "multipliers", "steep")
+
+
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize(
+    "draw", ["frequency", "shift", "profile", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
+)
+def test_no_text_covers_another(draw: str, soft: Branch, plain: Branch) -> None:
+    def drawn() -> Figure | None:
+        if draw == "shift":  # a power of ten above the axis, and long labels
+            return frequency_figure([follow_family(SOFT, 8, 1e-7, tolerance=1e-4)])
+        if draw == "several":
+            return frequency_figure([soft, plain, follow_family(SOFT, 8, 0.02, tolerance=1e-4)])
+        if draw == "steep":
+            return profile_figure([follow_family(Chain(20, 1.0, 0.99999, -1.0), 1, 0.01, at=[0.01], tolerance=1e-4)])
+        return {"profile": profile_figure, "frequency": frequency_figure}.get(
+            draw, lambda branches: multiplier_figure(branches[0])
+        )([soft])
+
+    figure = drawn()
+    assert figure is not None
+    assert overlaps(figure) == []
+    panels = [axes.get_position() for axes in figure.axes]
+    assert sum(panel.width * panel.height for panel in panels) > 0.4  # of the figure
 
 
 # Files --------------------------------------------------------------------------------------------------------------
