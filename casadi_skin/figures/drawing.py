@@ -35,20 +35,6 @@ SHOWN = 6  # components, where none are named
 MOST_IN_COLUMN = 4  # words of a legend
 
 
-def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
-    """Draw a result into axes, new ones of pyplot by default, and return them; see `Result.plot`."""
-    from matplotlib.axes import Axes
-
-    if axes is None:
-        from matplotlib import pyplot
-
-        axes = pyplot.subplots(layout="constrained")[1]
-    if not isinstance(axes, Axes):
-        raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
-    draw(result, axes, **options)
-    return axes
-
-
 @singledispatch
 def draw(result: Any, axes: Axes, **options: Any) -> None:
     """Draw a result into axes; raises TypeError for other objects, ValueError where there is nothing to draw."""
@@ -79,7 +65,7 @@ def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None, co
         axes.plot(*piece.T, color=colour, zorder=3, **{**look, "label": label_of(look["label"], piece, path)})
     draw_marks(axes, result, path, colour)
     axes.set(xlabel=labels[0], ylabel=labels[1])
-    _legend(axes)
+    legend_once(axes)
 
 
 @draw.register(Diagram)
@@ -165,7 +151,7 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
         check_name("states", name, known)
         axes.plot(t, values[:, known.index(name)], ls=DASHES[i % len(DASHES)], label=plain(name))
     axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
-    _legend(axes, 1 if len(chosen) < MOST_IN_COLUMN else 2)
+    legend_once(axes, 1 if len(chosen) < MOST_IN_COLUMN else 2)
 
 
 def _largest(names: Sequence[str], values: Array) -> list[str]:
@@ -203,10 +189,10 @@ def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
     for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
         if np.any(chosen):
             axes.plot(values[chosen].real, values[chosen].imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
-    _legend(axes)
+    legend_once(axes)
 
 
-def _legend(axes: Axes, columns: int = 1) -> None:
+def legend_once(axes: Axes, columns: int = 1) -> None:
     """A legend in which each label stands once, together with earlier lines."""
     drawn, labels = axes.get_legend_handles_labels()
     if not labels:
@@ -215,6 +201,7 @@ def _legend(axes: Axes, columns: int = 1) -> None:
     look: dict[str, Any] = {"frameon": True, "framealpha": 0.8, "edgecolor": "none", "fontsize": "small"}
     legend = axes.legend(handles.values(), handles.keys(), ncols=columns, **look)
     for handle, label in zip(legend.legend_handles, handles, strict=True):
-        colours = {str(line.get_color()) for line, name in zip(drawn, labels, strict=True) if name == label}  # type: ignore[attr-defined]
+        lines = [line for line, name in zip(drawn, labels, strict=True) if name == label and hasattr(line, "get_color")]
+        colours = {str(line.get_color()) for line in lines}
         if len(colours) > 1 and handle is not None:  # of several branches, each in its colour
             handle.set(color="black")

@@ -7,16 +7,15 @@ import html
 import io
 from typing import Any
 
-from casadi_skin.arguments import cut
-from casadi_skin.figures.drawing import draw
+from casadi_skin.figures import drawn
 from casadi_skin.figures.style import blank, finished, style
-from casadi_skin.results.describing import LONGEST, words
+from casadi_skin.results.described import described
 
 
 def html_table(result: Any) -> str:
     """A result as a small table beside its picture, for notebooks."""
-    head, rows = words(result)
-    cells = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(cut(v, LONGEST))}</td></tr>" for n, v in rows)
+    head, rows = described(result)
+    cells = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in rows)
     table = f"<table><caption>{html.escape(head)}</caption>{cells}</table>"
     return f'<div style="display:flex;gap:2em;align-items:center">{table}{_picture(result, head)}</div>'
 
@@ -26,7 +25,7 @@ def _picture(result: Any, head: str) -> str:
     with style():
         figure, stream = blank(4.2, 2.8), io.BytesIO()
         try:
-            draw(result, figure.add_subplot())
+            drawn.plot(result, figure.add_subplot())
         except (ValueError, ArithmeticError):
             return ""
         finished(figure, (), 1).savefig(stream, format="png", dpi=110)

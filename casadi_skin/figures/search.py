@@ -31,7 +31,7 @@ def search_figure(result: SearchResult, objective: str) -> Figure:
         left, right = figure.subplots(1, 2)
         of_family = isinstance((*result.optima, *result.others)[0].orbit, CosineOrbit) if result.optima else True
         (_profiles if of_family else _orbits)(left, result)
-        _starts(right, result, objective)
+        draw_starts(right, result, objective)
         chain = result.model
         words = f"$N = {chain.sites}$; dimensionless" if isinstance(chain, Chain) else chain.name
         figure.suptitle(f"{result.status.value} ({words})")
@@ -63,7 +63,8 @@ def _orbits(axes: Axes, result: SearchResult) -> None:
     axes.set_ylabel(result.model.state_names[0].replace("_", " "))
 
 
-def _starts(axes: Axes, result: SearchResult, objective: str) -> None:
+def draw_starts(axes: Axes, result: SearchResult, objective: str) -> None:
+    """The objective that each start reached, by how it ended."""
     marks = {Ending.CONVERGED: ("o", "black", "converged"), Ending.INFEASIBLE: ("x", "0.5", "infeasible"),
              Ending.FAILED: ("+", "0.5", "not converged"), Ending.UNBOUNDED: ("^", "0.5", "ran off"),
              Ending.INTERRUPTED: ("|", "0.5", "interrupted"), Ending.NO_OPTIMUM: ("s", "0.5", "saddle")}  # fmt: skip

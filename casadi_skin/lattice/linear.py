@@ -16,13 +16,14 @@ from casadi_skin.lattice.expressions import expression
 from casadi_skin.lattice.gauge import logs_of
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.orbits.linear_modes import symmetrising_scale
+from casadi_skin.result import Result
 
 ComplexArray = NDArray[np.complex128]
 REAL = 1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
 
 
 @dataclass(frozen=True, eq=False)
-class LatticeModes:
+class LatticeModes(Result):
     """Linear modes of a lattice about rest, by ascending real part of omega^2.
 
     Attributes:
@@ -42,6 +43,9 @@ class LatticeModes:
     left_participation: Array
     centre: Array
     decay: Array
+
+    def __repr__(self) -> str:
+        return f"<LatticeModes: {self.squares.size} modes of {len(self.right)} sites>"
 
     @property
     def frequencies(self) -> ComplexArray:
@@ -124,7 +128,7 @@ def _decay(density: Array, direction: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Bands:
+class Bands(Result):
     """Squared frequencies of the waves e^(i k n) |beta|^n of an infinite lattice of the same cells.
 
     Attributes:
@@ -137,6 +141,9 @@ class Bands:
     wave_numbers: Array
     squares: ComplexArray
     beta: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        return f"<Bands: {self.squares.shape[1]} bands at {len(self.wave_numbers)} wave numbers>"
 
     @property
     def gaps(self) -> list[tuple[float, float]]:

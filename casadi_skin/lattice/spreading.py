@@ -16,10 +16,11 @@ from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site
+from casadi_skin.result import Result
 
 
 @dataclass(frozen=True, eq=False)
-class Spreading:
+class Spreading(Result):
     """The distribution of the energy of a lattice in time; dimensionless.
 
     Attributes:
@@ -37,6 +38,9 @@ class Spreading:
     centre: Array
     participation: Array
     second_moment: Array
+
+    def __repr__(self) -> str:
+        return f"<Spreading: {self.t.size} times to {self.t[-1]:g}, {self.energies.shape[1]} sites>"
 
     @property
     def total(self) -> Array:

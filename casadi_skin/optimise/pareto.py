@@ -20,12 +20,13 @@ from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_orbit import STARTS, stated_search
+from casadi_skin.result import Result
 
 ROOM = 1e-6  # of the range of the second quantity, left to the first at the end of the front
 
 
 @dataclass(frozen=True, eq=False)
-class ParetoFront:
+class ParetoFront(Result):
     """Points of the front by ascending second quantity.
 
     Attributes:
@@ -33,12 +34,17 @@ class ParetoFront:
         values: of both quantities, shape (points, 2).
         dominated: number of optima removed.
         searches: all searches that were run.
+        names: of both quantities.
     """
 
     points: tuple[Optimum, ...]
     values: Array
     dominated: int
     searches: tuple[SearchResult, ...]
+    names: tuple[str, str] = ("first", "second")
+
+    def __repr__(self) -> str:
+        return f"<ParetoFront: {len(self.points)} points of {self.names[0]} against {self.names[1]}>"
 
     @property
     def complete(self) -> bool:
@@ -100,7 +106,9 @@ def _front(searches: list[SearchResult], first: str, second: str) -> ParetoFront
     values = np.array([[getattr(optimum, name) for name in (first, second)] for optimum in found])
     kept = [k for k in range(len(found)) if not _dominated(values, k)]
     kept.sort(key=lambda k: float(values[k, 1]))
-    return ParetoFront(tuple(found[k] for k in kept), values[kept], len(found) - len(kept), tuple(searches))
+    return ParetoFront(
+        tuple(found[k] for k in kept), values[kept], len(found) - len(kept), tuple(searches), (first, second)
+    )
 
 
 def _dominated(values: Array, k: int) -> bool:

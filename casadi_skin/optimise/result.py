@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
-from casadi_skin import methods
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
+from casadi_skin.result import Result
 
 
 class SearchStatus(Enum):
@@ -24,7 +23,7 @@ class SearchStatus(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
+class SearchResult(Result):
     """Distinct optima, best first.
 
     Attributes:
@@ -64,19 +63,5 @@ class SearchResult:
         """Whether there is an optimum."""
         return bool(self.optima)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
-
-        Raises ValueError for parts that are no data: a function of the caller's, a model that is a program.
-        """
-        saved: Path = methods.TASKS["save"].load()(self, path)
-        return saved
-
     def __repr__(self) -> str:
-        lines = [f"SearchResult: {self.reason}"]
-        for optimum in self.optima:
-            free = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
-            lines.append(
-                f"  objective {optimum.objective:.10g} at {free}{', ...' if len(optimum.parameters) > 4 else ''}"
-            )
-        return "\n".join(lines)
+        return f"<SearchResult: {len(self.optima)} optima; {self.reason}>"

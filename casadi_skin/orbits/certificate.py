@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.result import Result
 
 Interval = tuple[float, float]
 
@@ -28,7 +29,7 @@ class Constants:
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate:
+class Certificate(Result):
     """A proof that an orbit exists near a computed one, or why there is none; dimensionless, or in the model's units.
 
     Every pair is (lower, upper) in doubles rounded outwards, and holds the value of the true orbit, whose S is exactly
@@ -81,20 +82,13 @@ class Certificate:
 
     def __repr__(self) -> str:
         if not self.proved:
-            return f"not proved: {self.reason}"
-        c, odd = self.constants, "odd " if self.step == 2 else ""
-        return "\n".join(
-            [
-                f"proved: one orbit with S = {self.S!r} within {self.radius:.2g} of the computed one (of norm "
-                f"{self.size:.3g}), and no other within {self.uniqueness:.2g}",
-                f"Omega = {self.Omega_digits}; the computed one is off by {self.Omega_error:.2g} at most",
-                f"Y = {c.Y:.3g}, Z = {c.Z:.3g}, W = {c.W:.3g}; {self.harmonics} {odd}harmonics, nu = {self.weight!r}",
-            ]
-        )
+            return f"<Certificate: not proved: {self.reason}>"
+        near = f"one orbit with S = {self.S!r} within {self.radius:.2g} of the computed one"
+        return f"<Certificate: proved: {near}, Omega = {self.Omega_digits}>"
 
 
 @dataclass(frozen=True, eq=False)
-class ProvedStability:
+class ProvedStability(Result):
     """Proof about the Floquet multipliers exp(2 pi i sigma/step), those of q' left out.
 
     They are those over half a period for orbits of odd cosines (step 2), over the period for the others (step 1).
@@ -132,7 +126,7 @@ class ProvedStability:
 
 
 @dataclass(frozen=True, eq=False)
-class ProvedStretch:
+class ProvedStretch(Result):
     """A stretch of a family on which there is, for each S, one orbit near the computed ones, and all are one curve.
 
     Attributes:

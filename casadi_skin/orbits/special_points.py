@@ -11,6 +11,7 @@ from casadi_skin import methods
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.turns import rate, turning
+from casadi_skin.result import Result
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
@@ -26,7 +27,7 @@ class NotLocatedError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False)
-class SpecialPoint:
+class SpecialPoint(Result):
     """A special point of a branch, with the coefficient of its normal form.
 
     Attributes:

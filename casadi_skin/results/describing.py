@@ -1,14 +1,9 @@
-"""Results in a few words: rows of a name and a value, as lines for print."""
+"""Orbits, equilibria, branches, multipliers and evolutions in a few words."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import singledispatch
-from typing import Any
-
 import numpy as np
 
-from casadi_skin.arguments import cut
 from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.equilibria.diagram import Diagram
@@ -18,31 +13,24 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.results.wording import (
+    Rows,
+    complex_words,
+    listed,
+    model_name,
+    named,
+    parameter_rows,
+    with_error,
+    words,
+)
 from casadi_skin.stability.result import Floquet
-
-MOST = 6  # special points, parameters or states that are named
-LONGEST = 100  # characters of a value
-Rows = list[tuple[str, str]]
-
-
-def lines(result: Any) -> str:
-    """A result in a few lines."""
-    head, rows = words(result)
-    width = max((len(name) for name, _ in rows), default=0)
-    return "\n".join([head, *(f"  {name:<{width}}  {cut(value, LONGEST)}" for name, value in rows)])
-
-
-@singledispatch
-def words(result: Any) -> tuple[str, Rows]:
-    """Title of a result, and its rows; raises TypeError for other objects."""
-    raise TypeError(f"no result: {type(result).__name__}")
 
 
 @words.register
 def _(result: Orbit) -> tuple[str, Rows]:
     family, known = isinstance(result.space, Family), result.known_floquet or vars(result).get("_floquet")
-    rows = [("S", f"{result.S:.10g}"), ("Omega", _with_error(result.Omega, result.Omega_error))] if family else []
-    rows += [("period", _with_error(result.period, result.period_error)), *_parameters(result.parameters)]
+    rows = [("S", f"{result.S:.10g}"), ("Omega", with_error(result.Omega, result.Omega_error))] if family else []
+    rows += [("period", with_error(result.period, result.period_error)), *parameter_rows(result.parameters)]
     rows += [("error", f"{result.profile_error:.1e}, relative, of the state")]
     rows += [("stability", _stability(known) if known is not None else "not computed; see floquet()")]
     return f"Orbit of {model_name(result.model)}", rows
@@ -50,16 +38,16 @@ def _(result: Orbit) -> tuple[str, Rows]:
 
 @words.register
 def _(result: Equilibrium) -> tuple[str, Rows]:
-    states = _named(dict(zip(result.space.state_names, result.positions.tolist(), strict=True)))
+    states = named(dict(zip(result.space.state_names, result.positions.tolist(), strict=True)))
     stable = "stable" if result.stable else f"unstable: {result.unstable} eigenvalues with a positive real part"
-    rows = [("state", states), *_parameters(result.parameters), ("error", f"{result.error:.1e}, relative")]
+    rows = [("state", states), *parameter_rows(result.parameters), ("error", f"{result.error:.1e}, relative")]
     return f"Equilibrium of {model_name(result.model)}", [*rows, ("stability", stable)]
 
 
 @words.register
 def _(result: Solution) -> tuple[str, Rows]:
     start, end = result.interval
-    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *_parameters(result.parameters)]
+    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *parameter_rows(result.parameters)]
     if result.optimum is not None:
         rows.append(("objective", f"{result.objective:.10g}: {result.status}"))
     return f"Solution of {model_name(result.model)}", [*rows, ("error", f"{result.error:.1e}, relative")]
@@ -78,10 +66,10 @@ def _(result: Branch) -> tuple[str, Rows]:
         stable = int(np.count_nonzero(result.stable))
         rows.append(("stable", f"{stable} of {len(result)} points"))
         known = result.with_events and (not isinstance(result.space, Family) or "stability_diagram" in vars(result))
-        rows += [("changes of stability", _listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
+        rows += [("changes of stability", listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
     special = result.special_points if result.space.locates_folds else ()
     if special:
-        rows.append(("special points", _listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
+        rows.append(("special points", listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
     return f"{what.capitalize()} of {model_name(result.space.model)}", [*rows, ("end", result.reason)]
 
 
@@ -89,7 +77,7 @@ def _(result: Branch) -> tuple[str, Rows]:
 def _(result: Diagram) -> tuple[str, Rows]:
     special = [f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in result.special_points]
     rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
-    rows += [("special points", _listed(special)), ("not started", _listed(result.failures))]
+    rows += [("special points", listed(special)), ("not started", listed(result.failures))]
     return f"Diagram of {model_name(result.branches[0].space.model)} in {result.branches[0].parameter}", rows
 
 
@@ -104,51 +92,23 @@ def _(result: EdgeCurve) -> tuple[str, Rows]:
 
 @words.register
 def _(result: Floquet) -> tuple[str, Rows]:
-    largest = _listed([_complex(value) for value in sorted(result.others, key=abs, reverse=True)])
+    largest = listed([complex_words(value) for value in sorted(result.others, key=abs, reverse=True)])
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial"), ("largest", largest)]
     return "Floquet multipliers", [*rows, ("error", f"{result.error:.1e}"), ("stability", _stability(result))]
 
 
 @words.register
 def _(result: Spectrum) -> tuple[str, Rows]:
-    rows = [("eigenvalues", _listed([_complex(value) for value in result.values]))]
+    rows = [("eigenvalues", listed([complex_words(value) for value in result.values]))]
     rows += [("error", f"{np.max(result.errors):.1e}"), ("stability", "stable" if result.stable else "unstable")]
     return "Eigenvalues of the linearisation", rows
 
 
 @words.register
 def _(result: Evolution) -> tuple[str, Rows]:
-    rows = [("times", f"{result.t.size}, from {result.t[0]:g} to {result.t[-1]:g}"), ("states", _listed(result.names))]
-    rows += [*_parameters(result.parameters), ("method", f"{result.method}, tolerance {result.tolerance:.1e}")]
+    rows = [("times", f"{result.t.size}, from {result.t[0]:g} to {result.t[-1]:g}"), ("states", listed(result.names))]
+    rows += [*parameter_rows(result.parameters), ("method", f"{result.method}, tolerance {result.tolerance:.1e}")]
     return f"Time evolution of {model_name(result.model)}", rows
-
-
-def model_name(model: Any) -> str:
-    """A model in a few words."""
-    return str(model.name) if hasattr(model, "name") else repr(model)
-
-
-def _with_error(value: float, error: float) -> str:
-    return f"{value:.12g} +- {error:.1e}"
-
-
-def _parameters(values: Mapping[str, float]) -> Rows:
-    shown = {name: value for name, value in values.items() if name != "period"}
-    return [("parameters", _named(shown))] if shown else []
-
-
-def _named(values: Mapping[str, float]) -> str:
-    return _listed([f"{name} = {value:.8g}" for name, value in values.items()])
-
-
-def _listed(items: Any) -> str:
-    texts = [str(item) for item in items]
-    more = f", ... ({len(texts)} in all)" if len(texts) > MOST else ""
-    return (", ".join(texts[:MOST]) + more) or "none"
-
-
-def _complex(value: complex) -> str:
-    return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}i"
 
 
 def _stability(floquet: Floquet) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,8 @@ from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.results import frames_analyses
+from casadi_skin.results.columns import Columns, table
 from casadi_skin.results.dataset import Dataset, Variable, to_xarray, unique_names
 from casadi_skin.results.quantities import branch_to_xarray, places_of, quantities_of
 from casadi_skin.results.quantity import NETCDF
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     import xarray
 
 SAMPLES = 401  # times of an orbit
-Columns = dict[str, Any]
+REGISTERED = frames_analyses  # its tables count once it is loaded
 
 
 def result_to_xarray(result: Any) -> xarray.Dataset:
@@ -56,12 +57,6 @@ def result_to_dataframe(result: Any) -> pandas.DataFrame:
         frames = [result_to_dataframe(branch).assign(branch=n) for n, branch in enumerate(result.branches, start=1)]
         return pandas.concat(frames, ignore_index=True)
     return pandas.DataFrame(table(result)[2])
-
-
-@singledispatch
-def table(result: Any) -> tuple[str, str, Columns]:
-    """The name of the first column, what the table is, and its columns; raises TypeError for what is no result."""
-    raise TypeError(f"no result: {type(result).__name__}")
 
 
 @table.register

@@ -30,7 +30,7 @@ def event_rows(
 
     With `prove`, which gives two S between which a change is proved or None, they have the columns for it.
     """
-    rows = [*_edge_rows(mode, diagram, diagram.changes), *(_unresolved(mode, u) for u in diagram.unresolved)]
+    rows = [*edge_rows(mode, diagram, diagram.changes), *(_unresolved(mode, u) for u in diagram.unresolved)]
     if prove is not None:
         brackets = [prove(edge) for edge in diagram.changes] + [None] * len(diagram.unresolved)
         for row, ends in zip(rows, brackets, strict=True):
@@ -40,10 +40,11 @@ def event_rows(
 
 def further_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
     """Rows of further_events.csv: edges of tongues where orbits are unstable on both sides."""
-    return list(_edge_rows(mode, diagram, diagram.further))
+    return list(edge_rows(mode, diagram, diagram.further))
 
 
-def _edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdge]) -> Iterator[dict[str, Cell]]:
+def edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdge]) -> Iterator[dict[str, Cell]]:
+    """Rows of edges of tongues."""
     for e in edges:
         signatures = "".join("+" if sign > 0 else "-" for sign in e.signatures)
         values: tuple[Cell, ...] = (

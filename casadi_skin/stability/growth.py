@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.result import Result
 from casadi_skin.stability.flow import Transition
 from casadi_skin.stability.multipliers import trivial_pair
 
 
-@dataclass(frozen=True)
-class TransientGrowth:
+@dataclass(frozen=True, eq=False)
+class TransientGrowth(Result):
     """Largest amplification of a perturbation against time, in the Euclidean norm of (positions, velocities).
 
     `t` has shape (times,): multiples of a quarter of the period. `log10_gain` is over all perturbations,

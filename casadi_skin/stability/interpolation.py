@@ -286,7 +286,7 @@ def _piece(
     noise += _of_plateau(coefficients)
     noise += EPSILON * np.max(np.sqrt(np.sum(values**2, axis=(2, 3))), axis=0) * degree
     series = MatrixSeries(start, end, coefficients, errors, noise)
-    return Piece(series, scalars[:, 0], scalars[:, 1]), sizes
+    return Piece(series, scalars[:, 0].copy(), scalars[:, 1].copy()), sizes  # in order, as files hold them
 
 
 def _of_plateau(coefficients: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.result import Result
 from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
@@ -161,7 +162,7 @@ class Unresolved:
 
 
 @dataclass(frozen=True, eq=False)
-class StabilityDiagram:
+class StabilityDiagram(Result):
     """Every change of stability along a branch, and stability as a function of the coordinate along it.
 
     `changes` are the changes between stable and unstable, in order along the branch; `further` the other edges, where

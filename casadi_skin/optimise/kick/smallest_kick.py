@@ -12,11 +12,9 @@ from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.kick.arguments import check, kicked_sites
@@ -34,13 +32,14 @@ from casadi_skin.optimise.kick.search import (
 from casadi_skin.optimise.kick.verify import Escape, escape, sampled, size_to_escape
 from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.result import Result
 
 REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
 GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and its peak is missed by up to 0.01 %
 
 
 @dataclass(frozen=True, eq=False)
-class SmallestKick:
+class SmallestKick(Result):
     """The smallest kick of a search; dimensionless. After an interruption the comparisons that are missing are nan.
 
     Attributes:
@@ -71,14 +70,6 @@ class SmallestKick:
 
     def __repr__(self) -> str:
         return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
-
-    def save(self, path: str | Path) -> Path:
-        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
-
-        Raises ValueError for parts that are no data: a function of the caller's, a model that is a program.
-        """
-        saved: Path = methods.TASKS["save"].load()(self, path)
-        return saved
 
     @property
     def best(self) -> KickOptimum:
