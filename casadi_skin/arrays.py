@@ -16,20 +16,23 @@ def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArr
 
     A matrix of CasADi's numbers (DM) is an array, and one of one column a vector.
     """
-    refused = f"{name}: given {short_repr(value)}; accepted: {accepted}"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # of CasADi, where numpy meets expressions
             full = value.full() if type(value).__name__ == "DM" else value
             found = np.asarray(full)
     except Exception:  # of the object's own conversion to numbers
-        raise TypeError(refused) from None
+        raise TypeError(_refused(name, value, accepted)) from None
     if found.dtype.kind not in "iuf" and found.size:  # text, truths, complex numbers and objects are none
-        raise TypeError(refused)
+        raise TypeError(_refused(name, value, accepted))
     found = found.astype(float)
     if not np.all(np.isfinite(found)):
-        raise ValueError(refused)
+        raise ValueError(_refused(name, value, accepted))
     return found.ravel() if full is not value and found.ndim == 2 and found.shape[1] == 1 else found
+
+
+def _refused(name: str, value: Any, accepted: str) -> str:
+    return f"{name}: given {short_repr(value)}; accepted: {accepted}"
 
 
 def site_numbers(value: Any) -> NDArray[np.int64] | None:

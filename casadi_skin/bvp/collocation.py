@@ -22,22 +22,26 @@ from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import Array, Indices, Problem, sparse_matrix
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
+NONE: Array = np.zeros(0)
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
 
 class CollocationEquations(Problem):
     """Equations of K intervals with d stages; unknowns ordered in time, x_0, X_11 .. X_1d, x_1, ..., x_K, then scalars.
 
-    `constants` are the lengths of the intervals relative to their sum.
+    `constants` are the lengths of the intervals relative to their sum, `values` those of the formulation's constants.
     """
 
     formulation: Formulation
     table: CollocationTable
+    values: Array
     in_order = True
 
-    def _discretise(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
+    def _discretise(
+        self, formulation: Formulation, intervals: int, table: CollocationTable, values: Array = NONE
+    ) -> None:
         """Set the parts of the equations."""
-        self.formulation, self.table, self.resolution = formulation, table, intervals
+        self.formulation, self.table, self.resolution, self.values = formulation, table, intervals, values
         self.degree = table.degree
         self.columns = intervals * table.ends.size + 1
         self.states = formulation.states * self.columns
@@ -73,7 +77,16 @@ class CollocationEquations(Problem):
         return self.discretisation.rows, self.discretisation.columns
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
-        return self.discretisation(z, self.constants)
+        return self.discretisation(z, self.numbers)
+
+    @property
+    def numbers(self) -> Array:
+        return np.concatenate([self.constants, self.values]) if self.values.size else self.constants
+
+    def repeated(self, z: Array, count: int) -> tuple[Array, Array]:
+        """Scalars of z and values of the constants as columns for `count` places."""
+        scalars, values = z[self.states :, None], self.values[:, None]
+        return np.tile(scalars, count), np.tile(values, count)
 
     def with_constants(self, constants: Array) -> Self:
         """The same equations on intervals of other lengths; nothing is built again.
@@ -112,17 +125,18 @@ class CollocationEquations(Problem):
         values, scalars = ca.reshape(z[: self.states], n, self.columns), z[self.states :]
         stage, start, target = self._columns()
         places = self.places
-        repeated = ca.repmat(scalars, 1, K * d)
+        constants = ca.MX(ca.DM(self.values))
+        repeated = [ca.repmat(these, 1, K * d) for these in (scalars, constants)]
         at_stages = values[:, stage.tolist()]
-        F, dF_dx, dF_dscalars = self.formulation.at_stages(places, at_stages, repeated)
+        F, dF_dx, dF_dscalars = self.formulation.at_stages(places, at_stages, *repeated)
         # Increments from stage derivatives: (K d) x (K rows), each interval scaled by its length.
         weights = ca.kron(ca.diag(self.constants_symbol), ca.DM(table.extended.T))
         collocation = values[:, target.tolist()] - values[:, start.tolist()] - F @ weights
-        conditions = self.formulation.condition_function(values[:, 0], values[:, -1], scalars)
+        conditions = self.formulation.condition_function(values[:, 0], values[:, -1], scalars, constants)
         residual = [ca.vec(collocation), conditions[0]]
         jacobian = self._differences() + self._stiffness(dF_dx) + self._borders(dF_dscalars, weights, conditions[1:])
         if self.formulation.integrals:
-            e, de_dx, de_dscalars = self.formulation.integrand_function.map(K * d)(places, at_stages, repeated)
+            e, de_dx, de_dscalars = self.formulation.integrand_function.map(K * d)(places, at_stages, *repeated)
             quadrature = ca.vec(ca.kron(self.constants_symbol, ca.DM(table.extended[-1])))
             residual.append(e @ quadrature)
             jacobian += self._integral_rows(de_dx, de_dscalars, quadrature)

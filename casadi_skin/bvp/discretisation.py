@@ -94,19 +94,20 @@ class Discretisation:
             parts += [(by_x[0].ravel(), by_x[1].ravel()), (by_s[0].ravel(), by_s[1].ravel())]
         return parts
 
-    def __call__(self, z: Array, lengths: Array) -> tuple[Array, Array]:
+    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
 
-        The last ones are kept: a solution is measured where it was solved.
+        `numbers` are the lengths of the intervals, then the constants of the formulation. The last results are kept: a
+        solution is measured where it was solved.
         """
-        if not (np.array_equal(z, self._at[0]) and np.array_equal(lengths, self._at[1])):
-            found = self._assembled(z, lengths)
+        if not (np.array_equal(z, self._at[0]) and np.array_equal(numbers, self._at[1])):
+            found = self._assembled(z, numbers[: self._K], numbers[self._K :])
             for array in found:
                 array.flags.writeable = False
-            self._at, self._last = (z.copy(), lengths.copy()), found
+            self._at, self._last = (z.copy(), numbers.copy()), found
         return self._last
 
-    def _assembled(self, z: Array, lengths: Array) -> tuple[Array, Array]:
+    def _assembled(self, z: Array, lengths: Array, constants: Array) -> tuple[Array, Array]:
         n, K, d, R, m = self._n, self._K, self._d, self._R, self._m
         values, scalars = z[: self._states].reshape(-1, n), z[self._states :]
         starts = np.cumsum(lengths) - lengths
@@ -114,12 +115,13 @@ class Discretisation:
             (starts[:, None] + lengths[:, None] * self._table.nodes).ravel(),
             values[self._stage].ravel(),
             np.tile(scalars, K * d),
+            np.tile(constants, K * d),
         )
         weights = lengths[:, None, None] * self._table.extended  # (K, R, d)
         field, by_states, by_scalars = self._field(*arguments)
         increments = weights @ field.reshape(K, d, n)
         ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]
-        condition, *derivatives = self._conditions(values[0], values[-1], scalars)
+        condition, *derivatives = self._conditions(values[0], values[-1], scalars, constants)
         residual = [(ends - increments).ravel(), condition]
         rest = [-(weights @ by_scalars.reshape(K, d, m * n)).ravel(), *derivatives]
         if self._integrals:

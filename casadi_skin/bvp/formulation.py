@@ -18,8 +18,10 @@ class Formulation:
     """dx/ds = field(s, x, sigma) for s in [0, 1], with rows that vanish at the ends and integrals that vanish.
 
     `s`, `x`, `end` and `scalars` (sigma: Omega or a duration, parameters, unfolding coefficients) are symbols of one
-    kind, SX or MX. `conditions` are expressions in x at the start, in `end` and in sigma; `integrands` are expressions
-    in s, x and sigma. Together they are one less than components of x and scalars: one scalar is held or followed.
+    kind, SX or MX, and so are the `constants`, whose values may change without anything being built again: all
+    expressions may have them in. `conditions` are expressions in x at the start, in `end` and in sigma; `integrands`
+    are expressions in s, x and sigma. Together they are one less than components of x and scalars: one scalar is held
+    or followed.
     """
 
     s: Expression
@@ -29,6 +31,7 @@ class Formulation:
     field: Expression
     conditions: Expression
     integrands: Expression
+    constants: Expression
 
     @cached_property
     def discretisations(self) -> dict[tuple[int, int, int], Any]:
@@ -47,7 +50,7 @@ class Formulation:
 
     @cached_property
     def field_function(self) -> ca.Function:
-        """Function (s, x, sigma) -> (F, sparse dF/dx, dense dF/dsigma)."""
+        """Function (s, x, sigma, constants) -> (F, sparse dF/dx, dense dF/dsigma)."""
         return self._along("field", self.field, sparse=True)
 
     @cached_property
@@ -56,33 +59,37 @@ class Formulation:
         pattern = self.field_function.sparsity_out(1)
         return np.array((pattern + pattern.T + ca.Sparsity.diag(self.states)).amd(), dtype=np.int64)
 
-    def at_stages(self, places: ca.MX, states: ca.MX, scalars: ca.MX) -> list[ca.MX]:
-        """F, dF/dx and dF/dsigma at several stages, one column each.
+    def at_stages(self, *arguments: ca.MX) -> list[ca.MX]:
+        """F, dF/dx and dF/dsigma at several stages, one column of (s, x, sigma, constants) each.
 
         An SX function gives all at once. Of a program values have a function of their own: CasADi evaluates all of an
         MX function, also results that are not used.
         """
-        count, function = states.size2(), self.field_function
-        found = list(function.map(count)(places, states, scalars))
+        count, function = arguments[0].size2(), self.field_function
+        found = list(function.map(count)(*arguments))
         if not function.is_a("SXFunction"):
-            arguments = [self.s, self.x, self.scalars]
-            values = ca.Function("values", arguments, [ca.densify(self.field)])
-            found[0] = values.map(count)(places, states, scalars)
+            values = ca.Function("values", self._arguments, [ca.densify(self.field)])
+            found[0] = values.map(count)(*arguments)
         return found
 
     @cached_property
     def integrand_function(self) -> ca.Function:
-        """Function (s, x, sigma) -> (e, dense de/dx, dense de/dsigma)."""
+        """Function (s, x, sigma, constants) -> (e, dense de/dx, dense de/dsigma)."""
         return self._along("integrands", self.integrands, sparse=False)
 
     def _along(self, name: str, values: Expression, sparse: bool) -> ca.Function:
         by_x, by_scalars = ca.jacobian(values, self.x), ca.densify(ca.jacobian(values, self.scalars))
         results = [ca.densify(values), by_x if sparse else ca.densify(by_x), by_scalars]
-        return ca.Function(name, [self.s, self.x, self.scalars], results)
+        return ca.Function(name, self._arguments, results)
+
+    @property
+    def _arguments(self) -> list[Expression]:
+        return [self.s, self.x, self.scalars, self.constants]
 
     @cached_property
     def condition_function(self) -> ca.Function:
-        """Function (x at the start, x at the end, sigma) -> (rows, their sparse derivatives by each of the three)."""
+        """Function (x at start, x at end, sigma, constants) -> (rows, sparse derivatives by the first three)."""
         arguments = [self.x, self.end, self.scalars]
         derivatives = [ca.jacobian(self.conditions, symbol) for symbol in arguments]
-        return ca.Function("conditions", arguments, [ca.densify(self.conditions), *derivatives])
+        results = [ca.densify(self.conditions), *derivatives]
+        return ca.Function("conditions", [*arguments, self.constants], results)

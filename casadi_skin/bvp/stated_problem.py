@@ -41,7 +41,7 @@ class BoundaryProblem(CollocationEquations):
     ) -> None:
         self.statement, self.walking, self.end = statement, walking, end
         self.floors, self.scalar_floors = floors, scalar_floors
-        self._discretise(formulation, intervals, table)
+        self._discretise(formulation, intervals, table, statement.constants(walking, end))
 
     def index_of(self, scalar: Scalar) -> int:
         """Place of u among the unknowns; of the unknown period of an orbit, which stands for Omega."""

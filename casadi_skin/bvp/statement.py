@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.arguments import by_name, check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.bvp.problem import Array
 from casadi_skin.models.expressions import Expression, expression_of, in_scalars, is_comparison
 from casadi_skin.models.ode import OdeModel
 
@@ -43,6 +45,7 @@ class Statement:
     bounds: Bounds = field(default_factory=dict)
     objective: Expression | None = None
     running: Expression | None = None
+    always_confirmed: ClassVar[bool] = True  # by a call of Ipopt, as every orbit is
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -179,38 +182,49 @@ class Statement:
         return float(start), float(end)
 
     @cached_property
-    def _formulations(self) -> dict[tuple[str | None, float], Formulation]:
+    def _formulations(self) -> dict[str | None, Formulation]:
         return {}
 
-    def formulation(self, walking: str | None = None, end: float = 1.0) -> Formulation:
-        """This problem on [0, 1]; the last scalar u takes the parameter `walking`, if any, from its value to `end`.
+    def formulation(self, walking: str | None = None) -> Formulation:
+        """This problem on [0, 1] at any values; the last scalar u takes the parameter `walking`, if any, along.
 
-        It is made once, and keeps its discretisations: solving again builds nothing.
+        It is made once for all values of parameters, and keeps its discretisations: solving again builds nothing.
         """
-        if (walking, end) not in self._formulations:
-            self._formulations[walking, end] = self._formulated(walking, end)
-        return self._formulations[walking, end]
+        if walking not in self._formulations:
+            self._formulations[walking] = self._formulated(walking)
+        return self._formulations[walking]
 
-    def _formulated(self, walking: str | None, end: float) -> Formulation:
+    def constants(self, walking: str | None = None, end: float = 1.0) -> Array:
+        """Values of the formulation's constants: of all parameters; then the way of the one that walks to `end`."""
+        values = list(self.values.values())
+        return np.array(values if walking is None else [*values, end - self.values[walking]])
+
+    def _formulated(self, walking: str | None) -> Formulation:
         model, kind = self.model, type(self.model.state)
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)
-        p = self.parameters_at(scalars, walking, end)
+        constants = kind.sym("constants", len(self.values) + (walking is not None))
+        p = self._along(scalars, ca.vertsplit(constants), walking)
         t0, t1 = self.ends_at(p)
         time = t0 + s * (t1 - t0)
         border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
         mean = self.along("mean", _stacked(kind, self.integrals))
         field = (t1 - t0) * model.field_at(time, x, p)
-        return Formulation(s, x, last, scalars, field, border(x, last, p), (t1 - t0) * mean(time, x, p))
+        integrands = (t1 - t0) * mean(time, x, p)
+        return Formulation(s, x, last, scalars, field, border(x, last, p), integrands, constants)
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
         """All parameters, in the model's order, from the scalars among the unknowns."""
+        return self._along(scalars, self.constants(walking, end), walking)
+
+    def _along(self, scalars: Any, constants: Any, walking: str | None) -> Any:
+        """The same, from the constants of the formulation too."""
         entries = []
-        for name, value in self.values.items():
+        for name, value in zip(self.values, constants, strict=False):
             if name in self.free:
                 entries.append(scalars[list(self.free).index(name)])
             elif name == walking:
-                entries.append(value + scalars[len(self.free)] * (end - value))
+                entries.append(value + scalars[len(self.free)] * constants[-1])
             else:
                 entries.append(value)
         if isinstance(scalars, np.ndarray):
@@ -218,10 +232,13 @@ class Statement:
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
     def with_parameters(self, **values: float) -> Statement:
-        """The same problem at other values of parameters."""
-        return replace(self, parameters={**self.parameters, **values})
-
-    # Queries ----------------------------------------------------------------------------------------------------------
+        """The same problem at other values of parameters; what is built for one is kept for all."""
+        _ = self._formulations  # shared by the copy
+        other = copy.copy(self)
+        other.__dict__.pop("values", None)
+        object.__setattr__(other, "parameters", by_name("parameters", {**self.parameters, **values}))
+        other._check_values()
+        return other
 
 
 def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:

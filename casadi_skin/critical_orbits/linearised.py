@@ -120,7 +120,7 @@ class Linearised:
         starts = np.cumsum(problem.constants) - problem.constants
         places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()[None]
         x = self.z[: problem.states].reshape(problem.columns, -1)[stages].T
-        scalars = np.tile(self.z[problem.states :, None], stages.size)
+        repeated = problem.repeated(self.z, stages.size)
         mapped = function.map(stages.size)
         total: Vector = np.zeros((self.components, stages.size), dtype=complex)
         parts = [self._at_stages(v) for v in directions]
@@ -128,31 +128,32 @@ class Linearised:
             turned = [(a.imag, b.imag) if c else (a.real, b.real) for c, (a, b) in zip(choice, parts, strict=True)]
             if all(np.any(a) or np.any(b) for a, b in turned):
                 given = [g for a, b in turned for g in (a, np.tile(b[:, None], stages.size))]
-                total += 1j ** sum(choice) * np.array(mapped(places, x, scalars, *given))
+                total += 1j ** sum(choice) * np.array(mapped(places, x, *repeated, *given))
         found = self._increments(total)
         return found if any(np.iscomplexobj(v) for v in directions) else np.asarray(found.real)
 
 
 @lru_cache(maxsize=16)
 def _derivative(formulation: Formulation, components: int, order: int) -> ca.Function:
-    """Function (s, x, scalars, directions in x and scalars) -> the derivative of the leading field in these."""
-    known = [formulation.s, formulation.x, formulation.scalars]
+    """Function (s, x, scalars, constants, directions in x, scalars) -> derivative of the leading field in these."""
+    known = [formulation.s, formulation.x, formulation.scalars, formulation.constants]
     kind = type(formulation.x)
     field = ca.Function("field", known, [ca.densify(formulation.field[:components])])
     s, x, scalars = kind.sym("s"), kind.sym("x", formulation.states), kind.sym("q", known[2].numel())
-    found, directions = field(s, x, scalars), []
+    constants = kind.sym("c", known[3].numel())
+    found, directions = field(s, x, scalars, constants), []
     for k in range(order):
         a, b = kind.sym(f"a{k}", x.numel()), kind.sym(f"b{k}", scalars.numel())
         found = ca.jtimes(found, x, a) + ca.jtimes(found, scalars, b)
         directions += [a, b]
-    return ca.Function("derivative", [s, x, scalars, *directions], [ca.densify(found)])
+    return ca.Function("derivative", [s, x, scalars, constants, *directions], [ca.densify(found)])
 
 
 def velocities(problem: BoundaryProblem, z: Array) -> Array:
     """Derivatives of the state by the fraction of the interval, shape (columns, components)."""
     x = z[: problem.states].reshape(problem.columns, -1)
-    scalars = np.tile(z[problem.states :, None], problem.columns)
-    field = problem.formulation.field_function.map(problem.columns)(problem._fractions()[None], x.T, scalars)
+    mapped = problem.formulation.field_function.map(problem.columns)
+    field = mapped(problem._fractions()[None], x.T, *problem.repeated(z, problem.columns))
     return np.array(field[0]).T
 
 

@@ -101,7 +101,7 @@ class BoundarySpace:
     def levels(self) -> Levels:
         """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
         walking = self.parameter or None
-        formulation = self.statement.formulation(walking, self.to)
+        formulation = self.statement.formulation(walking)
         table = methods.COLLOCATION_TABLES[str(self.method.transcription)].load()(self.method.degree)
         sizes = self.sizes
 
@@ -113,11 +113,12 @@ class BoundarySpace:
         return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
 
     def _corrector(self, problem: Problem) -> Corrector:
-        """The corrector, for a hundredth of the tolerance where rounding allows it."""
+        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
+        more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
         make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
-        return RoundedCorrector(make(problem, tolerance, ITERATIONS))
+        return RoundedCorrector(make(problem, tolerance, ITERATIONS, **more))
 
     @cached_property
     def point_solver(self) -> PointSolver:
@@ -268,7 +269,7 @@ class BoundarySpace:
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> BoundarySpace:
         """The space of the branch through one of these solutions in a parameter."""
-        statement = replace(self.statement, parameters={**self.statement.parameters, **solution.parameters})
+        statement = self.statement.with_parameters(**solution.parameters)
         sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
         return BoundarySpace(
             statement, self.tolerance, self.method, sizes, self.periodic, parameter, to, at, solution.point, settings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.orbits.guesses import Guess
@@ -12,6 +12,7 @@ from casadi_skin.orbits.solve import solve
 
 class BoundaryValueProblem(Statement):
     __doc__ = Statement.__doc__
+    always_confirmed: ClassVar[bool] = False  # but where a solution does not meet Ipopt's own test
 
     def __repr__(self) -> str:
         start, end = (end if isinstance(end, int | float) else "a parameter" for end in self.interval)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -57,6 +58,8 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess with
     its own times, as a simulated cycle, is sampled there.
     """
+    if _is_constant(guess):
+        return []
     start, end = statement.span(np.array(list(statement.values.values())))
     for samples in (FIRST_SAMPLES, SAMPLES):
         times = known_times(statement, guess, samples)
@@ -72,9 +75,16 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     return [np.diff(np.interp(np.linspace(0.0, total[-1], count + 1), total, places)) for count in counts]
 
 
+def _is_constant(guess: Guess) -> bool:
+    """Whether a guess is numbers, one a state."""
+    if not isinstance(guess, list | tuple | np.ndarray):
+        return False
+    return all(isinstance(entry, Real) for entry in guess)
+
+
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
-    if isinstance(guess, Evaluated):
+    if not _is_constant(guess) and isinstance(guess, Evaluated):
         return _evaluated(guess, t)
     if isinstance(guess, Mapping):
         for name in guess:

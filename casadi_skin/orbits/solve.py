@@ -122,8 +122,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
     resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
     failures = []
     undetermined = ""
-    for problem in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
-        z = packed(problem, guess)
+    for problem, z in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
         if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
             correction = _corrected(NewtonCorrector(problem), z, problem)
@@ -169,8 +168,8 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
 
 def _first_problems(
     statement: Statement, levels: Levels, resolutions: Sequence[int], guess: Guess
-) -> Iterator[BoundaryProblem]:
-    """Problems on which a first solution is sought: on the mesh of a guess that has one, then placed for the guess.
+) -> Iterator[tuple[BoundaryProblem, Array]]:
+    """Problems on which a first solution is sought, and unknowns at the guess: on its own mesh, then placed for it.
 
     A guess with jumps, which a uniform mesh would miss, gets a mesh along its length before.
     """
@@ -181,19 +180,22 @@ def _first_problems(
     ):
         problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
-        yield problem
+        yield problem, packed(problem, guess)
     for resolution, lengths in zip(JUMPS, along_the_guess(statement, guess, JUMPS), strict=False):
         if np.min(lengths) < STEEP / resolution:
             problem = levels.problem(resolution)
             assert isinstance(problem, BoundaryProblem)
-            yield problem.with_constants(lengths)
+            steep = problem.with_constants(lengths)
+            yield steep, packed(steep, guess)
     for resolution in resolutions:
         problem = levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         z = packed(problem, guess)
-        placed = problem.placed(z, problem) if problem.imbalance(z) > 1.0 else problem
-        assert isinstance(placed, BoundaryProblem)
-        yield placed
+        if problem.imbalance(z) > 1.0:
+            placed = problem.placed(z, problem)
+            assert isinstance(placed, BoundaryProblem)
+            problem, z = placed, packed(placed, guess)
+        yield problem, z
 
 
 def packed(problem: BoundaryProblem, guess: Guess) -> Array:

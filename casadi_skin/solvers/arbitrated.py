@@ -1,4 +1,8 @@
-"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and as arbiter of reported results."""
+"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and as arbiter of reported results.
+
+On a square problem without objective Ipopt's multipliers are zero, and it ends at once where no residual exceeds the
+tolerance: what meets its own test need not be handed to it.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,8 @@ import numpy as np
 
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.problem import Array
-from casadi_skin.solvers.corrector import Correction
-from casadi_skin.solvers.ipopt import IpoptCorrector
+from casadi_skin.solvers.corrector import Correction, Status
+from casadi_skin.solvers.ipopt import IpoptCorrector, residual_scale
 from casadi_skin.solvers.newton import NewtonCorrector
 
 STEPS = 10  # of Newton's method, before Ipopt is called
@@ -25,10 +29,18 @@ class ArbitratedCorrector:
     Steps that do not shrink fast leave the neighbourhood of the guess, perhaps for a solution of another family. They
     are taken where Ipopt takes them too, as long as the residuals decrease, with factors that cost less than its own in
     long systems; and where Ipopt finds none, as in stiff problems far from their guess.
+
+    With `always` Ipopt is called for every verdict, else where a solution does not meet its test as it is.
     """
 
-    def __init__(self, problem: CollocationEquations, tolerance: float = 1e-12, max_iterations: int = 20) -> None:
-        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+    def __init__(
+        self,
+        problem: CollocationEquations,
+        tolerance: float = 1e-12,
+        max_iterations: int = 20,
+        always: bool = True,
+    ) -> None:
+        self.problem, self.tolerance, self.max_iterations, self._always = problem, tolerance, max_iterations, always
         self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
         self._decreasing = NewtonCorrector(problem, tolerance, LOWER_STEPS, decreasing=True)
         self._free = NewtonCorrector(problem, tolerance, STEPS)
@@ -67,6 +79,8 @@ class ArbitratedCorrector:
 
         The free parameter is held in place of `row` where that will do: a row through all unknowns costs more.
         """
+        if not self._always and self._is_optimal(z):
+            return Correction(z, Status.CONVERGED, 0)
         held = self.problem.parameter_row()
         found = self._ipopt(True).correct(z, held, float(held @ z))
         if not found.converged and np.any(row[: self.problem.states]):
@@ -76,3 +90,8 @@ class ArbitratedCorrector:
         step = found.z - z
         apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2)))
         return Correction(z, found.status, 0) if apart <= AGREED * self.tolerance else found
+
+    def _is_optimal(self, z: Array) -> bool:
+        """Whether z meets the test at which Ipopt ends: no scaled residual above the tolerance."""
+        scaled = np.max(np.abs(self.problem.evaluate(z)[0])) / residual_scale(self.problem, z)
+        return bool(scaled <= self.tolerance)

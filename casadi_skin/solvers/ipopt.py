@@ -35,12 +35,22 @@ def _expressed(problem: Problem, z: ca.MX, held: ca.MX) -> tuple[ca.MX, ca.Funct
     return constraints, ca.Function("jac_g", [z, held], results, ["x", "p"], ["g", "jac_g_x"])
 
 
+def _numbers(problem: Problem) -> Array:
+    """The numbers that may change in the constraints."""
+    return problem.numbers if isinstance(problem, CollocationEquations) else problem.constants
+
+
+def residual_scale(problem: Problem, z: Array) -> float:
+    """What residuals are divided by, for a tolerance that does not depend on the size of states above 1."""
+    return max(1.0, float(np.max(np.abs(z[: problem.states]))))
+
+
 class _Constraints(ca.Callback):  # type: ignore[misc]
     """The constraints of a problem that is evaluated by numpy, with their Jacobian or without, as a CasADi function."""
 
     def __init__(self, problem: CollocationEquations, with_jacobian: bool, one_scalar: bool) -> None:
         ca.Callback.__init__(self)
-        self._evaluate, self._size, self._constants = problem.discretisation, problem.size, problem.constants.size
+        self._evaluate, self._size, self._numbers = problem.discretisation, problem.size, problem.numbers.size
         self._with_jacobian = with_jacobian
         size, (rows, columns) = self._size, problem.pattern
         self._held = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
@@ -65,7 +75,7 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         return ("g", "jac_g_x")[i]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((self._size, self._size + 2 + self._constants)[i])
+        return ca.Sparsity.dense((self._size, self._size + 2 + self._numbers)[i])
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return self._sparsity if i else ca.Sparsity.dense(self._size)
@@ -159,7 +169,7 @@ class IpoptCorrector:
         self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20, one_scalar: bool = False
     ) -> None:
         self.problem, size = problem, problem.size
-        z, held = ca.MX.sym("z", size), ca.MX.sym("held", size + 2 + problem.constants.size)
+        z, held = ca.MX.sym("z", size), ca.MX.sym("held", size + 2 + _numbers(problem).size)
         if isinstance(problem, CollocationEquations):  # which are no expressions
             self._evaluated = tuple(_Constraints(problem, jacobian, one_scalar) for jacobian in (False, True))
             constraints, jac_g = self._evaluated[0](z, held), self._evaluated[1]
@@ -177,11 +187,11 @@ class IpoptCorrector:
         """Corrected point with row . z = value, or a named failure."""
         words = f"Ipopt, {self.problem.size} unknowns"
         heed(words)
-        scale = max(1.0, float(np.max(np.abs(guess[: self.problem.states]))))
+        scale = residual_scale(self.problem, guess)
         attached, size = self._attached, self.problem.size
         attached.guess[:] = guess
         held = attached.held
-        held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, self.problem.constants
+        held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, _numbers(self.problem)
         z, words, iterations = attached.solve()
         heed(f"Ipopt, {size} unknowns")
         status = STATUS.get(words, Status.DIVERGED)

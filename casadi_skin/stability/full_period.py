@@ -58,8 +58,8 @@ def velocities(problem: BoundaryProblem, z: Array, n: int) -> Array | None:
     """Derivatives of the first n states at the ends of the intervals, one a row; None where they rest."""
     columns = np.arange(problem.resolution + 1) * problem.table.ends.size
     x = z[: problem.states].reshape(problem.columns, -1)[columns]
-    scalars = np.tile(z[problem.states :, None], columns.size)
-    field = problem.formulation.field_function.map(columns.size)(problem._fractions()[columns][None], x.T, scalars)
+    mapped = problem.formulation.field_function.map(columns.size)
+    field = mapped(problem._fractions()[columns][None], x.T, *problem.repeated(z, columns.size))
     return _moving(np.array(field[0]).T[:, :n], x[:, :n])
 
 
@@ -77,11 +77,10 @@ def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
     stage = problem.stages
     starts = np.cumsum(problem.constants) - problem.constants
     places = (starts[:, None] + problem.constants[:, None] * problem.table.nodes).ravel()
-    scalars = np.tile(z[problem.states :, None], K * d)
     field = problem.formulation.field_function
     arguments = field.sx_in() if field.is_a("SXFunction") else field.mx_in()
     by_states = ca.Function("J", arguments, [ca.densify(field.call(arguments, True, False)[1])])
-    blocks = np.array(by_states.map(K * d)(places[None], values[stage].T, scalars))
+    blocks = np.array(by_states.map(K * d)(places[None], values[stage].T, *problem.repeated(z, K * d)))
     return np.asarray(blocks.reshape(n, K * d, n).transpose(1, 0, 2))
 
 
