@@ -99,9 +99,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _status(arguments: Sequence[str] | None) -> int:
     """Exit status of a command that has reported its reason."""
     parsed = _parser().parse_args(arguments)
-    from casadi_skin.runs.directory import DirectoryError  # here: --help does not need it
-    from casadi_skin.scene import SceneError
-
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         act = parsed.act
@@ -109,7 +106,9 @@ def _status(arguments: Sequence[str] | None) -> int:
             module, name = act.split(":")
             act = getattr(import_module(f"casadi_skin.commands.{module}"), name)
         return int(act(parsed))
-    except (SceneError, DirectoryError, InputError) as error:
+    except ValueError as error:
+        if not _is_of_input(error):
+            raise
         print(f"casadi-skin: {error}", file=sys.stderr)
         return WRONG_INPUT
     except KeyboardInterrupt:
@@ -118,6 +117,14 @@ def _status(arguments: Sequence[str] | None) -> int:
     except OSError as error:
         print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         return FAILED
+
+
+def _is_of_input(error: ValueError) -> bool:
+    """Whether an error is the user's, in one line."""
+    from casadi_skin.runs.directory import DirectoryError  # here: --help and spectrum do not need it
+    from casadi_skin.scene import SceneError
+
+    return isinstance(error, SceneError | DirectoryError | InputError)
 
 
 def _complain(words: str) -> None:

@@ -6,14 +6,12 @@ Scenes, messages and documentation read it. It loads no numerics: an implementat
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 
-@dataclass(frozen=True)
-class Implementation:
+class Implementation(NamedTuple):
     """A method as one line of the registry: the words that describe it, and its place as "module:name"."""
 
     words: str

@@ -30,10 +30,14 @@ def undrawn(*arguments: object) -> subprocess.Popen[str]:
 
 
 def modules_of_a_run(scene: Path, out: Path) -> set[str]:
-    """What a run of a scene has imported when it ends."""
-    words = ["run", str(scene), "--out", str(out)]
+    """What a run of a scene has imported when it ends; its pictures stay blank."""
+    return modules_of("run", str(scene), "--out", str(out), before=BLANK)
+
+
+def modules_of(*words: str, before: str = "") -> set[str]:
+    """What casadi-skin with these arguments has imported when it ends."""
     code = f"import sys\nfrom casadi_skin.cli import main\nassert main({words!r}) == 0\nprint(*sys.modules)"
-    process = program(BLANK + code)
+    process = program(before + code)
     printed, error = process.communicate()
     assert process.returncode == 0, error
     return set(printed.splitlines()[-1].split())

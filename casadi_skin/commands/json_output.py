@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,6 +18,8 @@ def add_output(parser: argparse.ArgumentParser) -> None:
 
 def print_json(value: object) -> None:
     """Print a value as JSON on one line; numbers that are not finite are refused, as JSON has none."""
+    import json  # here: --help does not need it
+
     print(json.dumps(value, ensure_ascii=False, allow_nan=False))
 
 
@@ -39,6 +39,8 @@ def print_results(directory: Path, complete: bool, reasons: Sequence[str]) -> No
 
 def _rows(path: Path) -> list[dict[str, Value]]:
     """The rows of a table; an empty cell is None."""
+    import csv
+
     with path.open(encoding="utf-8", newline="") as file:
         return [{name: _value(cell) for name, cell in row.items()} for row in csv.DictReader(file)]
 

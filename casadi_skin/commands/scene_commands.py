@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casadi_skin.commands.json_output import print_json, print_results
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.directory import Existing, check_same_source, prepare
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
+from casadi_skin.theory.stiffness import stiffness
 
 if TYPE_CHECKING:
     from casadi_skin.progress import Progress
+    from casadi_skin.runs.directory import Existing
     from casadi_skin.runs.request import Request
 
+OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
 ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 
 
@@ -25,6 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     if all(getattr(scene, name) is None for name in ASKED):
         accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
+    from casadi_skin.runs.directory import Existing  # here: spectrum does not need it
+
     directory = arguments.out or Path("results") / arguments.scene.stem
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
@@ -40,6 +46,8 @@ def _run_in(
     directory: Path, existing: Existing, request: Request, text: str, arguments: argparse.Namespace, progress: Progress
 ) -> int:
     """Compute a request in a directory of this process, and return the exit status."""
+    from casadi_skin.runs.directory import Existing, check_same_source, prepare
+
     if existing is Existing.RESUME and request.path is not None:
         check_same_source(directory, request.path, request.source)
     if not prepare(directory, request.scene, text, existing):
@@ -100,29 +108,53 @@ def check(arguments: argparse.Namespace) -> int:
 def spectrum(arguments: argparse.Namespace) -> int:
     """Print the linear frequencies of a scene's model, and write them where a directory is given."""
     scene, text = read_scene(arguments.scene)
-    request = bound(scene, arguments.scene)
-    from casadi_skin.runs.binding import check_spectrum
-
-    try:
-        check_spectrum(request)
-    except SceneError as error:
-        raise InputError(f"{arguments.scene}: {error}") from error
-    if arguments.out is not None:
-        prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+    known = _closed_form(scene)
+    if known is not None and arguments.out is None:
+        _print_frequencies(known, arguments)
+        return DONE
+    request = _with_spectrum(scene, arguments.scene)
     from casadi_skin.orbits.spectrum import linear_frequencies
 
-    frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
+    if arguments.out is not None:
+        from casadi_skin.runs.directory import Existing, prepare
+
+        prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+    _print_frequencies([float(omega) for omega in linear_frequencies(request.model, request.parameters)], arguments)
+    if arguments.out is not None:
+        from casadi_skin.runs.writing import write_spectrum
+
+        write_spectrum(request, arguments.out)
+    return DONE
+
+
+def _print_frequencies(frequencies: Sequence[float], arguments: argparse.Namespace) -> None:
     if arguments.json:
         print_json({"omega": frequencies})
     elif not arguments.quiet:
         print("j omega_j")
         for mode, omega in enumerate(frequencies, start=1):
             print(f"{mode} {omega:.15g}")
-    if arguments.out is not None:
-        from casadi_skin.runs.writing import write_spectrum
 
-        write_spectrum(request, arguments.out)
-    return DONE
+
+def _closed_form(scene: Scene) -> list[float] | None:
+    """Linear frequencies of a finite chain that oscillates, without loading numerics; None for another scene."""
+    chain = scene.chain
+    if chain is None or chain.sites == math.inf or any(getattr(scene, name) is not None for name in OF_MODEL):
+        return None
+    squares = [chain.alpha + stiffness(chain.sites, chain.gamma, mode) for mode in range(1, int(chain.sites) + 1)]
+    return [math.sqrt(square) for square in squares] if min(squares) > 0.0 else None
+
+
+def _with_spectrum(scene: Scene, path: Path) -> Request:
+    """The request of a scene whose linear frequencies can be shown; raises InputError where they cannot."""
+    request = bound(scene, path)
+    from casadi_skin.runs.binding import check_spectrum
+
+    try:
+        check_spectrum(request)
+    except SceneError as error:
+        raise InputError(f"{path}: {error}") from error
+    return request
 
 
 def read_scene(path: Path) -> tuple[Scene, str]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -66,6 +64,8 @@ def print_help(parser: argparse.ArgumentParser) -> int:
 
 def write_start(arguments: argparse.Namespace) -> int:
     """Write a scene to start from, with the Python file of a model; files that are there are not touched."""
+    from importlib.resources import files
+
     from casadi_skin.files import replacing
 
     scene = arguments.out or Path(f"{arguments.kind}.toml")
@@ -90,6 +90,8 @@ def write_start(arguments: argparse.Namespace) -> int:
 
 def write_schema(arguments: argparse.Namespace) -> int:
     """Print the JSON schema of scenes, or write it into a file."""
+    import json
+
     from casadi_skin.files import replacing
     from casadi_skin.scene import scene_schema
 

@@ -5,6 +5,7 @@ import math
 from casadi_skin.scene.faults import refusal
 from casadi_skin.scene.scene import Scene
 from casadi_skin.scene.tables import ChainTable, FamilyTable
+from casadi_skin.theory.stiffness import stiffness
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
 NARROWEST_BAND = 1e-10  # the same as in lattice.chain_coordinates, which loads numerics
@@ -52,32 +53,23 @@ def _check_gauge(chain: ChainTable, mode: int) -> None:
 
 def _check_frequency(chain: ChainTable, mode: int) -> None:
     """Refuse a mode that does not oscillate: omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)) <= 0."""
-    stiffness = _stiffness(chain, mode)
-    if chain.alpha + stiffness <= 0:
-        given = f"mode {mode}, which has omega^2 = {chain.alpha + stiffness:.6g} at alpha = {chain.alpha!r}"
-        accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-stiffness:.12g}"
+    own = stiffness(chain.sites, chain.gamma, mode)
+    if chain.alpha + own <= 0:
+        given = f"mode {mode}, which has omega^2 = {chain.alpha + own:.6g} at alpha = {chain.alpha!r}"
+        accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-own:.12g}"
         raise refusal("[family] mode", given, accepted)
     s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
-    if chain.sites > 1 and 0 < 4 * s < NARROWEST_BAND * (chain.alpha + stiffness):
+    if chain.sites > 1 and 0 < 4 * s < NARROWEST_BAND * (chain.alpha + own):
         reason = "beside a larger one doubles do not tell the modes of the band apart"
         accepted = f"with a [family] up to {4 * s / NARROWEST_BAND:.3g} ({reason})"
         raise refusal("[chain] alpha", repr(chain.alpha), accepted)
-
-
-def _stiffness(chain: ChainTable, mode: int) -> float:
-    """omega_j^2 - alpha."""
-    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
-    if chain.sites == math.inf:
-        return 2 * chain.gamma**2 / (1 + s) + (0.0 if mode == 1 else 4 * s)
-    # 2 - 2 s cos(q) without subtracting equal numbers: 1 - s = gamma^2/(1 + s), 1 - cos(q) = 2 sin^2(q/2)
-    return 2 * chain.gamma**2 / (1 + s) + 4 * s * math.sin(mode * math.pi / (2 * chain.sites + 2)) ** 2
 
 
 def _check_period(chain: ChainTable, family: FamilyTable, mode: int) -> None:
     """Refuse an end at a period that the linear mode, where the family starts, has or exceeds."""
     if family.period_max is None:
         return
-    linear = 2 * math.pi / math.sqrt(chain.alpha + _stiffness(chain, mode))
+    linear = 2 * math.pi / math.sqrt(chain.alpha + stiffness(chain.sites, chain.gamma, mode))
     if family.period_max <= linear * (1 + NEAREST):
         accepted = f"a finite number > {linear:.12g} (the period of linear mode {mode})"
         raise refusal("[family] period_max", repr(family.period_max), accepted)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from apart import modules_of
 
 from casadi_skin import Chain, __version__
 from casadi_skin.cli import main
@@ -140,8 +141,17 @@ def test_spectrum_prints_and_writes_the_linear_frequencies(tmp_path: Path, capsy
     dense = np.sqrt(np.sort(np.linalg.eigvals(Chain(24, 1.0, 0.25, -1.0).dynamical_matrix()).real))
     np.testing.assert_allclose(printed, dense, rtol=1e-12)
     assert {"spectrum.csv", "spectrum.png"} <= {p.name for p in out.iterdir()}
+    assert main(["spectrum", str(scene)]) == 0  # without files in closed form, without numerics
+    closed = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()[1:]]
+    np.testing.assert_allclose(closed, printed, rtol=2e-15)
     scene.write_text(GOOD.replace("alpha = 1.0", "alpha = -1.5"), encoding="utf-8")
     assert main(["spectrum", str(scene)]) == 2
+
+
+def test_the_spectrum_of_a_chain_loads_no_numerics(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(GOOD, encoding="utf-8")
+    assert not {"numpy", "casadi", "scipy"} & modules_of("spectrum", str(scene))
 
 
 def test_a_chain_without_nonlinearity_has_a_spectrum(tmp_path: Path) -> None:
