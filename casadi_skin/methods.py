@@ -81,6 +81,7 @@ TASKS = _registry(  # what an object's method does where the object stands below
     lines=("a result in a few lines", "results.described:lines"),
     html=("a result as a table with its picture", "figures.notebook:html_table"),
     map_picture=("a quantity of a map drawn", "maps.pictures:picture"),
+    map_html=("a map as a table with a picture", "maps.pictures:html"),
     map_plot=("a quantity of a map drawn into axes", "maps.pictures:plot"),
     plot=("a result drawn into axes", "figures.drawn:plot"),
     save=("a result in a file", "results.saving:save_result"),

@@ -17,11 +17,19 @@ def add_explore(commands: Commands) -> None:
     parser = commands.add_parser(
         "explore",
         help="a page that shows a run or a map in a browser",
-        description="Write one HTML file with linked pictures of the branches of a run, or of a map, without network.",
+        description="Write one HTML file with linked pictures of the branches of a run, or of a map, without network. "
+        "A map, a branch or a diagram that was saved as one file is shown too.",
         epilog="Example: casadi-skin explore results/chain",
     )
-    parser.add_argument("directory", type=Path, metavar="DIR", help="the directory of a run or of a map")
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"the file (default: DIR/{PAGE})")
+    parser.add_argument(
+        "directory", type=Path, metavar="DIR", help="the directory of a run or of a map, or a file of one"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.html",
+        help=f"the file (default: DIR/{PAGE}, beside a file its name with .html)",
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(act=explore)
 
@@ -30,15 +38,18 @@ def explore(arguments: argparse.Namespace) -> int:
     """Write the page of a run."""
     from casadi_skin.explorer.page import write_page
 
-    target = arguments.out or arguments.directory / PAGE
-    if not arguments.directory.is_dir():
-        raise InputError(f"explore: {arguments.directory} is no directory; accepted: the directory of a run")
+    source = arguments.directory
+    if not source.exists():
+        raise InputError(
+            f"explore: {source} does not exist; accepted: the directory of a run or a map, or a file of one"
+        )
+    target = arguments.out or (source.with_suffix(".html") if source.is_file() else source / PAGE)
     if not target.parent.is_dir() or target.suffix != ".html":
         raise InputError(
             f"explore: given --out {target}; accepted: a name that ends in .html, in a directory that is there"
         )
     try:
-        write_page(arguments.directory, target)
+        write_page(source, target)
     except ValueError as error:
         raise InputError(f"explore: {error}") from None
     if not arguments.quiet:

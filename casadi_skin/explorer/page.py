@@ -1,4 +1,4 @@
-"""The page of a run or of a map as one file."""
+"""The page of a run, a map, a branch or a diagram as one file."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import html
 import json
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from casadi_skin.explorer.data import page_data
 from casadi_skin.explorer.map_data import MAP, map_data
-from casadi_skin.files import replacing
+from casadi_skin.files import TemporaryFolder, replacing
 
 
-def write_page(directory: Path, target: Path) -> Path:
-    """Write a page that shows the run or the map in a directory; raises ValueError where that has neither."""
-    is_map = (directory / MAP).exists()
-    data, kind = (map_data(directory), "map") if is_map else (page_data(directory), "run")
+def write_page(source: Path, target: Path) -> Path:
+    """Write a page that shows the run or the map in a directory, or a map, a branch or a diagram in a file.
+
+    Raises ValueError where there is none of these.
+    """
+    data, kind = _data_of_file(source) if source.is_file() else _data_in(source)
     folder = files("casadi_skin.explorer")
 
     def text(name: str) -> str:
@@ -34,3 +37,20 @@ def write_page(directory: Path, target: Path) -> Path:
     with replacing(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return target
+
+
+def _data_in(directory: Path) -> tuple[dict[str, Any], str]:
+    """The contents of a page of a directory, and their kind."""
+    return (map_data(directory), "map") if (directory / MAP).exists() else (page_data(directory), "run")
+
+
+def _data_of_file(path: Path) -> tuple[dict[str, Any], str]:
+    """The contents of a page of one file: what it holds is written as a run or a map writes it, and read again."""
+    from casadi_skin.explorer.one_file import write_files
+
+    folder = TemporaryFolder("casadi_skin_page_")
+    try:
+        write_files(path, folder.path)
+        return _data_in(folder.path)
+    finally:
+        folder.remove()

@@ -14,6 +14,7 @@ from casadi_skin.figures.map import MapAxis, Panel, draw_map, map_figure, panel_
 from casadi_skin.figures.style import save
 from casadi_skin.maps.grid import Axis
 from casadi_skin.maps.store import ENDED, UNKNOWN
+from casadi_skin.results.wording import listed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +56,28 @@ def picture(found: Map, name: str) -> Figure:
     panels = [_panel(found, name, along, dict(zip(others, chosen, strict=True))) for chosen in every]
     drawn = [MapAxis(axes[i].name, numbers(axes[i]), axes[i].log) for i in along]
     return map_figure(name, found.store.meanings.get(name, name), drawn, panels)
+
+
+def html(found: Map) -> str:
+    """A map as a small table beside the picture of its first quantity that changes, for notebooks."""
+    from casadi_skin.figures.notebook import page
+
+    rows = [(axis.name, f"{len(axis.values)} values") for axis in found.store.grid.axes]
+    rows += [("cells", found.summary()), ("quantities", listed(found.names))]
+    names = drawn_names(found)
+    lists = {axis.name: axis.values[0] for axis in _lists(found)}
+    return page("Map", rows, lambda axes: plot(found, names[0], axes, lists) if names else refuse())
+
+
+def _lists(found: Map) -> list[Axis]:
+    """Axes that are not drawn."""
+    axes = found.store.grid.axes
+    return [axis for i, axis in enumerate(axes) if i not in _along(axes)]
+
+
+def refuse() -> None:
+    """Raises ValueError: nothing changes over the map."""
+    raise ValueError("plot: no quantity changes over the map")
 
 
 def plot(found: Map, name: str, place: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:

@@ -2,51 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from casadi_skin.arguments import file_path
 from casadi_skin.maps.boundary import BOUNDARY, read_boundary
 from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.grid import Grid
+from casadi_skin.maps.one_file import unpacked
 from casadi_skin.maps.result import Map
 from casadi_skin.maps.store import Store
 from casadi_skin.progress import Progress
 from casadi_skin.runs.directory import SCENE
 from casadi_skin.scene import SceneError, parse_scene, read_text
 
-ACCEPTED = "accepted: the directory of a map, with its scene.toml and journals"
+ACCEPTED = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
 
 
 def read_map(directory: str | Path) -> Map:
     """Read a map that was computed, or is being computed, without its model and without computing anything.
 
     Arguments:
-        directory: of its results.
+        directory: of its results, or one file that `Map.save` wrote.
 
     Returns:
         The map, with the values, the bits and the boundary that `run_map` gave; `complete` is False while cells are
         missing.
 
     Raises:
-        ValueError: the directory holds no map, or its files cannot be read; the message names it.
-        TypeError: the directory is no path.
+        ValueError: there is no map, or its files cannot be read; the message names the place.
+        TypeError: the argument is no path.
     """
-    path = file_path("directory", directory)
-    if not (path / SCENE).is_file():
-        raise ValueError(f"{path}: holds no {SCENE}; {ACCEPTED}")
+    source = file_path("directory", directory)
+    if not source.is_file():
+        return _in_directory(source, source)
+    folder = unpacked(source)
     try:
-        scene = parse_scene(read_text(path / SCENE), str(path / SCENE))
+        return replace(_in_directory(folder.path, source), folder=folder)
+    except ValueError as error:
+        folder.remove()
+        raise ValueError(str(error).replace(str(folder.path), str(source))) from None
+    except BaseException:
+        folder.remove()
+        raise
+
+
+def _in_directory(directory: Path, shown: Path) -> Map:
+    """The map in a directory, which messages call by another name."""
+    if not (directory / SCENE).is_file():
+        raise ValueError(f"{shown}: holds no {SCENE}; {ACCEPTED}")
+    try:
+        scene = parse_scene(read_text(directory / SCENE), str(shown / SCENE))
         if scene.map is None:
-            raise ValueError(f"{path}: its {SCENE} has no [map]; {ACCEPTED}")
+            raise ValueError(f"{shown}: its {SCENE} has no [map]; {ACCEPTED}")
         grid = Grid.of(scene)
     except SceneError as error:
-        raise ValueError(f"{path}: {error}; {ACCEPTED}") from None
-    with Progress() as progress, Store(path, grid, scene, None, progress.tell) as store:
+        raise ValueError(f"{shown}: {error}; {ACCEPTED}") from None
+    with Progress() as progress, Store(directory, grid, scene, None, progress.tell) as store:
         columns = Columns(store, scene.map.quantities)
     try:
-        boundary = read_boundary(grid, path / BOUNDARY)
+        boundary = read_boundary(grid, directory / BOUNDARY)
     except (ValueError, KeyError, IndexError) as error:
-        raise ValueError(
-            f"{path / BOUNDARY}: cannot be read ({error}); accepted: the file that the map wrote"
-        ) from None
-    return Map(path, columns, store.complete, boundary=boundary)
+        accepted = "accepted: the file that the map wrote"
+        raise ValueError(f"{shown / BOUNDARY}: cannot be read ({error}); {accepted}") from None
+    return Map(directory, columns, store.complete, boundary=boundary)

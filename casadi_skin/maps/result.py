@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_name
+from casadi_skin.files import TemporaryFolder
 from casadi_skin.maps.columns import REASON, STATUS, Columns
+from casadi_skin.maps.one_file import save_map
 from casadi_skin.maps.store import DONE, ENDED, FAILED, UNKNOWN, Store
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ class Map:
         waits: whether shares of a batch array are not there yet.
         boundary: lines of changes of stability in the plane of the ranges, shape (points, 2) each, by the places of
             the other axes.
+        folder: the temporary folder of a map that was read from one file; None of one in its directory.
     """
 
     directory: Path
@@ -40,6 +43,7 @@ class Map:
     complete: bool
     waits: bool = False
     boundary: Mapping[tuple[int, ...], tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    folder: TemporaryFolder | None = None
 
     @property
     def store(self) -> Store:
@@ -97,6 +101,17 @@ class Map:
     def __repr__(self) -> str:
         sizes = " x ".join(f"{len(axis.values)} {axis.name}" for axis in self.store.grid.axes)
         return f"<Map: {sizes}; {self.summary()}>"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the map to one file, from which `casadi_skin.read_map` reads it with the same bits.
+
+        Raises ValueError for the path of a directory or in none, OSError where the file cannot be written.
+        """
+        return save_map(self, path)
+
+    def _repr_html_(self) -> str:
+        """A small table with the picture of a quantity, for notebooks."""
+        return str(methods.TASKS["map_html"].load()(self))
 
     def lines(self, chosen: tuple[int, ...]) -> tuple[NDArray[np.float64], ...]:
         """Lines of the boundary at places of the axes that are no ranges."""

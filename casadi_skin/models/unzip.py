@@ -29,7 +29,7 @@ class Archive:
     Raises ValueError, in one line, for what is no archive, is damaged or hostile.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kind: str = "an FMU") -> None:
         self.path = path
         try:
             _check_directory(path)
@@ -37,7 +37,7 @@ class Archive:
                 warnings.simplefilter("ignore")  # of strange names, which are checked here
                 self._zip = zipfile.ZipFile(path)
         except DAMAGED as error:
-            raise ValueError(f"{path}: cannot be read as an FMU: {error}") from error
+            raise ValueError(f"{path}: cannot be read as {kind}: {error}") from error
         try:
             self._members, self.repeated = _checked(path, self._zip)
         except BaseException:

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.cli import main
 from casadi_skin.explorer.data import CHANGE, POINTS, page_data
 from casadi_skin.explorer.map_data import CELLS, map_data
@@ -79,15 +80,36 @@ def test_a_long_branch_is_thinned_with_a_note(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(["no"], "is no directory"), (["."], "holds no branches"), ([".", "--out", "a.txt"], "ends in .html")],
+    [
+        (["no"], "does not exist"),
+        (["odd.skin"], "holds <Orbit"),
+        (["."], "holds no branches"),
+        ([".", "--out", "a.txt"], "ends in .html"),
+    ],
 )
 def test_what_is_no_run_is_refused(
     arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1, tolerance=1e-4).orbits[-1].save("odd.skin")
     assert main(["explore", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_saved_branch_and_a_saved_diagram_are_shown(tmp_path: Path) -> None:
+    family = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 0.5, stability=True, tolerance=1e-6)
+    assert main(["explore", str(family.save(tmp_path / "family.skin")), "--quiet"]) == 0
+    (branch,) = data_in(tmp_path / "family.html")["branches"]
+    assert [p["kind"].split(" (")[0] for p in branch["special"]] == ["stability lost", "stability regained"]
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    field = ca.vertcat(mu * x - y - x * (x**2 + y**2), x + mu * y - y * (x**2 + y**2))
+    rest = find_equilibrium(OdeModel("Hopf", ca.vertcat(x, y), field, mu), [0.0, 0.0], parameters={"mu": -0.25})
+    diagram = rest.follow("mu", 0.1).follow_all(depth=1)
+    assert main(["explore", str(diagram.save(tmp_path / "all.skin")), "--out", str(tmp_path / "page.html")]) == 0
+    branches = data_in(tmp_path / "page.html")["branches"]
+    assert len(branches) == len(diagram.branches) == 2
+    assert "hopf" in [point["kind"] for point in branches[0]["special"]]
 
 
 def test_changes_of_stability_stand_where_they_are_located(tmp_path: Path) -> None:

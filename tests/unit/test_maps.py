@@ -27,6 +27,7 @@ from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.records import Result, Row
 from casadi_skin.maps.refine import UNKNOWN, needed
+from casadi_skin.maps.result import Map
 from casadi_skin.maps.store import Store
 from casadi_skin.maps.tongue_lines import Entry, checked, lowest
 from casadi_skin.runs.binding import bind
@@ -161,6 +162,7 @@ def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFix
     assert (read.complete, read.status.tolist()) == (True, [[[1], [1]], [[1], [1]]])
     assert read["Omega"][1, :, 0].tolist() == truth
     assert read.to_dataframe()["Omega"].tolist() == read["Omega"].ravel().tolist()
+    in_one_file(read, tmp_path)
     axes = read.plot("Omega")
     (mesh,) = [c for c in axes.collections if isinstance(c, QuadMesh)]
     assert np.asarray(mesh.get_array()).T.tolist() == read["Omega"][:, :, 0].tolist()
@@ -168,6 +170,28 @@ def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFix
         read.plot("Omega", axes, {"mode": 1})
     with pytest.raises(ValueError, match=r"quantity: given 'Omga'; did you mean Omega\?"):
         read.plot("Omga")
+
+
+def in_one_file(found: Map, folder: Path) -> None:
+    """A map in one file is read with the same bits, and shown in a page."""
+    path = found.save(folder / "chart.map")
+    again = read_map(path)
+    assert again.save(folder / "again.map").read_bytes() == path.read_bytes()
+    assert again["Omega"].tobytes() == found["Omega"].tobytes()
+    assert (repr(again), again.names, again.complete) == (repr(found), found.names, True)
+    assert "<table><caption>Map" in again._repr_html_()
+    assert "data:image/png;base64," in again._repr_html_()
+    assert main(["explore", str(path), "--quiet"]) == 0
+    assert '"name":"Omega"' in (folder / "chart.html").read_text(encoding="utf-8")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    (folder / "damaged.map").write_bytes(data)
+    for name, words in (("damaged.map", "damaged"), ("chart.html", "cannot be read as a map in one file")):
+        with pytest.raises(ValueError, match=words) as error:
+            read_map(folder / name)
+        assert str(folder / name) in str(error.value)
+    with pytest.raises(ValueError, match="accepted: the path of a file, in a directory that is there"):
+        found.save(folder)
 
 
 def test_a_journal_of_another_scene_or_with_damage_is_not_taken_for_results(tmp_path: Path) -> None:
