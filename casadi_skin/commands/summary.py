@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.orbits.family import Family
@@ -127,7 +128,8 @@ def _diagram(run: Run, branches: list[Branch]) -> Table:
         if len(branch) > 1:
             rows.append(("end", last.parameters, "", _stability(branch, -1)))
         curve = bool(getattr(branch.space, "kind", ""))
-        what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "equilibria"
+        what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "solutions"
+        what = "equilibria" if isinstance(first, Equilibrium) and not curve else what
         for kind, values, error, words in rows:
             shown = [f"{values[key]:.10g}" for key in (name, *([second.parameter] if second else [])) if key]
             table.add_row(f"{number + 1}: {what}", kind, *shown, error, words)

@@ -14,9 +14,11 @@ import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.critical_orbits.bend import quadratic_term
 from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
+from casadi_skin.equilibria.codimension_two import CUSP
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError
 from casadi_skin.stability.reduction import ComplexArray
 
@@ -48,18 +50,23 @@ def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[P
 
 def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
     """Kinds of the points that are passed, each with a function that changes its sign there."""
-    candidates: list[tuple[str, Test]] = []
-    if space.kind == TORUS:
-        candidates += [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
-    plus, minus, pair = ANOTHER[space.kind]
-    candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
-    candidates.append((DEGENERATE[space.kind], _coefficient(space)))
+    candidates = [(CUSP, quadratic_term(space, before))] if space.periodic is None else _of_orbits(space)
     for kind, test in candidates:
         try:
             if test(before) * test(after) < 0.0:
                 yield kind, test
         except (RuntimeError, NotImplementedError):  # the model has no third derivatives
             continue
+
+
+def _of_orbits(space: Followed) -> list[tuple[str, Test]]:
+    """Kinds of points on curves of special orbits, with their functions."""
+    candidates: list[tuple[str, Test]] = []
+    if space.kind == TORUS:
+        candidates += [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
+    plus, minus, pair = ANOTHER[space.kind]
+    candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
+    return [*candidates, (DEGENERATE[space.kind], _coefficient(space))]
 
 
 def others(space: Followed, point: Point) -> ComplexArray:
@@ -154,7 +161,7 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
 
 def _is_pair(space: Followed, point: Point, kind: str) -> bool:
     """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
-    if kind != ANOTHER[space.kind][2]:
+    if space.periodic is None or kind != ANOTHER[space.kind][2]:
         return True
     found = others(space, point)
     i, j = np.triu_indices(found.size, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -47,10 +47,14 @@ class OrbitCurveSpace(BoundarySpace):
         orbits: the space of the branch on which the first was found.
     """
 
-    knows_stability: bool = field(default=True, init=False)
     kind: str = FOLD
     critical: Critical | None = None
     orbits: BoundarySpace | None = None
+
+    @property
+    def knows_stability(self) -> bool:
+        """Of orbits, whose multipliers are needed for the special points."""
+        return self.periodic is not None
 
     @property
     def _critical(self) -> Critical:
@@ -74,9 +78,8 @@ class OrbitCurveSpace(BoundarySpace):
         """The cosine of the angle of a torus's multipliers; beyond 1 and -1 these are real with product 1."""
         return super().parameters(point)[KAPPA]
 
-    def interval(self, point: Point) -> tuple[float, float]:
-        start, end = self._critical.orbit.span(np.array(list(self.parameters(point).values())))
-        return 0.0, (end - start) / self.symmetry.value
+    def span(self, point: Point) -> tuple[float, float]:
+        return self._critical.orbit.span(np.array(list(self.parameters(point).values())))
 
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
@@ -193,8 +196,8 @@ def curve_space(
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     solution = point.solution
-    plain = isinstance(solution, Orbit) and type(solution.space) is BoundarySpace
-    if not (plain and point.kind in KINDS):
+    stated = type(solution.space) is BoundarySpace
+    if not (stated and point.kind in KINDS):
         if isinstance(solution, Orbit):
             raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)

@@ -11,7 +11,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.systems import Critical
-from casadi_skin.orbits.boundary_choices import Sizes
+from casadi_skin.orbits.boundary_choices import Periodic, Sizes
 from casadi_skin.stability.reduction import ComplexArray
 
 
@@ -24,6 +24,8 @@ class Followed(Protocol):
     def critical(self) -> Critical | None: ...
     @property
     def coefficients(self) -> list[tuple[Point, float]]: ...
+    @property
+    def periodic(self) -> Periodic | None: ...
     @property
     def statement(self) -> Statement: ...
     @property

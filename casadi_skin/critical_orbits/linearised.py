@@ -62,9 +62,12 @@ class Linearised:
         """The derivative of the orbit's equations by the parameter that the problem follows, dense."""
         name = self.problem.walking
         assert name is not None
-        return np.asarray(
-            self._own_rows[:, -1].toarray().ravel() / (self.problem.end - self.problem.statement.values[name])
-        )
+        return self.by_scalar(-1) / (self.problem.end - self.problem.statement.values[name])
+
+    def by_scalar(self, place: int) -> Array:
+        """The derivative of the orbit's equations by one of all scalars, from their first or last, dense."""
+        column = self.problem.states + place if place >= 0 else place
+        return np.asarray(self._own_rows[:, [column]].toarray().ravel())
 
     @cached_property
     def _own_rows(self) -> Any:
@@ -107,6 +110,14 @@ class Linearised:
         by_interval = values[: self.components].T.reshape(problem.resolution, problem.degree, -1)
         sums = np.einsum("k,ij,kjn->kin", problem.constants, problem.table.extended, by_interval)
         return np.asarray(-sums.ravel())
+
+    def products(self, psi: Array, v: Array) -> Array:
+        """Means of left times right components of null vectors (psi, v), shape (components, components)."""
+        problem, n = self.problem, self.components
+        rows = psi[: self.inner].reshape(problem.resolution, -1, n)
+        left = np.einsum("k,ij,kin->kjn", problem.constants, problem.table.extended, rows)
+        right = self._at_stages(v)[0][:n].T.reshape(left.shape)
+        return np.asarray(np.einsum("kja,kjb->ab", left, right))
 
     def velocity(self, v: Vector) -> Vector:
         """Contribution of -v in the field to the equations of collocation, shape (inner,)."""

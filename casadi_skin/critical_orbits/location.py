@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.bvp.problem import EPSILON, Scalar
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.points import Point
-from casadi_skin.critical_orbits.starting import component_sizes, critical_plane, normal_of, started
+from casadi_skin.critical_orbits.starting import component_sizes, critical_plane, normal_of, seen_push, started
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -65,7 +65,8 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     normal = np.zeros(values.shape[1])
     if kind == TORUS:
         normal = normal_of(critical_plane(problem, point.z, angle, sizes)[2], sizes)
-    return Critical(kind, space.statement, first, sizes, normal)
+    push = seen_push(problem, point.z, space.statement, sizes) if kind == BRANCH_POINT else np.zeros((0, 0))
+    return Critical(kind, space.statement, first, sizes, normal, push)
 
 
 def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.stated_problem import PERIOD, ZERO, BoundaryProblem
+from casadi_skin.bvp.statement import Statement
 from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
@@ -66,9 +67,11 @@ def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: flo
 
 
 def component_sizes(values: Array) -> Array:
-    """Scale of each component of a Floquet function: the orbit's largest, or a usual one where it rests."""
+    """Scale of each component of a Floquet function: the orbit's largest, or a usual one where it rests; 1 of zeros."""
     largest = np.max(np.abs(values), axis=0)
     moves = largest > RESTS * np.max(largest)
+    if np.max(largest) <= ZERO:
+        return np.ones(largest.size)
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))
 
 
@@ -95,6 +98,14 @@ def normal_of(start: Vector, sizes: Array) -> Array:
     turned = scaled * np.exp(-0.5j * np.angle(np.sum(scaled * scaled)))
     longer, shorter = (part / np.linalg.norm(part) for part in (turned.real, turned.imag))
     return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
+
+
+def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: Array) -> Array:
+    """The matrix of norm 1 that turns the null vector at a branch point into what its left null vector sees most."""
+    linear = Linearised(problem, z, statement)
+    v, psi = null_vectors(linear.jacobian)
+    seen = linear.products(psi, v) * np.outer(sizes, 1.0 / sizes)
+    return np.asarray(seen / np.linalg.norm(seen) * np.outer(sizes, 1.0 / sizes))
 
 
 def _mean(problem: BoundaryProblem, v: Array) -> float:

@@ -8,15 +8,17 @@ Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the veloci
 trivial multiplier is 1 as well.
 
 Of a branch point along a null vector v1, and v2 by which the orbits of the branch change with the parameter, orthogonal
-to it; the field is pushed by a multiple of v1 that comes back as zero (after Moore 1980; regular where exactly two
-branches cross transversally, whether a symmetry is lost there or not).
+to it; the field is pushed by a multiple of a constant matrix times v1 that comes back as zero (after Moore 1980;
+regular where exactly two branches cross transversally, whether a symmetry is lost there or not). The matrix is that for
+which the left null vector sees the push: in mechanics it may be orthogonal to v1 itself.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
@@ -49,6 +51,7 @@ class Critical:
         first: name of the parameter that is found with the orbit.
         sizes: what components of v are measured by, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
+        push: of a branch point, shape (components, components): the field is pushed along this times v1, or v1 itself.
     """
 
     kind: str
@@ -56,6 +59,7 @@ class Critical:
     first: str
     sizes: Array
     normal: Array
+    push: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def changes(self) -> tuple[str, ...]:
@@ -105,7 +109,8 @@ class Critical:
         for row in range(1, 1 + copies if self.kind in (FOLD, BRANCH_POINT) else 1):
             rows[row] = rows[row] + ca.jtimes(field, p, self._change(p, row))
         if self.kind == BRANCH_POINT:
-            rows[0] = rows[0] + p[-1] * x[n : 2 * n]
+            v1 = x[n : 2 * n]
+            rows[0] = rows[0] + p[-1] * (ca.DM(self.push) @ v1 if self.push.size else v1)
         names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
         return _Joined(
             inner.name, x, ca.vertcat(*rows), p, time=s, forcing_period=1.0, checked=False,

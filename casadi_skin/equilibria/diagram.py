@@ -16,6 +16,7 @@ from casadi_skin.equilibria.cycles import TOLERANCE
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.equilibria.switch import leaving_space
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following, run_following
@@ -109,7 +110,8 @@ def follow_all(
         if len(names) == limit:
             complete = False
             break
-        with_stability = stability and not space.knows_stability
+        closes = not isinstance(space, BoundarySpace) or space.closes
+        with_stability = stability and closes and not space.knows_stability
         further.add(run_following(Following(space, with_stability), None), space, point)
         names.append(name)
         origins.append(point)

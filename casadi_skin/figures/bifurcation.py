@@ -62,9 +62,11 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
             orbits = isinstance(branch.solutions[0], Orbit)
             for heights in _heights(branch, state):
                 path = np.column_stack([branch.values, heights])
-                _draw(axes, branch, path, cycle if orbits else rest, "cycles" if orbits else "equilibria")
+                _draw(axes, branch, path, cycle if orbits else rest)
                 _mark(axes, branch, path)
-        what = f"{name}, of cycles largest and smallest" if any(_has_orbits(b) for b in held) else name
+        equilibria = [isinstance(branch.solutions[0], Equilibrium) for branch in held]
+        both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
+        what = name if all(equilibria) else both
         axes.set(xlabel=plain(held[0].parameter), ylabel=what)
         axes.set_title(_title(held[0], title, (held[0].parameter,)))
         return finished(figure, [axes], 3)
@@ -145,10 +147,13 @@ def _heights(branch: Branch, state: int) -> list[Array]:
     return [high, low]
 
 
-def _draw(axes: Axes, branch: Branch, path: Array, colour: object, label: str) -> None:
+def _draw(axes: Axes, branch: Branch, path: Array, colour: object) -> None:
+    first = branch.solutions[0]
+    kind = "equilibria" if isinstance(first, Equilibrium) else "cycles" if _has_orbits(branch) else "solutions"
     for stable, piece in stability_pieces(branch, path):
         look = {**LOOKS[stable], "lw": WIDTHS[_has_orbits(branch)]}
-        words = label_of(f"{label}, {look.pop('label')}", piece, path)
+        known = look.pop("label")
+        words = label_of(kind if kind == "solutions" and stable is None else f"{kind}, {known}", piece, path)
         axes.plot(*smooth(piece).T, color=colour, zorder=3, label=words, **look)
 
 

@@ -23,7 +23,7 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes
-from casadi_skin.orbits.branch_points import branch_points_between
+from casadi_skin.orbits.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import TWO_PI, Method
@@ -87,13 +87,17 @@ class BoundarySpace:
     left: ParentBranch | None = None
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
-    knows_stability: bool = field(default=False, init=False)
     S_rate: float = field(default=1.0, init=False)
 
     @property
     def model(self) -> OdeModel:
         """The model that the solutions belong to, of first order; of an orbit without what was added to close it."""
         return self.statement.model if self.periodic is None else self.periodic.model
+
+    @property
+    def knows_stability(self) -> bool:
+        """Whether stability is computed with every solution."""
+        return False
 
     # Equations ------------------------------------------------------------------------------------------------------
 
@@ -156,7 +160,7 @@ class BoundarySpace:
         """
         crossed = []
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
-            crossed = branch_points_between(self.point_solver, before, after)
+            crossed = [self._solved(point, before) for point in branch_points_between(self.point_solver, before, after)]
         first: Point | None = before
         for point in crossed:
             left = None if first is None else self.point_solver.along(first, point, 1.0 - BESIDE)
@@ -166,6 +170,16 @@ class BoundarySpace:
             first = self.point_solver.along(point, after, BESIDE)
         if first is not None:
             yield from self._turns_between(first, after)
+
+    def _solved(self, branch_point: Point, before: Point) -> Point:
+        """A branch point as a solution of its extended equations, where they have one in the same place."""
+        located: Point | None = methods.TASKS["special_orbit"].load()(self, BRANCH_POINT, branch_point)
+        if located is None:
+            return branch_point
+        solver, problem = self.point_solver, located.problem
+        there, start = (point.problem.prolong(point.z, problem) for point in (branch_point, before))
+        reach = ONE_PLACE * solver.distance(problem, start, there)
+        return located if solver.distance(problem, there, located.z) <= reach else branch_point
 
     def _turns_between(self, before: Point, after: Point) -> Iterator[Point]:
         """The same on a stretch without branch points."""
@@ -293,8 +307,12 @@ class BoundarySpace:
 
     def interval(self, point: Point) -> tuple[float, float]:
         """Start and end; of an orbit 0 and its period."""
-        start, end = self.statement.span(np.array(list(self.parameters(point).values())))
+        start, end = self.span(point)
         return (start, end) if self.periodic is None else (0.0, (end - start) / self.periodic.symmetry.value)
+
+    def span(self, point: Point) -> tuple[float, float]:
+        """Start and end of the part that is unknown."""
+        return self.statement.span(np.array(list(self.parameters(point).values())))
 
     # Orbits ---------------------------------------------------------------------------------------------------------
 
@@ -353,6 +371,11 @@ class BoundarySpace:
     def closure(self) -> Closure | None:
         """How conditions close solutions that are not stated as orbits; None where they do not."""
         return closure_of(self.statement) if self.periodic is None else None
+
+    @property
+    def closes(self) -> bool:
+        """Whether solutions are orbits, or are closed by their conditions, so that they have multipliers."""
+        return self.periodic is not None or self.closure is not None
 
     def _floquet(self, point: Point, by: str) -> Floquet:
         if self.closure is not None:

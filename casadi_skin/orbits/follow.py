@@ -136,7 +136,7 @@ def follow(
     """
     _check_choices(stability, events, until, progress)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
-    if stability and isinstance(space, BoundarySpace) and space.periodic is None and space.closure is None:
+    if stability and isinstance(space, BoundarySpace) and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
     return run_following(Following(space, stability, events, until=until), progress)

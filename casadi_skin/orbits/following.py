@@ -168,7 +168,7 @@ class Following:
 def _closes(solution: Solution) -> bool:
     """Whether a solution is an orbit, or one of a boundary-value problem whose conditions close it."""
     space = solution.space
-    return isinstance(solution, Orbit) or (isinstance(space, BoundarySpace) and space.closure is not None)
+    return isinstance(solution, Orbit) or (isinstance(space, BoundarySpace) and space.closes)
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,7 +76,8 @@ class Solution(Result):
         slack = 1e-9 * (end - start)
         if not np.all((times >= start - slack) & (times <= end + slack)):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {start:g} to {end:g}")
-        return self.point.problem.sample(self.point.z, np.clip((times - start) / (end - start), 0.0, 1.0))
+        states = self.point.problem.sample(self.point.z, np.clip((times - start) / (end - start), 0.0, 1.0))
+        return np.asarray(states[:, : len(self.space.state_names)])
 
     def __getitem__(self, name: str) -> float | Array:
         """The value of a parameter, or the values of a state at `t`; raises KeyError for other names."""
@@ -106,10 +107,15 @@ class Solution(Result):
         """The boundary-value problem that is solved."""
         return self.problem.statement
 
+    @property
+    def _span(self) -> tuple[float, float]:
+        """Start and end of the part that was unknown; raises ValueError as `problem` does."""
+        return cast(tuple[float, float], cast(Any, self.space).span(self.point))
+
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: ends and stages of the intervals."""
-        start, end = self.statement.span(np.array(list(self.parameters.values())))
+        start, end = self._span
         return np.asarray(start + self.problem._fractions() * (end - start))
 
     @cached_property
@@ -121,7 +127,7 @@ class Solution(Result):
     @property
     def mesh(self) -> Array:
         """Ends of the intervals of the part that was unknown, shape (intervals + 1,)."""
-        start, end = self.statement.span(np.array(list(self.parameters.values())))
+        start, end = self._span
         return np.asarray(start + mesh.edges(self.problem.constants) * (end - start))
 
     @property

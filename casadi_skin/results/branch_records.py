@@ -13,7 +13,6 @@ import numpy as np
 
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.orbits.making import solution_at
-from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
@@ -146,7 +145,7 @@ def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_
     )
 
 
-def stability_record(branch: str, orbit: Orbit, changes: Sequence[StabilityChange] = ()) -> StabilityRecord:
+def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityChange] = ()) -> StabilityRecord:
     """Record of the stability of the next orbit of a branch, with the changes since the one before."""
     floquet = orbit.floquet()
     if isinstance(floquet, ReversibleFloquet):

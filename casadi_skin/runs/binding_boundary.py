@@ -15,6 +15,7 @@ from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
 from casadi_skin.models.loading import call
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.orbits.closure import closure_of
 from casadi_skin.orbits.find_orbit import rotations_of
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.orbit_statement import UNFOLDING
@@ -97,6 +98,8 @@ def bound_problem(
         problem = replace(problem, parameters=values)
     except ValueError as error:  # an interval that is empty at these values
         raise SceneError(f"[model] parameters: {error}") from None
+    if scene.stability is not None and closure_of(problem) is None:
+        raise refusal("[stability]", f"with {table.name}, which has other conditions", "x(end) = S x(start)")
     guess = None if scene.solution is None else _guess(scene.solution.guess, path, problem, names)
     return Request(scene, problem.model, values, path, source, problem, guess)
 

@@ -228,7 +228,8 @@ class Branches:
                     changes.append(result)
                     continue
                 sought_again = result.point.special and not result.point.located  # by the multipliers of its neighbours
-                if isinstance(result, Orbit) and self._with_stability and not sought_again:
+                periodic = isinstance(result, Orbit) or result.known_floquet is not None
+                if periodic and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result, changes))
                     changes.clear()
                 self.tables.add(name, [result], space)

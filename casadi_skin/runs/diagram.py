@@ -70,7 +70,7 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        crossing = point.kind == BRANCH_POINT and isinstance(point.solution, Equilibrium)
+        crossing = point.kind == BRANCH_POINT and not isinstance(point.solution, Orbit)
         if table.curve is not None and (point.kind in FOLLOWED or crossing) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
@@ -91,8 +91,9 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         found = curve.at(point.parameters[curve.parameter], which=1)
     except (ValueError, ArithmeticError):
         return False
-    if isinstance(found, Orbit):
-        return bool(abs(found.parameters[point.parameter] / point.parameters[point.parameter] - 1.0) <= SAME)
+    if not isinstance(found, Equilibrium):
+        a, b = found.parameters[point.parameter], point.parameters[point.parameter]
+        return bool(abs(a - b) <= SAME * max(abs(a), abs(b)))
     x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
     return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
 

@@ -17,7 +17,7 @@ from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
 from casadi_skin.runs.words import Lines, listed, named
-from casadi_skin.scene.model_tables import LEAVING, EquilibriumTable
+from casadi_skin.scene.model_tables import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.solvers.levels import ErrorEstimate
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
@@ -217,14 +217,20 @@ def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
         lines.append(("located", "folds, branch points and Hopf points, with their normal forms"))
-        if table.switch or table.depth:
-            kinds = " and ".join(table.switch or LEAVING)
-            deep = "" if table.depth is None else f", {table.depth} deep and {table.limit} branches at most"
-            lines.append(("leaving", f"branches at every {kinds}, as far{deep}"))
-        if table.curve is not None:
-            curve = table.curve
-            lines.append(("curves", f"special points in {curve.parameter} to {curve.to:g}"))
+        lines += _further_lines(table)
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each component of the state"))
+    return lines
+
+
+def _further_lines(table: ContinuationTable) -> Lines:
+    """Branches that leave a branch, and curves in two parameters."""
+    lines: Lines = []
+    if table.switch or table.depth:
+        kinds = " and ".join(table.switch or LEAVING)
+        deep = "" if table.depth is None else f", {table.depth} deep and {table.limit} branches at most"
+        lines.append(("leaving", f"branches at every {kinds}, as far{deep}"))
+    if table.curve is not None:
+        lines.append(("curves", f"special points in {table.curve.parameter} to {table.curve.to:g}"))
     return lines
 
 
@@ -240,8 +246,7 @@ def _boundary_lines(request: Request) -> Lines:
     if table is not None:
         at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
         lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
-        if table.curve is not None:
-            lines.append(("curves", f"special points in {table.curve.parameter} to {table.curve.to:g}"))
+        lines += _further_lines(table)
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
     lines.append(("unknowns", _unknowns(request)))
     if scene.stability is not None:

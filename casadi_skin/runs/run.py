@@ -213,7 +213,8 @@ class Run:
         """Report trivial multipliers that are farther from their value than errors allow."""
         if self.request.scene.stability is None:
             return
-        found = [s.floquet() for branch in branches for s in branch.solutions if isinstance(s, Orbit)]
+        solutions = [solution for branch in branches for solution in branch.solutions]
+        found = [s.floquet() for s in solutions if isinstance(s, Orbit) or s.known_floquet is not None]
         off = [f for f in found if f.trivial_deviation > f.allowed_deviation]
         if off:
             worst = max(off, key=lambda f: f.trivial_deviation / f.allowed_deviation)

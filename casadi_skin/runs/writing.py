@@ -16,7 +16,6 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.spectrum import linear_frequencies
 from casadi_skin.progress import Progress
 from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
@@ -125,7 +124,7 @@ def special_rows(branch: Branch) -> list[dict[str, Cell]]:
     columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.located)
     folds = {id(point.solution): point for point in branch.special_points}
     for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
-        if branch.located and before is not None and _is_stable(before) != _is_stable(here):
+        if branch.located and before is not None and before.stable != here.stable:
             change = next(changes)
             kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
             rows.append([kind, change.value, change.error, TWO_PI / change.Omega])
@@ -138,11 +137,6 @@ def special_rows(branch: Branch) -> list[dict[str, Cell]]:
 
 def _has_orbits(branch: Branch) -> bool:
     return isinstance(branch.solutions[0], Orbit)
-
-
-def _is_stable(solution: Solution) -> bool:
-    assert isinstance(solution, Orbit)
-    return solution.floquet().stable
 
 
 def write_spectrum(request: Request, directory: Path) -> None:

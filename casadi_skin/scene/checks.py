@@ -110,11 +110,13 @@ def _check_sought(scene: Scene) -> None:
         raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")
     table = scene.continuation
     cycles = table is not None and ("hopf" in table.switch or (not table.switch and bool(table.depth)))
-    if scene.stability is not None and scene.family is None and scene.orbit is None and not cycles:
+    periodic = scene.family is not None or scene.orbit is not None or scene.solution is not None
+    if scene.stability is not None and not periodic and not cycles:
         accepted = (
-            'beside a [family] or an [orbit], or with "hopf" in [continuation] switch, whose stability it asks for'
+            "beside a [family], an [orbit] or a [solution], or with "
+            '"hopf" in [continuation] switch, whose stability it asks for'
         )
-        raise refusal("[stability]", "without [family] or [orbit]", accepted)
+        raise refusal("[stability]", "without [family], [orbit] or [solution]", accepted)
     if scene.continuation is not None and not sought:
         accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
         raise refusal("[continuation]", "without [family], [equilibrium], [orbit] or [solution]", accepted)
@@ -146,12 +148,11 @@ def _check_continuation(scene: Scene) -> None:
             raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
     if scene.family is not None:
         _check_of_family(scene, table)
-    if table.depth is not None and scene.equilibrium is None:
-        raise refusal("[continuation] depth", "without [equilibrium]", "beside an [equilibrium]")
-    if table.switch and scene.equilibrium is None and scene.family is None:
-        raise refusal("[continuation] switch", "without [equilibrium] or [family]", "beside one of them")
-    if table.curve is not None and scene.solution is not None:
-        raise refusal("[continuation] curve", "beside [solution]", "beside [family], [equilibrium] or [orbit]")
+    if table.depth is not None and scene.family is not None:
+        raise refusal("[continuation] depth", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
+    if "hopf" in table.switch and scene.equilibrium is None:
+        beside = next(name for name in ("family", "orbit", "solution") if getattr(scene, name) is not None)
+        raise refusal("[continuation] switch", f'"hopf" beside [{beside}]', '"branch point" and "period doubling"')
     for item, kind in enumerate(table.switch, start=1):
         if kind in table.switch[: item - 1]:
             raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")
@@ -172,8 +173,6 @@ def _check_of_family(scene: Scene, table: ContinuationTable) -> None:
             raise refusal(f"[continuation] {key}", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
     if scene.stability is None or not scene.stability.events:
         raise refusal("[continuation]", "beside [family] without [stability] events", "with [stability], events = true")
-    if "hopf" in table.switch:
-        raise refusal("[continuation] switch", '"hopf" beside [family]', '"branch point" and "period doubling"')
     if not table.to > 0.0:
         raise refusal("[continuation] to", repr(table.to), "a number > 0, which is S, beside [family]")
 

@@ -181,15 +181,16 @@ class ContinuationTable(Table, frozen=True):
     switch: Annotated[
         tuple[Leaving, ...],
         Meta(
-            title="Special points of equilibria and families at which the branches that leave are followed too",
-            description=f"a list of {one_of(LEAVING)}, each once; beside [equilibrium] or, without hopf, [family]",
+            title="Special points at which the branches that leave are followed too",
+            description=f"a list of {one_of(LEAVING)}, each once; "
+            "hopf beside [equilibrium] alone; multipliers, and so period doublings, need [stability]",
         ),
     ] = ()
     depth: Annotated[
         Annotated[int, Meta(ge=0)] | None,
         Meta(
             title="Special points one after the other that may lie between the branch and what is followed",
-            description="a whole number >= 0; beside [equilibrium] (left out: any number, half of what crosses)",
+            description="a whole number >= 0; not beside [family] (left out: any number, half of what crosses)",
         ),
     ] = None
     limit: Annotated[
@@ -204,6 +205,6 @@ class ContinuationTable(Table, frozen=True):
         Meta(
             title="Second parameter in which folds, Hopf points, doublings, tori and edges of tongues are followed",
             description="a table with parameter, the name of another parameter, and to, a number; beside "
-            "[equilibrium], [orbit] or, with S free, [family]; period doublings and tori are located with [stability]",
+            "[equilibrium], [orbit], [solution] or, with S free, [family]; period doublings and tori need [stability]",
         ),
     ] = None

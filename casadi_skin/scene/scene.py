@@ -77,8 +77,9 @@ class Scene(Table, frozen=True):
     @property
     def has_diagram(self) -> bool:
         """Whether branches that leave, or curves in two parameters, belong to the branch that is followed."""
-        curves = self.continuation is not None and self.continuation.curve is not None
-        return self.equilibrium is not None or (curves and self.family is None)
+        table = self.continuation
+        further = table is not None and (table.curve is not None or bool(table.switch) or table.depth is not None)
+        return self.equilibrium is not None or (further and self.family is None)
 
     def same_request(self, other: "Scene") -> bool:
         """Whether the other scene states the same request, whatever its title."""

@@ -154,7 +154,7 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ("cubic", "[equilibrium]\nstart = { z = 1 }\n", "[equilibrium] start: "),
         ("cubic", "[equilibrium]\n", "[equilibrium] start: missing"),
         ("cubic", "[equilibrium]\nstart=[0,0]\n[orbit]\nstart=[0,0]\n", "[orbit]: given beside [equilibrium]"),
-        ("cubic", "[equilibrium]\nstart=[0,0]\n[stability]\n", "[stability]: given without [family] or [orbit]"),
+        ("cubic", "[equilibrium]\nstart=[0,0]\n[stability]\n", "[stability]: given without [family], [orbit] or "),
         ("cubic", "[equilibrium]\nstart=[0,0]\n[method]\ndegree = 3\n", "[method]: given beside [equilibrium]"),
         (
             "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\nswitch=["fold"]\n',
@@ -170,7 +170,7 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ),
         (
             "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\nswitch=["hopf"]\n',
-            "[continuation] switch: given without [equilibrium] or [family]; accepted: beside one of them",
+            '[continuation] switch: given "hopf" beside [orbit]; accepted: "branch point" and "period doubling"',
         ),
     ],
 )  # fmt: skip

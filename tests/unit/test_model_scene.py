@@ -163,7 +163,10 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
         (scene_of("a", ORBIT + "select = { x = 1, y = 2 }"), "[orbit] select: given {x = 1, y = 2}; accepted: "),
         (scene_of("a", SYMMETRIC + "section = { y = 0 }"), "[orbit] section: given with symmetric = true; accepted: "),
         (scene_of("a", ORBIT + "[solution]\nguess = [0]\n"), "[solution]: given beside [orbit]; accepted: [orbit] or "),
-        (scene_of("a", "[stability]\n"), "[stability]: given without [family] or [orbit]; accepted: beside a "),
+        (
+            scene_of("a", "[stability]\n"),
+            "[stability]: given without [family], [orbit] or [solution]; accepted: beside a ",
+        ),
         (
             scene_of("a", "[continuation]\nparameter = 'b'\nto = 1\n"),
             "[continuation]: given without [family], [equilibrium], [orbit] or [solution]; accepted: beside a ",

@@ -346,7 +346,8 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             "[stability]",
-            "[stability]: given without [family] or [orbit]; accepted: beside a [family] or an [orbit], or with "
+            "[stability]: given without [family], [orbit] or [solution]; accepted: beside a [family], an [orbit] or a "
+            "[solution], or with "
             '"hopf" in [continuation] switch, whose stability it asks for',
         ),
         (
