@@ -42,11 +42,10 @@ def draw(branch: Branch) -> Figure:
     )
     for axes in (above, below):
         for k, (first, last) in enumerate(unstable_intervals(branch)):
-            axes.axvspan(first, last, color="0.85", lw=0, label="unstable" if k == 0 else None)
+            axes.axvspan(first, last, color="0.85", lw=0, label="unstable" if axes is above and k == 0 else None)
     above.set(ylabel=r"frequency $\Omega$", title=r"$N = 24,\ \alpha = 1,\ \gamma = 0.25,\ g = -1,\ j = 1$")
     below.set(xlabel=r"total amplitude $S$", ylabel="energy $H$", xlim=(0, 3), ylim=(0, 4.4))
-    above.legend(loc="lower left")
-    below.legend(loc="upper right")
+    figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 

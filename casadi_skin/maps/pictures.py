@@ -118,9 +118,20 @@ def _panel(found: Map, name: str, along: list[int], chosen: Mapping[int, int]) -
     index = tuple(chosen.get(i, slice(None)) for i in range(len(axes)))
     values, states = found[name].astype(float)[index], found.status[index]
     values = np.where(np.isfinite(values), values, np.nan)
-    words = panel_title([axes[i].name for i in chosen], [axes[i].values[k] for i, k in chosen.items()])
+    values = [value for i, k in chosen.items() for value in _values_at(axes[i], k)]
+    words = panel_title([name for i in chosen for name in _names_of(axes[i])], values)
     shown = filled(values, states, [axes[i].stride for i in along])
     return Panel(words, shown, states >= ENDED, states != UNKNOWN, found.lines(tuple(chosen.values())))
+
+
+def _names_of(axis: Axis) -> list[str]:
+    """Names of the parameters of an axis, of which several may change together."""
+    return [name.strip() for name in axis.name.split(",")] if axis.given else [axis.name]
+
+
+def _values_at(axis: Axis, place: int) -> tuple[Any, ...]:
+    """Their values at a place."""
+    return axis.given[place] if axis.given else (axis.values[place],)
 
 
 def _along(axes: tuple[Axis, ...]) -> list[int]:
