@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
 from casadi_skin.stability.stepping import SteppedFlow
@@ -59,7 +60,16 @@ class SplittingMap:
 
     def __call__(self, nonzeros: Array, durations: Array) -> Array:
         """Transition matrices, shape (points, 2n, 2n), from J's non-zeros (points, len(fractions), non-zeros)."""
-        return propagated(self.jacobian, self.sequence.drifts, [self.run(nonzeros, durations)])[0]
+        kernel = splitting_kernel()
+        if kernel is None:
+            return propagated(self.jacobian, self.sequence.drifts, [self.run(nonzeros, durations)])[0]
+        jacobian, sequence = self.jacobian, self.sequence
+        pattern, stages = (jacobian.indptr, jacobian.indices), (sequence.kicks, sequence.drifts)
+        reach = jacobian.half_bandwidth
+        far = reach * sequence.kicks.size
+        if far < jacobian.size:
+            far = _reach(jacobian, sequence.drifts, [self.run(nonzeros, durations)])
+        return kernel(pattern, (reach, min(far, jacobian.size)), stages, durations / self.steps, nonzeros)
 
 
 def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> list[Array]:
@@ -142,19 +152,19 @@ def _columns(
 
     `h` is the step of each row.
     """
-    from scipy.linalg.blas import daxpy
-
     # Velocities are multiplied by the step h, so that no orbit's step is in the drifts.
     state = np.zeros((2, h.size, 2 * count))
     for k in range(count):
         state[0, first + k :: n, k] = 1.0
         state[1, first + k :: n, count + k] = h[first + k :: n]
     x, v = state
+    moved = np.empty_like(x)
     for i, (matrix, data) in enumerate(kicks):
         matrix.data, rows = data, matrix.shape[0]
         if i > 0:
-            daxpy(v[:rows].ravel(), x[:rows].ravel(), a=drifts[i - 1])
-        daxpy((matrix @ x[:rows]).ravel(), v[:rows].ravel())
+            np.multiply(v[:rows], drifts[i - 1], out=moved[:rows])
+            x[:rows] += moved[:rows]
+        v[:rows] += matrix @ x[:rows]
     v /= h[:, None]
     return state.reshape(2, -1, n, 2 * count).swapaxes(0, 1)
 
@@ -182,7 +192,9 @@ class SplittingFlow(SteppedFlow):
         return found
 
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
-        """As that of other flows, all at once where they fit into the cache."""
+        """As that of other flows; without a compiled kernel all at once where they fit into the cache."""
+        if splitting_kernel() is not None:
+            return super().several(wanted)
         maps = [self._splitting(steps) for steps, _ in wanted]
         runs = [
             step_map.run(self._linearised(orbits, step_map.fractions), self._durations(orbits))

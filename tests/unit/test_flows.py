@@ -125,6 +125,7 @@ def test_the_jacobian_along_states_is_the_models(model: OdeModel) -> None:
 
 @pytest.mark.parametrize("cached", [10**6, 200, 7])
 def test_orbits_together_and_columns_by_themselves_change_nothing(cached: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splitting, "splitting_kernel", lambda: None)
     branch = followed(*ORBITS[1])
     first, *others = [state(orbit) for orbit in branch.orbits[1:5]]
     flow = SplittingFlow(branch.space.coordinates.scaled, 1e-8)
@@ -158,6 +159,10 @@ def test_what_kicks_do_not_reach_is_left_out_of_long_chains(
 
     x, v = flow.sequence.apply(x, v, kick, lambda a, x, v: x + a * v)
     monkeypatch.setattr(splitting, "CACHED", cached)
+    if splitting.splitting_kernel() is not None:
+        found = flow(nonzeros, durations)[0]
+        np.testing.assert_allclose(found, np.vstack([x, v / h]), rtol=1e-11, atol=1e-13)
+        monkeypatch.setattr(splitting, "splitting_kernel", lambda: None)
     widths: list[int] = []
     columns = splitting._columns
 

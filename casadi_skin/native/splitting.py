@@ -1,0 +1,49 @@
+"""Transition matrices of the variational flow by the kernel splitting.c."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.native.library import library
+
+Array = NDArray[np.float64]
+Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
+Kernel = Callable[[Pattern, tuple[int, int], tuple[Array, Array], Array, Array], Array]
+
+
+@cache
+def splitting_kernel() -> Kernel | None:
+    """Function of the pattern of J, reaches, kicks and drifts, steps and J; None without a compiler.
+
+    The reaches are that of one kick, J's half bandwidth, and that of all, beyond which results are zero. Steps have
+    shape (points,), the non-zeros of J at the kicks (points, kicks, non-zeros); the result (points, 2n, 2n).
+    """
+    found = library("splitting")
+    if found is None:
+        return None
+    function, integer, pointer = found.casadi_skin_splitting, ctypes.c_int64, ctypes.c_void_p
+    function.argtypes = [integer] * 4 + [pointer] * 2 + [integer] + [pointer] * 5
+    function.restype = ctypes.c_int
+
+    def transitions(
+        pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array
+    ) -> Array:
+        (indptr, indices), (kicks, drifts) = pattern, sequence
+        (points, count, nonzeros), size = jacobians.shape, indptr.size - 1
+        steps, jacobians = np.ascontiguousarray(steps), np.ascontiguousarray(jacobians)
+        held: list[NDArray[Any]] = [indptr, indices, kicks, drifts, steps, jacobians]
+        assert (kicks.size, drifts.size, nonzeros) == (count, count - 1, indices.size)
+        assert all(array.flags.c_contiguous for array in held)
+        result = np.zeros((points, 2 * size, 2 * size))
+        at = [array.ctypes.data for array in (*held, result)]
+        if function(points, size, *reaches, *at[:2], count, *at[2:]):
+            raise MemoryError(f"the variational flow of {size} components")
+        return result
+
+    return transitions

@@ -1,0 +1,179 @@
+"""Compiled kernels: the same numbers as numpy's, from a cache that is private, and numpy where there is no compiler."""
+
+from __future__ import annotations
+
+import os
+import stat
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lattices import plane
+from small_models import pendulums
+
+from casadi_skin import Chain, follow_family
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.native import library as native
+from casadi_skin.native.library import KernelWarning, cache_folder, library, without
+from casadi_skin.native.splitting import splitting_kernel
+from casadi_skin.orbits.request import family_request
+from casadi_skin.stability import splitting
+from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.splitting import SplittingMap
+
+needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
+
+
+@pytest.fixture
+def fresh() -> Iterator[None]:
+    """Nothing that this process loaded before."""
+    library.cache_clear(), splitting_kernel.cache_clear()
+    yield
+    library.cache_clear(), splitting_kernel.cache_clear()
+
+
+@pytest.fixture
+def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh: None) -> Path:
+    """An empty folder for caches."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "casadi_skin"
+
+
+def both_ways(model: OdeModel, steps: int, orbits: int, monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """Transition matrices along random states, by the kernel and by numpy."""
+    jacobian, generator = JacobianAlong(model), np.random.default_rng(3)
+    flow = SplittingMap(jacobian, steps)
+    phases = orbits * flow.fractions.size
+    values = jacobian(0.3 * generator.normal(size=(phases, model.size)), generator.normal(size=phases))
+    nonzeros, durations = values.reshape(orbits, flow.fractions.size, -1), generator.uniform(0.5, 1.5, size=orbits)
+    found = [flow(nonzeros, durations)]
+    with monkeypatch.context() as patch:
+        patch.setattr(splitting, "splitting_kernel", lambda: None)
+        found.append(flow(nonzeros, durations))
+    return found
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "model",
+    [
+        *(Chain(n, 1.0, 0.3, -1.0).gauge_model() for n in (1, 2, 7, 8, 9, 24, 150)),
+        family_request(pendulums(), 1, 1.0).coordinates.scaled,
+        family_request(plane((4, 3)), 1, 1.0).coordinates.scaled,  # J with two bands
+    ],
+    ids=lambda model: f"{model.name}, {model.size}",
+)
+def test_kernel_and_numpy_agree_to_rounding(model: OdeModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert splitting_kernel() is not None
+    compiled, plain = both_ways(model, 5, 3, monkeypatch)
+    np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
+
+
+@needs_compiler
+def test_multipliers_of_a_family_do_not_depend_on_the_kernel(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = Chain(10, 1.0, 0.25, -1.0)
+    found = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
+    assert list(caches.glob("splitting-*.so"))
+    library.cache_clear(), splitting_kernel.cache_clear()
+    monkeypatch.setenv(native.SWITCH, "0")
+    assert splitting_kernel() is None
+    plain = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
+    for one, other in zip(found.orbits, plain.orbits, strict=True):
+        assert one.Omega == other.Omega
+        np.testing.assert_allclose(one.floquet().multipliers, other.floquet().multipliers, rtol=0, atol=1e-10)
+
+
+@needs_compiler
+def test_a_library_is_compiled_once_and_is_of_its_user_alone(caches: Path) -> None:
+    old = os.umask(0)
+    try:
+        assert library("splitting") is not None
+    finally:
+        os.umask(old)
+    (compiled,) = caches.iterdir()
+    assert stat.S_IMODE(caches.stat().st_mode) == 0o700
+    made = compiled.stat().st_mtime_ns
+    library.cache_clear()
+    assert library("splitting") is not None
+    assert compiled.stat().st_mtime_ns == made
+
+
+@needs_compiler
+def test_another_processor_or_source_is_compiled_anew(
+    caches: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "one.c").write_text("int one(void) { return 1; }")
+    monkeypatch.setattr(native, "SOURCES", tmp_path)
+    monkeypatch.setattr(native, "PROCESSOR", tmp_path / "cpuinfo")  # none: code for every processor
+    for count, text in enumerate(("", "flags\t: sse2", "flags\t: sse2 avx"), start=1):
+        if text:
+            (tmp_path / "cpuinfo").write_text(f"processor\t: 0\n{text}\n\nprocessor\t: 1\n")
+        library.cache_clear()
+        assert library("one") is not None
+        assert len(list(caches.iterdir())) == count
+    (tmp_path / "one.c").write_text("int one(void) { return 2; }")
+    library.cache_clear()
+    assert library("one") is not None
+    assert len(list(caches.iterdir())) == 4
+
+
+@needs_compiler
+@pytest.mark.parametrize("fault", ["open", "link", "file", "relative", "parent", "rubbish", "source"])
+def test_what_is_not_private_or_not_whole_is_not_loaded(
+    fault: str, caches: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = str(caches)
+    if fault == "open":
+        caches.mkdir(mode=0o755)
+    elif fault == "link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        caches.symlink_to(tmp_path / "elsewhere")
+    elif fault == "file":
+        caches.write_text("")
+    elif fault == "relative":
+        monkeypatch.setenv("XDG_CACHE_HOME", "caches")
+        words = "relative path"
+    elif fault == "parent":
+        tmp_path.chmod(0o777)
+        words = "everybody may write"
+    elif fault == "rubbish":
+        assert library("splitting") is not None
+        (compiled,) = caches.iterdir()
+        caches = tmp_path / "other" / "casadi_skin"  # a library that is loaded once stays what it is
+        caches.mkdir(mode=0o700, parents=True)
+        (caches / compiled.name).write_bytes(b"no library")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(caches.parent))
+        words = str(caches)
+        library.cache_clear()
+    else:
+        (tmp_path / "splitting.c").write_text("nothing")
+        monkeypatch.setattr(native, "SOURCES", tmp_path)
+        words = "failed: .*error"
+    with pytest.warns(KernelWarning, match=words):
+        assert library("splitting") is None
+    assert splitting_kernel() is None
+
+
+@needs_compiler
+def test_libraries_of_other_users_are_not_loaded(caches: Path) -> None:
+    assert library("splitting") is not None
+    library.cache_clear()
+    (compiled,) = caches.iterdir()
+    try:
+        os.chown(compiled, 65534, -1)
+    except PermissionError:
+        pytest.skip("files can be given away by root alone")
+    with pytest.warns(KernelWarning, match="of another user"):
+        assert library("splitting") is None
+
+
+def test_no_compiler_is_no_fault(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert library("splitting") is None
+    assert "no-such-compiler" in str(without())
+    assert not caches.exists()
+    assert cache_folder() == caches
