@@ -9,6 +9,7 @@ compiled equations, so that the mesh may follow the solution.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Self
 
@@ -98,6 +99,9 @@ class CollocationEquations(Problem):
         other = copy.copy(self)
         other.constants = constants
         return other
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        return self.discretisation.structure.kept(name, make)
 
     @property
     def elimination_order(self) -> Indices:

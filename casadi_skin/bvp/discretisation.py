@@ -13,7 +13,8 @@ import numpy as np
 
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.structure import Layout, structure_of
 
 
 class Buffers:
@@ -40,7 +41,8 @@ class Discretisation:
     """Collocation equations of a formulation on K intervals of any lengths that sum to 1.
 
     Attributes:
-        rows, columns: places of the non-zeros of the Jacobian, column by column.
+        structure: where entries of the Jacobian go.
+        rows, columns: places of its non-zeros, column by column.
         shared: solvers that have been made for these equations, by name.
     """
 
@@ -55,44 +57,9 @@ class Discretisation:
         self._integrals = formulation.integrals
         if self._integrals:
             self._integrands = Buffers(formulation.integrand_function.map(intervals * self._d))
-        self._stage = (np.arange(intervals)[:, None] * self._R + 1 + np.arange(self._d)).ravel()
-        self._start = np.arange(intervals) * self._R
-        parts = self._places(formulation)
-        equations = self._states - self._n + int(formulation.conditions.numel()) + self._integrals
-        keys = [columns * equations + rows for rows, columns in parts]
-        found, slots = np.unique(np.concatenate(keys), return_inverse=True)
-        self.rows, self.columns = found % equations, found // equations
-        ends = np.cumsum([key.size for key in keys])[:-1]
-        target, start, self._stiff, *rest = np.split(slots, ends)
-        self._rest = np.concatenate(rest)
-        self._differences = np.zeros(found.size)
-        self._differences[target], self._differences[start] = 1.0, -1.0
-
-    def _places(self, formulation: Formulation) -> list[tuple[Indices, Indices]]:
-        """Rows and columns of the parts of the Jacobian: differences, field by states and scalars, conditions."""
-        n, K, d, R, m = self._n, self._K, self._d, self._R, self._m
-        bottom, component = self._states - n, np.arange(n)
-        increment = np.arange(bottom)
-        ends = np.repeat(self._start, R), np.arange(1, K * R + 1)
-        parts = [(increment, (column[:, None] * n + component).ravel()) for column in ends[::-1]]
-        r, c = (np.array(t, dtype=np.int64) for t in formulation.field_function.sparsity_out(1).get_triplet())
-        shape = (K, R, d, r.size)
-        stiff = (np.arange(K * R).reshape(K, R, 1, 1) * n + r, self._stage.reshape(K, 1, d, 1) * n + c)
-        parts.append(tuple(np.broadcast_to(places, shape).ravel() for places in stiff))  # type: ignore[arg-type]
-        scalars = self._states + np.arange(m)
-        by_scalars = np.broadcast_arrays(increment.reshape(K, R, 1, n), scalars[:, None])
-        parts.append((by_scalars[0].ravel(), by_scalars[1].ravel()))
-        for i, offset in enumerate((0, bottom, self._states), start=1):
-            rows, columns = (
-                np.array(t, dtype=np.int64) for t in formulation.condition_function.sparsity_out(i).get_triplet()
-            )
-            parts.append((rows + bottom, columns + offset))
-        if self._integrals:
-            first = bottom + int(formulation.conditions.numel()) + np.arange(self._integrals)
-            by_x = np.broadcast_arrays(first, (self._stage[:, None, None] * n + component[:, None]))
-            by_s = np.broadcast_arrays(first, scalars[:, None])
-            parts += [(by_x[0].ravel(), by_x[1].ravel()), (by_s[0].ravel(), by_s[1].ravel())]
-        return parts
+        self.structure = structure_of(Layout.of(formulation, intervals, table))
+        self.rows, self.columns = self.structure.rows, self.structure.columns
+        self._stage, self._start = self.structure.stage, self.structure.start
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
@@ -129,7 +96,7 @@ class Discretisation:
             value, by_x, by_s = self._integrands(*arguments)
             residual.append(quadrature @ value.reshape(K * d, own))
             rest += [(quadrature[:, None] * by_x.reshape(K * d, -1)).ravel(), quadrature @ by_s.reshape(K * d, -1)]
-        nonzeros = self._differences.copy()
-        nonzeros[self._stiff] -= (weights[..., None] * by_states.reshape(K, 1, d, -1)).ravel()
-        nonzeros[self._rest] = np.concatenate(rest)
+        nonzeros = self.structure.differences.copy()
+        nonzeros[self.structure.stiff] -= (weights[..., None] * by_states.reshape(K, 1, d, -1)).ravel()
+        nonzeros[self.structure.rest] = np.concatenate(rest)
         return np.concatenate(residual), nonzeros

@@ -204,6 +204,10 @@ class Problem(ABC):
     def _shared(self) -> dict[Any, Any]:
         return {}
 
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """What has been made of the pattern of the equations alone, and is not changed by those who use it."""
+        return make()
+
     @property
     def elimination_order(self) -> Indices:
         """An order of the unknowns in which factors of the Jacobian are sparse, where they are `in_order`."""

@@ -58,7 +58,7 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess with
     its own times, as a simulated cycle, is sampled there.
     """
-    if _is_constant(guess):
+    if is_constant(guess):
         return []
     start, end = statement.span(np.array(list(statement.values.values())))
     for samples in (FIRST_SAMPLES, SAMPLES):
@@ -75,7 +75,7 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     return [np.diff(np.interp(np.linspace(0.0, total[-1], count + 1), total, places)) for count in counts]
 
 
-def _is_constant(guess: Guess) -> bool:
+def is_constant(guess: Guess) -> bool:
     """Whether a guess is numbers, one a state."""
     if not isinstance(guess, list | tuple | np.ndarray):
         return False
@@ -84,7 +84,7 @@ def _is_constant(guess: Guess) -> bool:
 
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
-    if not _is_constant(guess) and isinstance(guess, Evaluated):
+    if not is_constant(guess) and isinstance(guess, Evaluated):
         return _evaluated(guess, t)
     if isinstance(guess, Mapping):
         for name in guess:

@@ -42,15 +42,11 @@ class ArbitratedCorrector:
     ) -> None:
         self.problem, self.tolerance, self.max_iterations, self._always = problem, tolerance, max_iterations, always
         self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
-        self._decreasing = NewtonCorrector(problem, tolerance, LOWER_STEPS, decreasing=True)
-        self._free = NewtonCorrector(problem, tolerance, STEPS)
 
     def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
         other = copy.copy(self)
-        other.problem = problem
-        own = self._newton, self._decreasing, self._free
-        other._newton, other._decreasing, other._free = (corrector.on(problem) for corrector in own)
+        other.problem, other._newton = problem, self._newton.on(problem)
         return other
 
     def _ipopt(self, one_scalar: bool) -> IpoptCorrector:
@@ -64,14 +60,16 @@ class ArbitratedCorrector:
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
-        for corrector in (self._newton, self._decreasing):
-            correction = corrector.correct(guess, row, value)
-            if correction.converged:
-                return correction
+        correction = self._newton.correct(guess, row, value)
+        if not correction.converged:
+            decreasing = NewtonCorrector(self.problem, self.tolerance, LOWER_STEPS, decreasing=True)
+            correction = decreasing.correct(guess, row, value)
+        if correction.converged:
+            return correction
         correction = self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
         if correction.converged:
             return correction
-        last = self._free.correct(guess, row, value)
+        last = NewtonCorrector(self.problem, self.tolerance, STEPS).correct(guess, row, value)
         return last if last.converged else correction
 
     def confirm(self, z: Array, row: Array, value: float) -> Correction:

@@ -97,30 +97,48 @@ class _BandFactors:
         return self.completed(inner, columns[n:]).reshape(b.shape)
 
 
+@dataclass(frozen=True)
+class _Places:
+    """The closed matrix: columns in the order of elimination, with the closing row as the last entry of every column.
+
+    `rows` and `bounds` are its pattern; entries number `open` of it are the non-zeros `taken` of the Jacobian.
+    """
+
+    order: Indices
+    closing: Indices
+    open: Indices
+    taken: Indices
+    rows: NDArray[np.intc]
+    bounds: NDArray[np.intc]
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Places:
+        size, (rows, columns) = problem.size, problem.pattern
+        order, ends = problem.elimination_order, np.searchsorted(columns, np.arange(size + 1))
+        counts = np.diff(ends)[order]
+        bounds = np.append(0, np.cumsum(counts + 1))
+        closing = bounds[1:] - 1
+        opened = np.delete(np.arange(rows.size + size), closing)
+        taken = np.arange(rows.size) + np.repeat(ends[:-1][order] - (np.cumsum(counts) - counts), counts)
+        closed = np.full(rows.size + size, size - 1)
+        closed[opened] = rows[taken]
+        return cls(order, closing, opened, taken, closed.astype(np.intc), bounds.astype(np.intc))  # as SuperLU has them
+
+
 class BorderedSolver:
     """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
 
     def __init__(self, problem: Problem) -> None:
         from scipy.sparse import csc_matrix
 
-        self.problem = problem
+        self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
         self._band = _Band.of(problem)
-        size, (rows, columns) = problem.size, problem.pattern
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
-        ends = np.searchsorted(columns, np.arange(size + 1))
-        self._jacobian = csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
-        # The same, columns in the order of elimination, with the closing row as the last entry of every column.
-        self._order = problem.elimination_order
-        counts = np.diff(ends)[self._order]
-        bounds = np.append(0, np.cumsum(counts + 1))
-        self._closing = bounds[1:] - 1
-        self._open = np.delete(np.arange(rows.size + size), self._closing)
-        self._taken = np.arange(rows.size) + np.repeat(ends[:-1][self._order] - (np.cumsum(counts) - counts), counts)
-        closed = np.full(rows.size + size, size - 1)
-        closed[self._open] = rows[self._taken]
-        self._closed = csc_matrix((np.zeros(closed.size), closed, bounds), shape=(size, size))
+        places = problem.kept("closed", lambda: _Places.of(problem))
+        self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
+        self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
 
     @staticmethod
     def of(problem: Problem) -> BorderedSolver:
@@ -131,10 +149,18 @@ class BorderedSolver:
         return found
 
     @cached_property
+    def _jacobian(self) -> Any:
+        from scipy.sparse import csc_matrix
+
+        size, (rows, columns) = self.problem.size, self.problem.pattern
+        ends = np.searchsorted(columns, np.arange(size + 1))
+        return csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
+
+    @cached_property
     def _scale(self) -> Array:
         """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
         scale = np.ones(self.problem.size)
-        scale[long_rows(self._closed.indices, self.problem.size)] = LONG
+        scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = LONG
         return scale
 
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
@@ -184,8 +210,12 @@ class BorderedSolver:
         if not max(general.max(), -general.min()) < SINGULAR:
             return False
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
-        self._jacobian.data = nonzeros
-        defect = self._jacobian @ x
+        if self.problem.in_order:  # collocation, whose solvers are made more often than used
+            rows, columns = self.problem.pattern
+            defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)
+        else:
+            self._jacobian.data = nonzeros
+            defect = self._jacobian @ x
         return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
 
     def _factor_band(self, band: _Band, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
