@@ -118,8 +118,8 @@ def _panel(found: Map, name: str, along: list[int], chosen: Mapping[int, int]) -
     index = tuple(chosen.get(i, slice(None)) for i in range(len(axes)))
     values, states = found[name].astype(float)[index], found.status[index]
     values = np.where(np.isfinite(values), values, np.nan)
-    values = [value for i, k in chosen.items() for value in _values_at(axes[i], k)]
-    words = panel_title([name for i in chosen for name in _names_of(axes[i])], values)
+    at = [value for i, k in chosen.items() for value in _values_at(axes[i], k)]
+    words = panel_title([name for i in chosen for name in _names_of(axes[i])], at)
     shown = filled(values, states, [axes[i].stride for i in along])
     return Panel(words, shown, states >= ENDED, states != UNKNOWN, found.lines(tuple(chosen.values())))
 

@@ -553,3 +553,15 @@ def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
     assert (cell.family.at, cell.family.amplitude_max) == ((0.01, 0.05), 0.05)
     assert cell.lattice.site == scene.lattice.site if scene.lattice is not None else False
     assert grid.name(11) == "seed = 3, g, mode = (-1.0, 4), S = 0.05"
+
+
+def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Path) -> None:
+    scene = parse_scene(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
+    (tmp_path / "scene.toml").write_text(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
+    with Store(tmp_path, Grid.of(scene), scene, "journal.msgpack", print) as store:
+        for task in store.grid.tasks(store.grid.coarsest):
+            store.add(task, 1, Result(tuple(Row({"Omega": float(cell)}) for cell in task.cells), seconds=1.0))
+    figure = read_map(tmp_path).figure("Omega")
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert any("g = $-1$, mode = last" in title for title in titles)
+    assert len(titles) == 4
