@@ -84,6 +84,12 @@ def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         blank_pictures(monkeypatch)
 
 
+@pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of a test that asks for other files: written without being drawn, in quick and slow runs."""
+    blank_pictures(monkeypatch)
+
+
 @pytest.fixture(params=["few", pytest.param("all", marks=pytest.mark.slow)])
 def harmonics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """In quick tests at most 48 harmonics: families of which the period grows without bound run out of them soon."""

@@ -24,7 +24,7 @@ from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_reco
 from casadi_skin.runs import first_solution, writing
 from casadi_skin.runs.run import Run
 
-pytestmark = pytest.mark.usefixtures("pictures", "interruptible")
+pytestmark = pytest.mark.usefixtures("blank", "interruptible")
 
 FAMILY = """[chain]
 sites = 3
