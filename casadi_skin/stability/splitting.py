@@ -113,8 +113,6 @@ def _reach(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun])
     between: with the sums K and D of their norms at most (K D)^k / (k! k^k), as the drifts are k parts of D. Other
     kicks between these, with L as the sum of all, make it no more than exp(2 sqrt(L D)) times larger.
     """
-    from scipy.special import gammaln
-
     most, starts, across = len(runs[0].stages), jacobian.indptr[:-1], jacobian.rows() != jacobian.indices
     if np.any(np.diff(jacobian.indptr) == 0) or most * jacobian.half_bandwidth >= jacobian.size:
         return most * jacobian.half_bandwidth
@@ -125,7 +123,7 @@ def _reach(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun])
         sums = np.maximum(sums, np.sum(np.max(rows, axis=2), axis=1))
     K, L = sums * float(np.sum(np.abs(drifts)))
     k = np.arange(1.0, most + 1.0)
-    logs = k * (np.log(max(K, TINY)) - np.log(k)) - gammaln(k + 1.0) + 2.0 * np.sqrt(L)
+    logs = k * (np.log(max(K, TINY)) - np.log(k)) - np.cumsum(np.log(k)) + 2.0 * np.sqrt(L)
     falling = np.append(np.diff(logs) < -1.0, True)  # then those beyond add up to less than twice the first
     small = np.flatnonzero((logs < np.log(NEGLIGIBLE)) & falling)
     return jacobian.half_bandwidth * (int(k[small[0]]) if small.size else most)
