@@ -55,14 +55,19 @@ function mark() {
     x0: -8, x1: 8, y0: -8, y1: 8, line: { width: 3, color } }];
 }
 
-function drawPoint() {
-  const b = branch(), k = detailPlace(), detail = b.detail, waves = detail.waves && detail.waves[k];
+function drawPoint() { PARTS.forEach((part) => part()); }
+
+function drawWave() {
+  const detail = branch().detail, waves = detail.waves && detail.waves[detailPlace()];
   if (waves) {
     const t = waves[0].map((_, i) => i / (waves[0].length - 1));
     Plotly.react("wave", waves.map((y, i) => ({ x: t, y, mode: "lines", name: detail.names[i], line: { width: 1.5 } })),
       layout("over one period", "phase t / T", "states"), config);
   } else Plotly.react("wave", [], nothing(detail.eigenvalues ? "a state of rest" : "no wave form"), config);
-  drawProfile();
+}
+
+function drawPlane() {
+  const detail = branch().detail, k = detailPlace();
   const pairs = detail.multipliers ? detail.multipliers[k] : detail.eigenvalues ? detail.eigenvalues[k] : [];
   const re = pairs.filter((_, i) => i % 2 === 0), im = pairs.filter((_, i) => i % 2 === 1);
   const ring = Array.from({ length: 121 }, (_, i) => (i * Math.PI) / 60);
@@ -147,7 +152,9 @@ function list() {
 }
 
 // Keys that come faster than pictures are drawn move the marks alone; the pictures of the point follow when they pause.
-let pending = false, anglesToo = false, waiting = 0, drawnAt = 0;
+// They follow one a frame: together they hold the page for a fifth of a second.
+const PARTS = [drawWave, drawPlane, drawProfile];
+let pending = false, anglesToo = false, waiting = 0, drawnAt = 0, queue = [];
 function drawChosen() {
   if (anglesToo) drawAngles();
   else if (branch().detail.multipliers) Plotly.relayout("angles", { shapes: line() });
@@ -160,8 +167,14 @@ function drawChosen() {
 
 function drawNow() {
   waiting = 0;
-  drawPoint();
   drawnAt = performance.now();
+  if (!queue.length) requestAnimationFrame(drawPart);
+  queue = [...PARTS];
+}
+
+function drawPart() {
+  queue.shift()();
+  if (queue.length) requestAnimationFrame(drawPart);
 }
 
 function choose() {
