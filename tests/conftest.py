@@ -85,9 +85,13 @@ def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def blank(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures of a test that asks for other files: written without being drawn, in quick and slow runs."""
-    blank_pictures(monkeypatch)
+def blank(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of a test that asks for other files: written without being drawn, in quick and slow runs.
+
+    In a module whose tests are such, one that asks for `pictures` too draws them.
+    """
+    if "pictures" not in request.fixturenames:
+        blank_pictures(monkeypatch)
 
 
 @pytest.fixture(params=["few", pytest.param("all", marks=pytest.mark.slow)])

@@ -8,7 +8,7 @@ from outputs import read_rows
 from casadi_skin.cli import main
 
 pytest.importorskip("flint")
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = {gamma}\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 1.0\nat = [0.2, 1.0]\n"

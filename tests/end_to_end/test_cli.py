@@ -11,7 +11,7 @@ from apart import modules_of
 from casadi_skin import Chain, __version__
 from casadi_skin.cli import main
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 GOOD = """
 [chain]
@@ -133,6 +133,7 @@ def test_the_plan_tells_what_is_built_and_what_is_not(tmp_path: Path, capsys: py
     assert "variational system with the splitting flow" in plan
 
 
+@pytest.mark.usefixtures("pictures")
 def test_spectrum_prints_and_writes_the_linear_frequencies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(GOOD, encoding="utf-8")

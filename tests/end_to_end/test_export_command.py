@@ -13,7 +13,7 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.cli import main
 from casadi_skin.export.compiler import build_c
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 CHAIN = "[chain]\nsites = 6\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-11\n"

@@ -14,7 +14,7 @@ from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
 from casadi_skin.studies.stress.cases import all_cases
 from casadi_skin.studies.stress.study import COLUMNS
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 FILES = {
     *("extremes.csv", "extremes.png"),
@@ -50,7 +50,7 @@ def test_every_case_has_a_name_of_its_own() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("few", "pictures")
 def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["extremes", "--quick", "--out", str(out)]) == 0

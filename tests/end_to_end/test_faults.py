@@ -33,7 +33,7 @@ at = [0.5]
 [stability]
 """
 FULL = Path("/dev/full")
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
 
 

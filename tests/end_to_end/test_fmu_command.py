@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 
 from casadi_skin.cli import main
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 CHAIN = "[chain]\nsites = 5\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = [2, 1]\namplitude_max = 0.5\n[accuracy]\ntolerance = 1e-10\n"

@@ -13,7 +13,7 @@ from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """
@@ -38,6 +38,7 @@ def written(path: Path, **values: object) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("pictures")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "rest", "regime"),

@@ -16,7 +16,7 @@ from casadi_skin import save_model
 from casadi_skin.cli import main
 from casadi_skin.models.loading import run_file
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = """
@@ -184,6 +184,7 @@ def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("pictures")
 def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) -> None:
     rest = "[solution]\nguess = { x = 0.0 }\n[continuation]\nparameter = 'mu'\nto = 4\nat = [2.0]\nmax_points = 40\n"
     out = tmp_path / "out"
@@ -201,6 +202,7 @@ def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) ->
         assert theta == pytest.approx(np.sqrt(4.0) * np.cosh(theta / 4.0), abs=1e-6)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_one_orbit_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     scene = write_scene(tmp_path, "van_der_pol", ORBIT + "section = { y = 0 }\n")

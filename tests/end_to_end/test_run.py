@@ -19,7 +19,7 @@ from outputs import read_rows
 
 from casadi_skin.cli import main
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 STABILITY_COLUMNS = ["max_abs_multiplier", "stable", "unstable_real", "unstable_complex", "multiplier_error"]
 FAMILY_COLUMNS = [
@@ -52,6 +52,7 @@ def requested(directory: Path) -> dict[tuple[int, float], float]:
     return {(int(r["mode"]), float(r["S"])): float(r["Omega"]) for r in table if r["requested"] == "1"}
 
 
+@pytest.mark.usefixtures("pictures")
 def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path / "small.toml", mode="[1, 4]", rest="[spectrum]\n[stability]\nvectors = true\n")
     out = tmp_path / "out"
@@ -78,6 +79,7 @@ def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.Ca
     assert "results in" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("pictures")
 def test_a_film_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
     scene = tmp_path / "film.toml"
     text = CHAIN.format(sites=3, g=1.0) + FAMILY.format(mode="[1, 3]", end=0.5, at="[0.2]") + "film = true\n"

@@ -15,7 +15,7 @@ from casadi_skin.cli import main
 from casadi_skin.runs.dynamics import sample_times
 from casadi_skin.scene import DynamicsTable
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = {mode}\namplitude_max = 0.5\n"
@@ -33,6 +33,7 @@ def table(path: Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(lines, dtype=float)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     xarray = pytest.importorskip("xarray")
     out = tmp_path / "out"

@@ -15,7 +15,7 @@ from scipy.io import netcdf_file
 
 from casadi_skin.cli import main
 
-pytestmark = pytest.mark.usefixtures("pictures")
+pytestmark = pytest.mark.usefixtures("blank")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = """[chain]
@@ -39,6 +39,7 @@ def write(path: Path, **changes: str) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("pictures")
 def test_run_writes_optima_starts_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["run", str(write(tmp_path / "s.toml")), "--out", str(out)]) == 0
