@@ -45,6 +45,19 @@ class _Stop:
     requested: bool = False
 
 
+@dataclass(frozen=True)
+class _Reached:
+    """A stop with its point before the corrector's last word, None where none was found.
+
+    `end` is the cause for which the walk ends with it; `detail` is where the last trouble was.
+    """
+
+    stop: _Stop
+    point: Point | None
+    end: End | None = None
+    detail: str = ""
+
+
 class SeriesContinuation:
     """A walk by Taylor series (see `Continuation`) for problems whose series `recursion` computes.
 
@@ -62,34 +75,99 @@ class SeriesContinuation:
         self.point_solver, self.settings = point_solver, point_solver.settings
         self.history, self._reported = history[-2:], reported
         self.end: End | None = None
-        self.detail = ""
+        self.detail = self._trouble = ""
         self.rejected = 0
         self.missed: list[Target] = []
         self._recursion, self._precision = recursion, precision
 
     def __iter__(self) -> Iterator[Point]:
-        sign, count = float(np.sign(self.settings.parameter_max)), 0
         known = known_end(self.settings, (*self.history, *self._reported))
-        if known is not None:
-            self.end = known
-            return
-        while count < self.settings.max_points:
-            base = self.history[-1]
+        count, batches = 0, self._batches()
+        self.end = known
+        while self.end is None:
+            for reached, word in next(batches):
+                point, self.detail = self._emitted(reached, word), reached.detail or self.detail
+                if point is None:
+                    self._without(reached, word)
+                else:
+                    count += 1
+                    if point.walked:
+                        self.history = (self.history[-1], point)
+                    yield point
+                    if point.parameter * self.settings.parameter_max <= 0:
+                        self.end = End.RETURNED
+                self.end = self.end or reached.end
+                if self.end is None and count >= self.settings.max_points and self.history[-1] is point:
+                    self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
+                if self.end is not None:
+                    return
+                if point is not None and point.walked and word is not reached.point:
+                    batches = self._batches()  # from the point that the corrector has moved
+                    break
+
+    def _emitted(self, reached: _Reached, word: Point | SingularError | None) -> Point | None:
+        """The point of a stop with the corrector's last word on it; None where there is none."""
+        before = reached.point
+        if before is None or not isinstance(word, Point) or word is before:
+            return before if word is before else None
+        walked = before.walked or (word.problem is not before.problem and reached.end is None)
+        return replace(word, requested=before.requested, walked=walked, step=before.step, along=before.along)
+
+    def _without(self, reached: _Reached, word: Point | SingularError | None) -> None:
+        """Take down that there is no point at a stop, and why the walk ends there if it does."""
+        if isinstance(word, SingularError):
+            self.detail = f'{word}; try walker = "arclength"'
+        if reached.stop.target is not None:
+            self.missed.append(reached.stop.target)
+        elif reached.end is None:
+            self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
+
+    def _batches(self) -> Iterator[list[tuple[_Reached, Point | SingularError | None]]]:
+        """Stops from the last point of the history on, with the corrector's last word on the points of each batch.
+
+        A batch has points of one problem, as many as the corrector confirms at a time, from any number of stretches.
+        """
+        some: list[_Reached] = []
+        problem: Problem | None = None
+        for reached in self._ahead(self.history[-1]):
+            if reached.point is not None and reached.point.problem is not problem:
+                if some:
+                    yield self._confirmed(some)
+                some, problem = [], reached.point.problem
+            some.append(reached)
+            if problem is None or len(some) >= self._together(problem):
+                yield self._confirmed(some)
+                some = []
+        yield self._confirmed(some)
+
+    def _together(self, problem: Problem) -> int:
+        """Number of points that the corrector confirms at a time."""
+        return int(getattr(self.point_solver.levels.corrector(problem), "together", 1))
+
+    def _confirmed(self, some: list[_Reached]) -> list[tuple[_Reached, Point | SingularError | None]]:
+        """Stops with the corrector's last word on their points."""
+        held = [None if one.stop.target is None else one.stop.target.held for one in some]
+        found = [(one.point, what) for one, what in zip(some, held, strict=True) if one.point is not None]
+        words = iter(self.point_solver.confirmed(found))
+        return [(one, None if one.point is None else next(words)) for one in some]
+
+    def _ahead(self, base: Point) -> Iterator[_Reached]:
+        """Stops in arclength order from a base point on, one stretch after the other, up to the end of the walk."""
+        last, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        while True:
             found = self._departure(base)
             if found is None:
-                self.end = End.NO_STEP
+                yield _Reached(_Stop(0.0, None), None, End.NO_STEP, self._trouble)
                 return
-            base, stretch = found
-            for point in self._points(base, stretch):
-                count += 1
-                if point.walked:
-                    self.history = (self.history[-1], point)
-                yield point
-                if sign * point.parameter <= 0:
-                    self.end = End.RETURNED
-            if self.end is not None:
+            reached = None
+            for reached in self._points(*found, last):
+                yield reached
+                if reached.end is not None or (reached.point is None and reached.stop.target is None):
+                    return
+            if reached is None or reached.point is None or not reached.point.walked:
+                yield _Reached(_Stop(0.0, None), None, End.NO_STEP, self._trouble)
                 return
-        self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
+            base, last = reached.point, 0.0
 
     # The series -----------------------------------------------------------------------------------------------------
 
@@ -105,7 +183,7 @@ class SeriesContinuation:
             try:
                 stretch = self._stretch(tried)
             except SingularError as error:
-                self.detail = str(error)
+                self._trouble = str(error)
                 continue
             if stretch is not None:
                 return tried, stretch
@@ -137,52 +215,23 @@ class SeriesContinuation:
 
     # The points -----------------------------------------------------------------------------------------------------
 
-    def _points(self, base: Point, stretch: Stretch) -> Iterator[Point]:
-        """Points of a stretch in arclength order; the last one is the next base, unless the walk ends before."""
+    def _points(self, base: Point, stretch: Stretch, last: float) -> Iterator[_Reached]:
+        """Stops of a stretch beyond the place `last`; the last point is the next base, unless the walk ends before."""
         problem, ends = base.problem, self.settings.ends
-        last, self._reported = max((point.along for point in self._reported), default=0.0), ()
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
-        for stop, point in self._solved(base, stretch, stops, last):
-            if point is None:
-                if stop.target is None:
-                    self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
-                    return
-                self.missed.append(stop.target)
-            else:
-                finished = stop.target not in ends and (stop is stops[-1] or point.problem is not problem)
-                step = base.step * stretch.length
-                yield replace(point, requested=stop.requested, walked=finished, step=step, along=stop.tau)
-                if finished:
-                    return
-            if stop.target in ends:
-                self.end = End.REACHED
-                return
-
-    def _solved(
-        self, base: Point, stretch: Stretch, stops: list[_Stop], last: float
-    ) -> Iterator[tuple[_Stop, Point | None]]:
-        """Points at stops beyond the place `last`, a few confirmed at a time; None where the corrector finds none."""
-        found: list[tuple[_Stop, Point]] = []
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
-            point = self._point(base.problem, stretch, stop, reach)
-            if point is not None:
-                last = stop.tau
-                found.append((stop, point))
-                if len(found) < TOGETHER and stop is not stops[-1] and point.problem is base.problem:
-                    continue
-            yield from self._confirmed(found)
-            found = []
+            point, end = self._point(problem, stretch, stop, reach), End.REACHED if stop.target in ends else None
             if point is None:
-                yield stop, None
-
-    def _confirmed(self, found: list[tuple[_Stop, Point]]) -> Iterator[tuple[_Stop, Point | None]]:
-        """Points with the corrector's last word on them."""
-        held = [(point, None if stop.target is None else stop.target.held) for stop, point in found]
-        for (stop, _), point in zip(found, self.point_solver.confirmed(held), strict=True):
-            if isinstance(point, SingularError):
-                self.detail = f'{point}; try walker = "arclength"'
-            yield stop, None if isinstance(point, SingularError) else point
+                yield _Reached(stop, None, end, self._trouble)
+                continue
+            last = stop.tau
+            finished = end is None and (stop is stops[-1] or point.problem is not problem)
+            step = base.step * stretch.length
+            placed = replace(point, requested=stop.requested, walked=finished, step=step, along=stop.tau)
+            yield _Reached(stop, placed, end, self._trouble)
+            if finished:
+                return
 
     def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
         """Places of reported points: requested values, and often enough to draw and to see stability change."""
@@ -190,6 +239,8 @@ class SeriesContinuation:
         stops = []
         for held in Scalar:
             by_value = {target.unknown(base.problem)[1]: target for target in wanted if target.held is held}
+            if not by_value:
+                continue
             for tau, value in stretch.crossings(base.problem.index_of(held), by_value):
                 target = by_value[value]
                 if tau > AT_BASE or not target.meets(base):
@@ -242,13 +293,13 @@ class SeriesContinuation:
             if not converged:
                 correction = self.point_solver.correct(problem, polished, row, value, reach)
             if correction is None:
-                self.detail = f'{self.point_solver.failure}; try walker = "arclength"'
+                self._trouble = f'{self.point_solver.failure}; try walker = "arclength"'
                 return None
             if target is not None:
                 correction.z[index] = wanted  # equal but for round-off of the held row
             return self.point_solver.unconfirmed(problem, correction, tangent, row, held)
         except SingularError as error:
-            self.detail = str(error)
+            self._trouble = str(error)
             return None
 
     def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array, bool]:

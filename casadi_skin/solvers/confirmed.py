@@ -42,9 +42,10 @@ class _Blocks:
         x, p = ca.MX.sym("x", size * count), ca.MX.sym("p", (size + 2) * count + problem.numbers.size)
         blocks = ca.Function("blocks", [z, held, numbers], [constraints, jacobians])
         parts = ca.vertsplit(p, [0, (size + 2) * count, p.numel()])
-        results = blocks(ca.reshape(x, size, count), ca.reshape(parts[0], size + 2, count), parts[1])
-        jac_g = ca.Function("jac_g", [x, p], results, ["x", "p"], ["g", "jac_g_x"])
-        self._attached = Attached(square_solver(x, p, results[0], jac_g, tolerance, ITERATIONS))
+        arguments = ca.reshape(x, size, count), ca.reshape(parts[0], size + 2, count), parts[1]
+        jac_g = ca.Function("jac_g", [x, p], blocks(*arguments), ["x", "p"], ["g", "jac_g_x"])
+        constraints = blocks.call(arguments, True, False)[0]  # inlined: without the Jacobian, which is not computed
+        self._attached = Attached(square_solver(x, p, constraints, jac_g, tolerance, ITERATIONS))
 
     def __call__(self, points: Sequence[HeldState], numbers: Array) -> tuple[Array, str, int]:
         """Ipopt's solutions for up to `count` points, its words, and its iterations; the last point fills the rest."""

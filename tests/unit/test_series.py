@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin.bvp.problem import SingularError
 from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.points import End
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.continuation.points import End, Point
 from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.orbits.family import Family
@@ -191,6 +195,45 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
         assert [o.Omega for o in rest] == [o.Omega for o in whole[cut + 1 :]]
 
 
+def test_a_point_that_the_corrector_moves_is_where_the_walk_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The points of a batch are computed ahead: those after a base that is another now are computed again."""
+    tools = tools_of(Chain(8, 1.0, 0.3, -1.0), 1, 2.5, corrector="ipopt")
+    whole = list(tools.continuation((tools.start,)))
+    last_word, bases = PointSolver._last_word, set[int]()
+
+    def moving(solver: PointSolver, point: Point, *more: Any) -> Any:
+        word = last_word(solver, point, *more)
+        if not point.walked or round(point.parameter, 9) in bases:
+            return word
+        bases.add(round(point.parameter, 9))
+        assert isinstance(word, Point)
+        return replace(word, z=word.z * (1.0 + 1e-12))
+
+    monkeypatch.setattr(PointSolver, "_last_word", moving)
+    moved = list(tools.continuation((tools.start,)))
+    assert len(bases) == sum(point.walked for point in whole) > 3
+    assert len(moved) == len(whole)
+    np.testing.assert_allclose([p.parameter for p in moved], [p.parameter for p in whole], rtol=1e-8)
+    between = [k for k, point in enumerate(whole) if not point.walked]
+    assert any(moved[k].parameter != whole[k].parameter for k in between)
+    assert [p.walked for p in moved] == [p.walked for p in whole]
+
+
+def test_a_point_that_the_corrector_refuses_ends_the_walk_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    tools = tools_of(Chain(8, 1.0, 0.3, -1.0), 1, 2.5, corrector="ipopt")
+    whole = list(tools.continuation((tools.start,)))
+    last_word, refused = PointSolver._last_word, whole[13]
+
+    def refusing(solver: PointSolver, point: Point, *more: Any) -> Any:
+        return SingularError("refused") if point.parameter == refused.parameter else last_word(solver, point, *more)
+
+    monkeypatch.setattr(PointSolver, "_last_word", refusing)
+    walk = tools.continuation((tools.start,))
+    assert [p.parameter for p in walk] == [p.parameter for p in whole[:13]]
+    assert walk.end is End.NO_STEP
+    assert "refused" in walk.detail
+
+
 def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
     tools = tools_of(Chain(1, 1.0, 0.0, 1.0), 1, 50.0, tolerance=1e-10)
     tools.levels.resolutions = (4, 6)
@@ -201,8 +244,6 @@ def test_a_resolution_that_does_not_suffice_ends_the_walk_by_name() -> None:
 
 
 def test_the_limit_on_points_ends_the_walk_by_name() -> None:
-    from dataclasses import replace
-
     tools = tools_of(Chain(3, 1.0, 0.3, 1.0), 1, 3.0)
     point_solver = type(tools.point_solver)(tools.levels, replace(tools.request.continuation_settings(), max_points=5))
     walk = SeriesContinuation(point_solver, (tools.start,), tools._recursion, lambda problem: 1e-12)
