@@ -57,8 +57,7 @@ def without() -> str | None:
 
 def cache_folder() -> Path:
     """The folder of compiled kernels, made where it is missing; raises OSError where it is not private."""
-    caches = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or caches) / "casadi_skin"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or _caches_at_home()) / "casadi_skin"
     if not folder.is_absolute():
         raise OSError(f"{folder}: given a relative path as folder of caches; accepted: an absolute one")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -70,6 +69,13 @@ def cache_folder() -> Path:
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise OSError(f"{folder}: given a folder below {parent}, where everybody may write; accepted: another one")
     return folder
+
+
+def _caches_at_home() -> Path:
+    try:
+        return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+    except RuntimeError as error:  # a user without an entry in the system's list, as in some containers
+        raise OSError(f"no folder of caches: {error}") from None
 
 
 def _loaded(source: Path, compiler: str, folder: Path) -> ctypes.CDLL:

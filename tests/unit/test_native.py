@@ -120,7 +120,7 @@ def test_another_processor_or_source_is_compiled_anew(
 
 
 @needs_compiler
-@pytest.mark.parametrize("fault", ["open", "link", "file", "relative", "parent", "rubbish", "source"])
+@pytest.mark.parametrize("fault", ["open", "link", "file", "relative", "parent", "rubbish", "source", "homeless"])
 def test_what_is_not_private_or_not_whole_is_not_loaded(
     fault: str, caches: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,6 +138,10 @@ def test_what_is_not_private_or_not_whole_is_not_loaded(
     elif fault == "parent":
         tmp_path.chmod(0o777)
         words = "everybody may write"
+    elif fault == "homeless":
+        monkeypatch.setattr(Path, "home", lambda: Path("~nobody-of-this-name").expanduser())
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        words = "no folder of caches"
     elif fault == "rubbish":
         assert library("splitting") is not None
         (compiled,) = caches.iterdir()
