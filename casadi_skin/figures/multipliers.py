@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.figures.profiles import requested
 from casadi_skin.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
-from casadi_skin.figures.tongues import draw_angles, draw_moduli
+from casadi_skin.figures.tongues import SIGNATURES, draw_angles, draw_moduli
 from casadi_skin.orbits.family import Family
+from casadi_skin.stability.localised import LocalisedFloquet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,6 +84,8 @@ def draw_plane(axes: Axes, orbit: Orbit) -> None:
         shown = others[chosen & near]
         if shown.size:
             axes.plot(shown.real, shown.imag, marker, ms=size, mfc=fill, mec="black", mew=0.8, label=label, zorder=3)
+    if isinstance(floquet, LocalisedFloquet):
+        _draw_waves(axes, floquet)
     if floquet.trivial:
         words = "trivial pair" if floquet.trivial == 2 else "trivial multiplier"
         axes.plot([1.0], [0.0], "+", ms=8, color="black", label=words, zorder=4)
@@ -91,6 +95,31 @@ def draw_plane(axes: Axes, orbit: Orbit) -> None:
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel=r"Re $\lambda$", ylabel=r"Im $\lambda$")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(6))
+
+
+def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
+    """Arcs of the continuous spectrum beside the circle, and on it their overlaps; multipliers of finite size."""
+
+    def draw(angles: Iterable[tuple[float, float]], radius: float, label: str, **style: Any) -> None:
+        for i, (start, end) in enumerate(angles):
+            angle = np.linspace(start, min(end, start + 2.0 * np.pi), 181)
+            words = label if i == 0 else "_"
+            axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **style)
+
+    arcs = [(float(start), float(end)) for start, end in floquet.continuous.arcs]
+    for sign, radius in ((1, 1.04), (-1, 0.96)):
+        colour, dashes, words = SIGNATURES[sign]
+        turned = [(sign * start, sign * start + (end - start) * sign) for start, end in arcs]
+        ordered = [(min(pair), max(pair)) for pair in turned]
+        draw(ordered, radius, f"waves, {words}", color=colour, lw=2.0, ls=dashes, zorder=2)
+    overlaps = [overlap.angles for overlap in floquet.continuous.overlaps]
+    draw(
+        [pair for a, b in overlaps for pair in ((a, b), (-b, -a))], 1.0, "waves of both", color="0.45", lw=2.5, zorder=1
+    )
+    if floquet.finite_size.size:
+        values = floquet.of_finite_size.others
+        label = f"finite-size, {floquet.sites} sites"
+        axes.plot(values.real, values.imag, ".", ms=2.5, color="0.35", label=label, zorder=3)
 
 
 def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:

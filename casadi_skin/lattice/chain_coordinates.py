@@ -37,10 +37,18 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
         raise ValueError(f"{'sites' if chain.infinite else 'tail'}: given {given}; accepted: {obstacle}")
     if method.tail == "full" and chain.infinite:
         raise ValueError('tail: given "full" with an infinite chain; accepted: eliminated')
-    eliminated = method.tail == "eliminated" or chain.infinite
+    cut = method.stability_sites
+    if cut is not None and (obstacle or not sites <= cut <= chain.sites):
+        accepted = (
+            f"with {obstacle}"
+            if obstacle
+            else f"{sites} to {chain.sites}: so many sites are nonlinear, and so many there are"
+        )
+        raise ValueError(f"stability_sites: given {cut}; accepted: {accepted}")
+    eliminated = method.tail == "eliminated" or chain.infinite or cut is not None
     if method.tail is None and not obstacle:
         eliminated = eliminated or chain.sites >= max(PAYS_FROM, PAYS * sites)
-    return CoreWithTail(chain, sites, number) if eliminated else FullChain(chain, number)
+    return CoreWithTail(chain, sites, number, cut) if eliminated else FullChain(chain, number)
 
 
 def core_sites(chain: Chain, amplitude_max: float) -> int:

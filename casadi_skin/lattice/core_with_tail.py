@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.continuation.points import Point
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.orbits.coordinates import normalised
+from casadi_skin.orbits.coordinates import Localised, normalised
 from casadi_skin.theory import multiple_scales
 
+if TYPE_CHECKING:
+    from casadi_skin.orbits.request import FamilyRequest
+
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
-LONGEST_WHOLE = 5000  # sites of a chain whose stability is computed: all of them take part
+LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
+BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
+DOUBLINGS = 2  # of the sites, where multipliers that decay into the tail are not decided
 
 
 class CoreWithTail(ChainCoordinates):
@@ -31,9 +38,10 @@ class CoreWithTail(ChainCoordinates):
     highest.
     """
 
-    def __init__(self, chain: Chain, core_sites: int, mode: int) -> None:
+    def __init__(self, chain: Chain, core_sites: int, mode: int, stability_sites: int | None = None) -> None:
         super().__init__(chain, replace(chain, sites=core_sites, gamma=abs(chain.gamma)), mode)
         self.edge = -1 if chain.g > 0 else 1
+        self._stability_sites = stability_sites
 
     @property
     def tail(self) -> Tail:
@@ -51,8 +59,31 @@ class CoreWithTail(ChainCoordinates):
     def is_whole(self) -> bool:
         return False
 
-    def check_whole(self, purpose: str = "stability") -> None:
-        """Raises ValueError where the sites are too many for the stability of all."""
+    @property
+    def localised(self) -> Localised | None:
+        if self._stability_sites is None and self.chain.sites <= LONGEST_WHOLE:
+            return None
+        sites = (self._stability_sites,) if self._stability_sites is not None else self._as_many_as_decide
+        low, high = self.chain.band()
+        return Localised(sites, ((math.sqrt(low), math.sqrt(high)),), self.chain.gamma >= 0)
+
+    @property
+    def _as_many_as_decide(self) -> tuple[int, ...]:
+        first = self.core.sites + BESIDE_CORE
+        return tuple(int(min(first * 2**k, self.chain.sites)) for k in range(DOUBLINGS + 1))
+
+    def cut(self, request: FamilyRequest, sites: int) -> FamilyRequest:
+        method = replace(request.method, tail="full", walker=None, stability_sites=None)
+        mode = LAST if self.chain.g > 0 else FIRST
+        chain = replace(self.chain, sites=sites)
+        return replace(request, model=chain, mode=mode, method=method, parameters=None, certify=False)
+
+    def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
+        m = np.arange(sites)
+        return self._unknowns(problem, z, m[::-1] if self.chain.gamma >= 0 else m)
+
+    def check_whole(self, purpose: str = "what is asked for") -> None:
+        """Raises ValueError where the sites are too many to be unknowns."""
         if self.chain.sites > LONGEST_WHOLE:
             raise ValueError(
                 f"sites: given {self.chain.sites}; {purpose} is that of all sites, accepted: up to {LONGEST_WHOLE}"
@@ -60,8 +91,11 @@ class CoreWithTail(ChainCoordinates):
 
     def on_all_sites(self, problem: Problem, z: Array) -> Array:
         """The unknowns of the same orbit with odd cosines at every site of a finite chain."""
+        return self._unknowns(problem, z, self.distances(None))
+
+    def _unknowns(self, problem: Problem, z: Array, distances: Indices) -> Array:
         theta = (np.arange(problem.resolution) + 0.5) * np.pi / (2 * problem.resolution)
-        positions = self.positions(problem, z, theta)
+        positions = self._positions(problem, z, theta, distances)
         return np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
 
     @property

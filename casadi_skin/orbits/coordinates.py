@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -22,9 +23,25 @@ from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
     from casadi_skin.continuation.points import Point
+    from casadi_skin.orbits.request import FamilyRequest
     from casadi_skin.stability.result import ReversibleFloquet
 
 LOG10 = float(np.log(10.0))
+
+
+@dataclass(frozen=True)
+class Localised:
+    """Stability of localised perturbations alone, at the edge of a linear tail that is too long, or cut.
+
+    Attributes:
+        sites: numbers of sites at the edge to be tried, until all that decays into the tail is decided.
+        bands: lowest and highest frequency of each linear band of the tail.
+        cut_first: whether the tail is before the first of these sites; else it is behind the last.
+    """
+
+    sites: tuple[int, ...]
+    bands: tuple[tuple[float, float], ...]
+    cut_first: bool
 
 
 class Coordinates(ABC):
@@ -96,7 +113,20 @@ class Coordinates(ABC):
         """Whether every position is an unknown, as the stability of the family needs."""
         return True
 
-    def check_whole(self, purpose: str = "stability") -> None:  # noqa: B027  most have every position as an unknown
+    @property
+    def localised(self) -> Localised | None:
+        """Where stability is that of localised perturbations alone, their sites; None where it is that of all."""
+        return None
+
+    def cut(self, request: FamilyRequest, sites: int) -> FamilyRequest:
+        """The same family on so many sites at the edge alone."""
+        raise NotImplementedError
+
+    def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
+        """The unknowns of the same orbit on so many sites at the edge, as those of the family on these."""
+        raise NotImplementedError
+
+    def check_whole(self, purpose: str = "what is asked for") -> None:  # noqa: B027  most have every position as an unknown
         """Raises ValueError where what needs every position would have more of them than can be unknowns."""
 
     # What users see ---------------------------------------------------------------------------------------------------

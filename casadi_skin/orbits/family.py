@@ -39,6 +39,8 @@ from casadi_skin.threads import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+    from casadi_skin.orbits.coordinates import Localised
+    from casadi_skin.stability.localised import LocalisedFloquet
 
 HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
@@ -72,6 +74,7 @@ class Family:
     def __init__(self, request: FamilyRequest) -> None:
         self.request = request
         self._recursions: dict[int, TaylorRecursion] = {}
+        self._cuts: dict[int, Family] = {}
 
     @property
     def model(self) -> Any:
@@ -290,7 +293,7 @@ class Family:
     @property
     def stability_batch(self) -> int:
         """Number of points whose stability is best computed together."""
-        return min(self.whole.flow.batch, STABILITY_BATCH)
+        return 1 if self.coordinates.localised else min(self.whole.flow.batch, STABILITY_BATCH)
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Stability of several points of the family.
@@ -300,22 +303,55 @@ class Family:
             by: name of a flow map, that of the request by default.
 
         Returns:
-            One result a point; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block.
+            One result a point; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block, of a chain
+            whose tail is too long or cut a `LocalisedFloquet`.
 
         Raises:
             FlowError: the flow map cannot reach the tolerance for one of them.
             ValueError: there is no such flow map.
         """
+        if by is not None:
+            check_name("by", by, methods.FLOWS)
+        if self.coordinates.localised is not None:
+            with one_thread():
+                return [self._localised(self.coordinates.localised, point, by) for point in points]
         whole = self.whole
         if whole is not self:
             return whole.floquets([self.on_all_positions(point) for point in points], by)
         states = [orbit_state(point) for point in points]
-        if by is not None:
-            check_name("by", by, methods.FLOWS)
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
         with one_thread():
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
         return [self.coordinates.with_resting(point, found) for point, found in zip(points, results, strict=True)]
+
+    def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
+        """Stability of localised perturbations, on as many sites as decide it."""
+        from casadi_skin.stability.localised import localised_floquet
+
+        assert self.coordinates.symplectic
+        for sites in localised.sites:
+            cut = self._cut(sites)
+            flow = cut.flow if by in (None, self.request.method.flow) else cut._flow(str(by))
+            state = self._on_cut_sites(orbit_state(point), cut, sites)
+            first, better = cut.accelerations([state, state.better or state])
+            (transition,) = flow.transitions([state], self.tolerance)
+            found = localised_floquet(
+                transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first
+            )
+            if not found.unresolved.size:
+                break
+        return found
+
+    def _cut(self, sites: int) -> Family:
+        """The same family on so many sites at the edge alone."""
+        if sites not in self._cuts:
+            self._cuts[sites] = Family(self.coordinates.cut(self.request, sites))
+        return self._cuts[sites]
+
+    def _on_cut_sites(self, state: OrbitState, cut: Family, sites: int) -> OrbitState:
+        problem = cut.levels.problem(state.problem.resolution)
+        better = None if state.better is None else self._on_cut_sites(state.better, cut, sites)
+        return OrbitState(problem, self.coordinates.on_cut_sites(state.problem, state.z, sites), better)
 
     def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
         """q'' at phase zero, shape (orbits, scaled positions)."""
@@ -344,6 +380,8 @@ class Family:
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors (positions, velocities) at phase zero, shape (2n, 2n), in the order of the multipliers."""
+        if self.coordinates.localised is not None:
+            raise ValueError("floquet_vectors: given a tail that is cut or too long; accepted: all sites unknown")
         coordinates = self.whole.coordinates
         if coordinates.without_vectors:
             raise ValueError(f"floquet_vectors: {coordinates.without_vectors}")

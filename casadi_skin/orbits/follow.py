@@ -69,7 +69,8 @@ def follow_family(
         tolerance: bounds the relative error of Omega, profile and multipliers.
         parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
         progress: called with each orbit.
-        method: fields of `Method`: transcription, degree, corrector, walker, flow, tail, symmetry.
+        method: fields of `Method`: transcription, degree, corrector, walker, flow, tail, symmetry,
+            stability_sites.
 
     Returns:
         The branch; one that ended early has `complete` False and a `reason`.

@@ -46,7 +46,8 @@ class Following:
         keep: Callable[[Point, Sequence[Target]], None] | None = None,
     ) -> None:
         stability = stability and not space.knows_stability
-        self.space, self.stability, self.events, self.until = space, stability, events and stability, until
+        events = events and stability and not (isinstance(space, Family) and space.coordinates.localised)
+        self.space, self.stability, self.events, self.until = space, stability, events, until
         self.solutions, self.changes = list(solutions), list(changes)
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep

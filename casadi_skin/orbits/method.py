@@ -15,6 +15,7 @@ TWO_PI = 2.0 * math.pi
 TOLERANCES = (1e-13, 1e-2)
 HIGHEST_DEGREE = 12
 MOST_INTERVALS = 1500  # of a first mesh
+STABILITY_SITES = (8, 2000)  # matrices of twice as many rows
 MAX_POINTS = 2000  # of a family: ten times what those need that do not wander from one resonance to the next
 SAME = 1e-12  # relative difference of periods that are the same
 
@@ -32,6 +33,8 @@ class Method:
         tail: "eliminated" or "full": what becomes of the linear tail of a long chain.
         intervals: of the first mesh.
         symmetry: a part of the period larger than the symmetries of the model need.
+        stability_sites: sites at the edge of a chain with an eliminated tail on whose motion stability is computed:
+            localised multipliers. Left out, all sites, or as many as these need where they are too many.
 
     Raises ValueError for what is not accepted.
     """
@@ -44,6 +47,7 @@ class Method:
     tail: str | None = None
     intervals: int | None = None
     symmetry: SymmetryClass | None = None
+    stability_sites: int | None = None
 
     def __post_init__(self) -> None:
         flows = (*methods.FLOWS, *(name for name in methods.FULL_PERIOD_FLOWS if name not in methods.FLOWS))
@@ -62,6 +66,8 @@ class Method:
             whole("intervals", self.intervals, 1, MOST_INTERVALS)
         if not (self.symmetry is None or isinstance(self.symmetry, SymmetryClass)):
             raise TypeError(f"symmetry: given {short_repr(self.symmetry)}; accepted: a SymmetryClass")
+        if self.stability_sites is not None:
+            whole("stability_sites", self.stability_sites, *STABILITY_SITES)
         self._check_together()
 
     def _check_together(self) -> None:
@@ -71,6 +77,8 @@ class Method:
             raise ValueError(f"degree: given {short_repr(self.degree)}; accepted: {accepted}")
         if self.walker == "series" and self.transcription not in (None, TRIGONOMETRIC):
             raise ValueError(f'walker: given "series"; accepted with {self.transcription}: arclength')
+        if self.stability_sites is not None and self.tail == "full":
+            raise ValueError(f'stability_sites: given {self.stability_sites} with tail "full"; accepted: eliminated')
         if self.symmetry not in (None, SymmetryClass.QUARTER) and self.transcription == TRIGONOMETRIC:
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
 

@@ -132,6 +132,9 @@ class FamilyRequest:
             accepted = f"with {' or '.join(COLLOCATION_TABLES)} only"
             raise ValueError(f"degree: given {short_repr(method.degree)}; accepted: {accepted}")
         method.check_degree(LOWEST_DEGREE)
+        if method.stability_sites is not None and self.coordinates.localised is None:
+            given = f"stability_sites: given {method.stability_sites}"
+            raise ValueError(f"{given}; accepted: with a chain whose linear tail is eliminated")
         return replace(
             method,
             transcription=transcription,
@@ -148,9 +151,9 @@ class FamilyRequest:
 
     def for_stability(self, walker: str | None = None) -> FamilyRequest:
         """With every position an unknown, as stability needs, unless the method states another choice."""
-        if self.method.tail is not None or self.coordinates.is_whole:
+        coordinates = self.coordinates
+        if self.method.tail is not None or coordinates.is_whole or coordinates.localised is not None:
             return self
-        self.coordinates.check_whole()
         return replace(self, method=replace(self.method, tail="full", walker=walker))
 
     @property

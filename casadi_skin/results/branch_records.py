@@ -17,6 +17,8 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.solvers.levels import ErrorEstimate, Refinement
+from casadi_skin.stability.continuous import ContinuousSpectrum
+from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
 
 
@@ -27,6 +29,20 @@ class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
     mu_error: bytes
     trivial_deviation: float
     power: int
+
+
+class LocalisedRecord(msgspec.Struct, frozen=True, tag="localised"):
+    """Stability of localised perturbations at the edge of a long tail."""
+
+    mu: bytes
+    mu_error: bytes
+    trivial_deviation: float
+    power: int
+    Omega: float
+    bands: tuple[tuple[float, float], ...]
+    sites: int
+    finite_size: bytes
+    unresolved: bytes
 
 
 class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
@@ -74,7 +90,7 @@ class StabilityRecord(msgspec.Struct, frozen=True, tag="stability"):
     """Stability of the first point recorded whose stability was not, and the changes since the point before it."""
 
     branch: str
-    floquet: ReversibleRecord | FullPeriodRecord
+    floquet: ReversibleRecord | LocalisedRecord | FullPeriodRecord
     changes: tuple[StabilityChange, ...]
 
 
@@ -148,11 +164,15 @@ def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_
 def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityChange] = ()) -> StabilityRecord:
     """Record of the stability of the next orbit of a branch, with the changes since the one before."""
     floquet = orbit.floquet()
-    if isinstance(floquet, ReversibleFloquet):
+    if isinstance(floquet, LocalisedFloquet):
+        found: ReversibleRecord | LocalisedRecord | FullPeriodRecord = LocalisedRecord(
+            bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error), floquet.trivial_deviation, floquet.power,
+            floquet.continuous.Omega, floquet.continuous.bands, floquet.sites, bytes_of(floquet.finite_size, "<c16"),
+            bytes_of(floquet.unresolved, "<c16"),
+        )  # fmt: skip
+    elif isinstance(floquet, ReversibleFloquet):
         mu, errors = bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error)
-        found: ReversibleRecord | FullPeriodRecord = ReversibleRecord(
-            mu, errors, floquet.trivial_deviation, floquet.power
-        )
+        found = ReversibleRecord(mu, errors, floquet.trivial_deviation, floquet.power)
     else:
         assert isinstance(floquet, FullPeriodFloquet)
         multipliers, monodromy = bytes_of(floquet.multipliers, "<c16"), bytes_of(floquet.monodromy)
@@ -264,7 +284,12 @@ def _refinement(record: RefinementRecord, space: SolutionSpace) -> Refinement:
     return Refinement(problem, doubles_of(record.z))
 
 
-def _floquet(record: ReversibleRecord | FullPeriodRecord) -> Floquet:
+def _floquet(record: ReversibleRecord | LocalisedRecord | FullPeriodRecord) -> Floquet:
+    if isinstance(record, LocalisedRecord):
+        mu, *others = (doubles_of(values, "<c16") for values in (record.mu, record.finite_size, record.unresolved))
+        continuous = ContinuousSpectrum(record.Omega, record.bands, record.power)
+        errors, deviation = doubles_of(record.mu_error), record.trivial_deviation
+        return LocalisedFloquet(mu, errors, deviation, record.power, continuous, record.sites, *others)
     if isinstance(record, ReversibleRecord):
         mu, errors = doubles_of(record.mu, "<c16"), doubles_of(record.mu_error)
         return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)

@@ -23,6 +23,7 @@ from casadi_skin.results.wording import (
     with_error,
     words,
 )
+from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet
 
 
@@ -94,7 +95,24 @@ def _(result: EdgeCurve) -> tuple[str, Rows]:
 def _(result: Floquet) -> tuple[str, Rows]:
     largest = listed([complex_words(value) for value in sorted(result.others, key=abs, reverse=True)])
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial"), ("largest", largest)]
+    if isinstance(result, LocalisedFloquet):
+        rows[0] = ("localised", f"{result.mu.size} pairs beside the trivial one, on {result.sites} sites at the edge")
+        rows += _of_waves(result)
     return "Floquet multipliers", [*rows, ("error", f"{result.error:.1e}"), ("stability", _stability(result))]
+
+
+def _of_waves(result: LocalisedFloquet) -> Rows:
+    """Arcs of the continuous spectrum, their overlaps, and what only the number of sites makes."""
+    arcs = listed([f"{start:.6g} to {end:.6g}" for start, end in result.continuous.arcs])
+    overlaps = listed([f"{o.angles[0]:.6g} to {o.angles[1]:.6g}" for o in result.continuous.overlaps])
+    rows = [("waves", f"arcs of the circle, omega T from {arcs}"), ("they overlap", f"at omega T from {overlaps}")]
+    if result.continuous.overlaps == ():
+        rows[1] = ("they overlap", "nowhere with those of opposite signature")
+    count = f"{result.finite_size.size} pairs off the circle, up to {result.finite_size_modulus:.6g}"
+    rows.append(("finite-size", f"{count}; they depend on the number of sites"))
+    if result.unresolved.size:
+        rows.append(("undecided", f"{result.unresolved.size} pairs; more stability_sites decide"))
+    return rows
 
 
 @words.register

@@ -97,6 +97,8 @@ def _placed(message: str, table: str = "family") -> str:
     argument, _, words = message.partition(": ")
     if argument in ("model", "lattice"):
         return f"[{table}]: {words}"
+    if argument == "stability_sites":
+        return f"[stability] sites: {words}"
     return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[{table}]: {message}"
 
 

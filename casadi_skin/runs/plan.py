@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -129,7 +130,11 @@ def _family_lines(request: Request) -> Lines:
     ]
     built = f"scaled model, collocation equations, {method.corrector} corrector"
     if stability is not None:
-        what = "multipliers and every change of stability" if stability.events else "multipliers"
+        what = "multipliers and every change of stability" if _with_events(request) else "multipliers"
+        if first.coordinates.localised is not None:
+            first_cut = first.coordinates.localised.sites[0]
+            what = f"localised multipliers, on {first_cut} sites at the edge or more; waves have theirs in closed form"
+            lines.append(("not sought", "changes of stability: weak instabilities in the tail depend on its length"))
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
@@ -189,10 +194,14 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
     point = time.perf_counter() - started
     words = f"{1e3 * building:.0f} ms to build, {1e3 * point:.2g} ms a point"
     if request.scene.stability is not None:
-        family.flow.transition(problem, z)
-        started = time.perf_counter()
-        family.flow.transition(problem, z)
-        stability = time.perf_counter() - started
+        there = replace(start, problem=problem, z=z, better=None)
+        for _ in range(2):
+            started = time.perf_counter()
+            if family.coordinates.localised is None:
+                family.flow.transition(problem, z)
+            else:
+                family.floquets([there])
+            stability = time.perf_counter() - started
         point += stability
         words += f" and {1e3 * stability:.2g} ms for its multipliers"
     counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if _with_events(request) else (0, 0), strict=True)
@@ -201,7 +210,8 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
 
 
 def _with_events(request: Request) -> bool:
-    return request.scene.stability is not None and request.scene.stability.events
+    localised = bool(request.families) and request.families[0].coordinates.localised is not None
+    return request.scene.stability is not None and request.scene.stability.events and not localised
 
 
 # Equilibria -----------------------------------------------------------------------------------------------------------

@@ -79,14 +79,16 @@ class Request:
         targets = Targets(family.at, family.at_Omega, family.at_period, family.period_max, family.max_points)
         parameters = self.parameters if isinstance(self.model, OdeModel) else None
         export = self.scene.export
-        whole = self.scene.stability is not None or (export is not None and export.S is not None)
+        exported, stability = export is not None and export.S is not None, self.scene.stability is not None
         found = []
         for mode in self.scene.modes():
             request = FamilyRequest(
                 self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
                 self.scene.accuracy.certify, decimals=bool(self.scene.accuracy.certify),
             )  # fmt: skip
-            found.append(request.for_stability(self.scene.method.walker) if whole else request)
+            if exported:
+                request.coordinates.check_whole("[export] S")
+            found.append(request.for_stability(self.scene.method.walker) if exported or stability else request)
         return tuple(found)
 
     @property
@@ -113,7 +115,8 @@ def method_of(scene: Scene) -> Method:
     """The table [method] in the form for families."""
     table = scene.method
     names = ("transcription", "degree", "corrector", "walker", "flow", "tail", "intervals")
-    return Method(**{name: getattr(table, name) for name in names})
+    sites = None if scene.stability is None else scene.stability.sites
+    return Method(**{name: getattr(table, name) for name in names}, stability_sites=sites)
 
 
 def chain_of(scene: Scene) -> Chain:

@@ -67,7 +67,7 @@ def origin(request: Request, scene_text: str, branch: Branch | None = None) -> d
 def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
     """events.csv with the tables beside it, and the pictures of families."""
     stability = request.scene.stability
-    if stability is not None and stability.events:
+    if stability is not None and any(branch.with_events for branch in branches):
         diagrams = [(b, b.stability_diagram) for b in branches]
         known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
         if request.scene.accuracy.certify:

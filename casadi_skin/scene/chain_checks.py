@@ -27,9 +27,11 @@ def check_chain_family(scene: Scene, chain: ChainTable, family: FamilyTable) -> 
 
 def check_infinite(scene: Scene) -> None:
     """Refuse what needs every site of an infinite chain."""
-    for name in ("spectrum", "stability", "dynamics", "orbit"):
+    for name in ("spectrum", "dynamics", "orbit"):
         if getattr(scene, name) is not None:
             raise refusal(f"[{name}]", "with sites = inf", "with a whole number of sites: all of them take part in it")
+    if scene.stability is not None and scene.stability.vectors:
+        raise refusal("[stability] vectors", "true with sites = inf", "false: all sites take part in them")
 
 
 def check_long_lattice(scene: Scene) -> None:

@@ -117,6 +117,8 @@ def _check_sought(scene: Scene) -> None:
             '"hopf" in [continuation] switch, whose stability it asks for'
         )
         raise refusal("[stability]", "without [family], [orbit] or [solution]", accepted)
+    if scene.stability is not None and scene.stability.sites is not None and scene.family is None:
+        raise refusal("[stability] sites", f"{scene.stability.sites} without [family]", "beside a [family] of a chain")
     if scene.continuation is not None and not sought:
         accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
         raise refusal("[continuation]", "without [family], [equilibrium], [orbit] or [solution]", accepted)

@@ -126,6 +126,14 @@ class StabilityTable(Table, frozen=True):
     vectors: Annotated[
         bool, Meta(title="Keep the Floquet vectors at requested points", description="true or false")
     ] = False
+    sites: Annotated[
+        Annotated[int, Meta(ge=8, le=2000)] | None,
+        Meta(
+            title="Sites at the edge of a long chain on whose motion stability is computed",
+            description="a whole number from 8 to 2000, with a tail that is eliminated (left out: all sites; of "
+            "infinitely or very many as many as localised multipliers need)",
+        ),
+    ] = None
 
 
 class AccuracyTable(Table, frozen=True):

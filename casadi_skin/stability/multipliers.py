@@ -41,7 +41,8 @@ COARSEST = 1e-2  # error of a transition matrix above which its estimate means l
 RETRIES = 2
 
 
-def _power(transition: Transition) -> int:
+def power_of(transition: Transition) -> int:
+    """The power of lambda(M) that multipliers over the period are."""
     return {0.25: 2, 0.5: 1}[transition.fraction]
 
 
@@ -102,7 +103,7 @@ def floquets(
 
 
 def _solve(transitions: Sequence[Transition], accelerations: Array, better_accelerations: Array) -> _Solved:
-    power = _power(transitions[0])
+    power = power_of(transitions[0])
     trivial = -1.0 if power == 2 else 0.0
     matrices = stacked([t.matrix for t in transitions])
     reflections = Reflections.of(accelerations)
@@ -114,10 +115,10 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
     if systems.values.shape[1] == 0:
         errors, flow_errors = np.zeros(systems.values.shape), np.zeros(len(transitions))
     else:
-        flow_part = _flow_part(transitions, matrices, reflections)
-        orbit_part = _orbit_part(transitions, reflections, better_accelerations)
+        flow_part = flow_part_of(transitions, matrices, reflections)
+        orbit_part = orbit_part_of(transitions, reflections, Reflections.of(better_accelerations))
         norms = np.linalg.norm(flow_part, axis=(1, 2)) + np.linalg.norm(orbit_part, axis=(1, 2))
-        parts, round_off = (flow_part, orbit_part), _round_off(transitions, matrices)
+        parts, round_off = (flow_part, orbit_part), round_off_of(transitions, matrices)
         errors, first = eigenvalue_errors(systems, parts, norms, round_off)
         flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
     results = [
@@ -145,22 +146,26 @@ def with_reversed_block(transition: Transition) -> Transition:
     return replace(transition, matrix=replaced(transition.matrix, inverse), truncation=truncation, pair=pair)
 
 
-def _flow_part(transitions: Sequence[Transition], matrices: Array, reflections: Reflections) -> Array:
-    """Part of the reduced matrices that is due to the truncation of the flow."""
+def flow_part_of(transitions: Sequence[Transition], matrices: Array, reflections: Reflections | None) -> Array:
+    """Part of the reduced matrices, or of B^T C without reflections, that is due to the truncation of the flow."""
     truncations = [np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions]
-    errors = reflections.similar(half_cosine_errors(matrices, stacked(truncations)))
-    return errors[:, 1:, 1:]
+    errors = half_cosine_errors(matrices, stacked(truncations))
+    return errors if reflections is None else reflections.similar(errors)[:, 1:, 1:]
 
 
-def _orbit_part(transitions: Sequence[Transition], reflections: Reflections, better_accelerations: Array) -> Array:
+def orbit_part_of(
+    transitions: Sequence[Transition], reflections: Reflections | None, better_reflections: Reflections | None
+) -> Array:
     """Differences of the reduced matrices along the better orbits and along the orbits, with a safety factor."""
     pairs = [(t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions]
     along, better = (half_cosines(stacked(side)) for side in zip(*pairs, strict=True))
-    difference = Reflections.of(better_accelerations).similar(better) - reflections.similar(along)
+    if reflections is None or better_reflections is None:
+        return np.asarray(ORBIT_SAFETY * (better - along))
+    difference = better_reflections.similar(better) - reflections.similar(along)
     return np.asarray(ORBIT_SAFETY * difference[:, 1:, 1:])
 
 
-def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
+def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
     """Norm of what round-off, and a flow without a matrix of its errors, leave in B^T C; shape (orbits,)."""
     n = matrices.shape[1] // 2
     norms = np.linalg.norm(matrices[:, :n, n:], axis=(1, 2)) + np.linalg.norm(matrices[:, n:, :n], axis=(1, 2))
@@ -174,7 +179,7 @@ def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Ar
     The second is the right eigenvector of B^T C for the trivial mu: bordered with the left one, the matrix is regular.
     """
     _, B, C, _ = transition.blocks()
-    n, trivial = acceleration.size, -1.0 if _power(transition) == 2 else 0.0
+    n, trivial = acceleration.size, -1.0 if power_of(transition) == 2 else 0.0
     left = acceleration / np.linalg.norm(acceleration)
     bordered = np.block([[B.T @ C - trivial * np.eye(n), left[:, None]], [left[None, :], np.zeros((1, 1))]])
     family = np.linalg.lstsq(bordered, np.append(np.zeros(n), 1.0), rcond=None)[0][:n]
@@ -214,6 +219,6 @@ def vectors_of_map(transition: Transition, multipliers: ComplexArray, scale: Arr
     reversal = np.diag(np.repeat([1.0, -1.0], n))
     half = reversal @ np.linalg.inv(transition.matrix) @ reversal @ transition.matrix
     values, vectors = np.linalg.eig(half.astype(complex))
-    _, order = linear_sum_assignment(np.abs(multipliers[:, None] - values[None, :] ** _power(transition)))
+    _, order = linear_sum_assignment(np.abs(multipliers[:, None] - values[None, :] ** power_of(transition)))
     vectors = np.concatenate([scale, scale])[:, None] * vectors[:, order]
     return np.asarray(vectors / np.max(np.abs(vectors), axis=0))

@@ -11,6 +11,7 @@ from apart import ended
 from outputs import read_rows
 from scipy.io import netcdf_file
 
+from casadi_skin import Chain
 from casadi_skin.cli import main
 
 pytestmark = pytest.mark.usefixtures("blank")
@@ -82,6 +83,29 @@ def test_a_million_sites_resume_to_the_same_bytes(tmp_path: Path) -> None:
     assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("interruptible")
+def test_stability_of_an_infinite_chain_resumes_to_the_same_bytes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = written(tmp_path / "stable.toml", rest="[stability]\nsites = 120")
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert main(["check", str(scene)]) == 0
+    assert "localised multipliers, on 120 sites at the edge" in capsys.readouterr().out
+    assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0
+    assert (whole / "multipliers_j-1.png").exists()
+    assert not (whole / "events.csv").exists()
+    assert ended(signal.SIGINT, 13, scene, broken) == 130
+    assert main(["run", str(scene), "--out", str(broken), "--quiet", "--resume"]) == 0
+    assert (whole / "family.csv").read_bytes() == (broken / "family.csv").read_bytes()
+    rows = read_rows(whole / "family.csv")
+    assert {row["stability_sites"] for row in rows} == {"120"}
+    assert rows[0]["localised"] == "0"
+    with netcdf_file(whole / "family.nc", mmap=False) as file:
+        period = file.variables["arc_end"].data[:, 0] / np.sqrt(Chain(1, 1.0, 0.25, 1.0).band()[1])
+        np.testing.assert_allclose(period, 2.0 * np.pi / file.variables["Omega"].data, rtol=1e-14)
+
+
 def test_the_plan_tells_what_is_eliminated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(written(tmp_path / "long.toml", sites=1000))]) == 0
     assert "the linear tail is eliminated exactly" in capsys.readouterr().out
@@ -99,7 +123,12 @@ def test_the_plan_tells_what_is_eliminated(tmp_path: Path, capsys: pytest.Captur
         ({"sites": 2000, "mode": 5, "rest": 'tail = "eliminated"'}, "[method] tail: given"),
         ({"rest": 'tail = "full"'}, "[method] tail: given"),
         ({"g": -1.0, "alpha": 0.1, "mode": '"first"'}, "three times the lowest frequency"),
-        ({"rest": "[stability]"}, "[stability]: given with sites = inf"),
+        ({"rest": "[stability]\nvectors = true"}, "[stability] vectors: given true with sites = inf"),
+        ({"rest": "[stability]\nsites = 20"}, "[stability] sites: given 20; accepted: 90 to inf: so many sites"),
+        (
+            {"sites": 24, "rest": "[stability]\nsites = 20"},
+            "[stability] sites: given 20; accepted: with more than 92 sites",
+        ),
         ({"rest": "[spectrum]"}, "[spectrum]: given with sites = inf"),
         ({"rest": "[dynamics]\nS = 1.0\nperiods = 2.0"}, "[dynamics]: given with sites = inf"),
         ({"sites": "-inf"}, "[chain] sites: given"),

@@ -260,5 +260,5 @@ def test_elimination_is_used_by_itself_where_it_pays() -> None:
     assert family_request(Chain(1000, 1.0, 0.25, 1.0), 1000, 3.0, tail="full").coordinates.is_whole
     assert family_request(Chain(1000, 1.0, 0.25, 1.0), 500, 3.0).coordinates.is_whole
     tools = Family(family_request(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
-    with pytest.raises(ValueError, match="stability is that of all sites"):
+    with pytest.raises(ValueError, match="what is asked for is that of all sites"):
         _ = tools.whole
