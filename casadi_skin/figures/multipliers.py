@@ -107,14 +107,14 @@ def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
             axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **style)
 
     arcs = [(float(start), float(end)) for start, end in floquet.continuous.arcs]
-    for sign, radius in ((1, 1.04), (-1, 0.96)):
+    for sign, radius in ((1, 1.07), (-1, 0.93)):
         colour, dashes, words = SIGNATURES[sign]
         turned = [(sign * start, sign * start + (end - start) * sign) for start, end in arcs]
         ordered = [(min(pair), max(pair)) for pair in turned]
-        draw(ordered, radius, f"waves, {words}", color=colour, lw=2.0, ls=dashes, zorder=2)
+        draw(ordered, radius, f"waves, {words}", color=colour, lw=1.6, ls=dashes, zorder=2)
     overlaps = [overlap.angles for overlap in floquet.continuous.overlaps]
     draw(
-        [pair for a, b in overlaps for pair in ((a, b), (-b, -a))], 1.0, "waves of both", color="0.45", lw=2.5, zorder=1
+        [pair for a, b in overlaps for pair in ((a, b), (-b, -a))], 1.0, "waves of both", color="0.7", lw=3.0, zorder=1
     )
     if floquet.finite_size.size:
         values = floquet.of_finite_size.others

@@ -66,7 +66,7 @@ class CellCoreWithTail(ModelCoordinates):
     def is_whole(self) -> bool:
         return False
 
-    def check_whole(self, purpose: str = "stability") -> None:
+    def check_whole(self, purpose: str = "what is asked for") -> None:
         words = f"{purpose} is that of all sites, accepted: a Lattice of fewer cells"
         raise ValueError(f"cells: given {self.lattice.cells} with a linear tail; {words}")
 

@@ -154,6 +154,7 @@ class FamilyRequest:
         coordinates = self.coordinates
         if self.method.tail is not None or coordinates.is_whole or coordinates.localised is not None:
             return self
+        coordinates.check_whole("stability")
         return replace(self, method=replace(self.method, tail="full", walker=walker))
 
     @property

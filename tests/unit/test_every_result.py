@@ -78,6 +78,11 @@ def softer() -> Any:
     return follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 1.0, stability=True, tolerance=1e-9)
 
 
+def endless() -> Any:
+    chain = Chain(float("inf"), 1.0, 0.7, -1.0)
+    return follow_family(chain, "first", 2.0, at=[2.0], tolerance=1e-6, stability_sites=60, corrector="newton").at(2.0)
+
+
 def evolution() -> Any:
     return evolve(RING, [0.1] + [0.0] * 5, None, np.linspace(0.0, 3.0, 7))
 
@@ -107,6 +112,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Evolution": evolution,
     "FullPeriodFloquet": lambda: cycle().floquet(),
     "LatticeModes": lambda: lattice_modes(RING),
+    "LocalisedFloquet": lambda: endless().floquet(),
     "Orbit": cycle,
     "ParetoFront": front,
     "ProvedStability": lambda: member().proved_stability,
