@@ -19,7 +19,7 @@ from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import Periodic
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.guesses import Guess, sampled
+from casadi_skin.orbits.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, Asked, statement_of
 from casadi_skin.orbits.rank_deficiency import equilibrium_words
@@ -53,7 +53,10 @@ def find_orbit(
 
     `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
     period of an autonomous model, where the guess (a cycle, another orbit) has none; the orbit of a forced one closes
-    after `cycles` periods of the forcing. `select`, an expression in states and parameters that vanishes at phase zero,
+    after `cycles` periods of the forcing. A function that closes after another time near `period` is taken over that
+    time in its place.
+
+    `select`, an expression in states and parameters that vanishes at phase zero,
     picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
     only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
     the integral phase condition; without it phase zero is where the guess has it, so that a guess shifted in time makes
@@ -76,6 +79,8 @@ def find_orbit(
     stated = {"section": section, "objective": objective, "running": running}
     section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
     length = 0.0 if model.forced else guessed_period(guess, period)
+    if not model.forced:
+        guess = over_its_own_period(guess, first.state_names, length, TWO_PI * turns)
     symmetry = SymmetryClass.FULL
     if symmetric:  # angles that rotate have no half-period symmetry
         symmetry = SymmetryClass.HALF if np.any(turns) else symmetry_class(model)

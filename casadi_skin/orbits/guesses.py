@@ -28,6 +28,10 @@ Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | Arra
 SAMPLES = 4001  # of a guess that has jumps
 FIRST_SAMPLES = 501  # of any guess
 SMOOTH = 50.0  # ranges that a state without jumps goes through in an interval, at its greatest speed
+CLOSES = 1e-6  # relative to the ranges of the states: a function that closes to this is left alone
+CLOSER = 0.1  # of how far it is from closing after the stated period, after its own
+NEAR = 0.25  # of the stated period, where its own is sought
+CLOSING, CLOSING_STEPS = 1e-9, 12  # last step, relative to the period, and the number of steps
 ACCEPTED = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
@@ -50,6 +54,61 @@ def known_times(statement: Statement, guess: Guess, count: int) -> Array:
     start, end = statement.span(np.array(list(statement.values.values())))
     known = getattr(guess, "times", None)
     return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
+
+
+def over_its_own_period(guess: Guess, names: Sequence[str], period: float, rotation: Array) -> Guess:
+    """A function of time that closes after another time near the period, stretched to it; any other guess as it is.
+
+    Where it does not close, a wave that goes around a ring has its jump at another phase of every unit, and what that
+    does to the phases dies out slowly, so that Newton's method and Ipopt lose their way. `rotation` is what a period
+    adds to the states called `names`.
+    """
+    at = _function(guess, names)
+    if at is None:
+        return guess
+    try:
+        ratio = _closing_time(at, period, rotation) / period
+    except Exception:  # of the user's function, beyond the period for one: reported where it is sampled
+        return guess
+    return guess if ratio == 1.0 else lambda t: at(ratio * t)
+
+
+def _function(guess: Guess, names: Sequence[str]) -> Callable[[float], Array] | None:
+    """The guess as a function of time; None where it is none."""
+    if isinstance(guess, Mapping):
+        parts = [guess.get(name, 0.0) for name in names]
+        if set(guess) <= set(names) and any(callable(part) for part in parts):
+            return lambda t: np.array([float(part(t) if callable(part) else part) for part in parts])
+        return None
+    if is_constant(guess) or isinstance(guess, Evaluated) or not callable(guess):
+        return None
+    function = guess
+    return lambda t: np.asarray(function(t), dtype=float).ravel()
+
+
+def _closing_time(at: Callable[[float], Array], period: float, rotation: Array) -> float:
+    """The time near the period after which a function closes, by the method of Gauss and Newton; the period else."""
+    ranges = np.ptp([at(period * k / 8.0) for k in range(9)], axis=0)
+    sizes = np.where(ranges > 0.0, ranges, 1.0)
+
+    def scaled(t: float) -> Array:
+        return np.asarray((at(t) - first - rotation) / sizes)
+
+    first, own = at(0.0), period
+    miss = scaled(own)
+    before, h = float(np.linalg.norm(miss)), 1e-4 * period
+    if before <= CLOSES:
+        return period
+    for _ in range(CLOSING_STEPS):
+        slope = (scaled(own + h) - scaled(own - h)) / (2.0 * h)
+        step = float(slope @ miss) / float(slope @ slope)
+        own -= step
+        if not abs(own - period) <= NEAR * period:
+            return period
+        miss = scaled(own)
+        if abs(step) <= CLOSING * period:
+            break
+    return own if np.linalg.norm(miss) <= CLOSER * before else period
 
 
 def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -> list[Array]:

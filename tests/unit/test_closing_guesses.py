@@ -1,0 +1,102 @@
+"""Guesses of orbits that close after another time than the one stated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.orbits.guesses import over_its_own_period
+
+TWO_PI, ZERO = 2.0 * np.pi, np.zeros(2)
+NAMES = ("x", "y")
+
+
+def cosines(t: float) -> list[float]:
+    return [2.0 * np.cos(t), -2.0 * np.sin(t)]
+
+
+@pytest.mark.parametrize("guess", [cosines, {"x": lambda t: 2.0 * np.cos(t), "y": lambda t: -2.0 * np.sin(t)}])
+def test_a_function_is_taken_over_the_time_after_which_it_closes(guess: Any) -> None:
+    taken: Any = over_its_own_period(guess, NAMES, 6.6, ZERO)
+    for turn in (0.0, 0.3, 1.0):
+        np.testing.assert_allclose(taken(6.6 * turn), cosines(TWO_PI * turn), rtol=0, atol=1e-8)
+
+
+def test_what_rotates_closes_but_for_its_rotation() -> None:
+    taken: Any = over_its_own_period(
+        lambda t: [t + 0.1 * np.sin(t), 2.0 * np.cos(t)], NAMES, 6.0, np.array([TWO_PI, 0.0])
+    )
+    np.testing.assert_allclose(taken(6.0) - taken(0.0), [TWO_PI, 0.0], rtol=0, atol=1e-8)
+
+
+def line(t: float) -> list[float]:
+    return [t, 1.0]
+
+
+def ends(t: float) -> list[float]:
+    if t > 6.6:
+        raise ValueError("no data")
+    return [2.0 * np.cos(t), 0.0]
+
+
+@pytest.mark.parametrize(
+    ("guess", "period"),
+    [
+        (cosines, TWO_PI),  # which closes as it is
+        (cosines, 3.0),  # and far from the stated time
+        (line, 6.6),  # which closes nowhere
+        (ends, 6.6),
+        (lambda t: [np.nan, 1.0 + t], 6.6),
+        ([1.0, 2.0], 6.6),
+        (([0.0, 6.6], [[1.0, 2.0], [1.5, 2.0]]), 6.6),
+        ({"x": 1.0}, 6.6),
+        ({"z": np.cos}, 6.6),  # refused where it is sampled
+    ],
+)
+def test_other_guesses_stay_as_they_are(guess: Any, period: float) -> None:
+    assert over_its_own_period(guess, NAMES, period, ZERO) is guess
+
+
+def ring(units: int) -> tuple[OdeModel, Callable[[float], Any]]:
+    """Van der Pol oscillators in a ring, and a wave of cosines around it."""
+    x, y = ca.SX.sym("x", units), ca.SX.sym("y", units)
+    beside = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
+    model = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(y, 0.5 * (1 - x**2) * y - x + 0.1 * beside))
+    phases = TWO_PI * np.arange(units) / units
+    return model, lambda t: np.concatenate([2 * np.cos(t - phases), -2 * np.sin(t - phases)])
+
+
+def period_of_the_wave(units: int) -> float:
+    """The period by harmonic balance of one oscillator, whose neighbours are itself a part of the period away."""
+    M = 128
+    order = np.fft.fftfreq(M, 1.0 / M)
+    coupling = 0.2 * (np.cos(TWO_PI * order / units) - 1.0)
+
+    def defects(unknowns: Any) -> Any:
+        X, Omega = unknowns[:M], unknowns[M]
+        c = np.fft.fft(X)
+        slope, curvature, beside = (
+            np.fft.ifft(f * c).real for f in (1j * Omega * order, -((Omega * order) ** 2), coupling)
+        )
+        return np.append(curvature - 0.5 * (1 - X**2) * slope + X - beside, slope[0])
+
+    found = root(defects, np.append(2.0 * np.cos(TWO_PI * np.arange(M) / M), 1.0), tol=1e-13)
+    assert np.max(np.abs(found.fun)) < 1e-10
+    return float(TWO_PI / found.x[M])
+
+
+@pytest.mark.parametrize("units", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_a_wave_is_found_from_cosines_of_another_period(units: int) -> None:
+    """Of 100 oscillators from cosines that jump at the end of the period neither Newton's method nor Ipopt finds it."""
+    model, guess = ring(units)
+    orbit = find_orbit(model, guess, 6.4, tolerance=1e-8)
+    assert orbit.period == pytest.approx(period_of_the_wave(units), abs=1e-7)
+    wave = orbit.evaluate(np.array([0.0, orbit.period / units]))
+    np.testing.assert_allclose(wave[1, :units], np.roll(wave[0, :units], 1), rtol=0, atol=1e-6)
