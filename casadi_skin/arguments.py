@@ -1,4 +1,4 @@
-"""Checks of arguments: each message names the argument, its value and what is accepted, in one line."""
+"""Checks of arguments: each message names the argument, its value and the accepted values, in one line."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner can read
         temporary.replace(path)
     finally:
-        with suppress(OSError):  # a folder that is gone; what was raised in the block counts
+        with suppress(OSError):  # a folder that is gone; the exception of the block counts
             temporary.unlink(missing_ok=True)
 
 

@@ -24,7 +24,7 @@ TOKEN = re.compile(r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_][A-Z
 
 
 class FormulaError(ValueError):
-    """A text is no formula: one line with the column, the text there and what is accepted."""
+    """A text is no formula: one line with the column, the text there and the accepted values."""
 
     def __init__(self, column: int, given: str, accepted: str) -> None:
         super().__init__(f"column {column}: given {given}; accepted: {accepted}")

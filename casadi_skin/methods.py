@@ -65,7 +65,7 @@ INTEGRATORS = _registry(
     dop853=("Dormand-Prince of order 8", "integrators.dop853:dop853"),
     symplectic=("symplectic splitting of order 6", "integrators.splitting:symplectic"),
 )
-TASKS = _registry(  # what an object's method does where the object stands below what is done
+TASKS = _registry(  # tasks of methods whose object stands below their module
     optimise=("the optimum of a boundary-value problem", "optimise.boundary_nlp:optimise"),
     follow=("the branch through a solution", "orbits.follow:follow"),
     critical=("what decides at a special point", "critical_orbits.normal_forms:critical"),

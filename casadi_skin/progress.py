@@ -44,7 +44,7 @@ class Progress:
         if self._status is not None:
             self._status.update(f"{_place(solution)}, {points} points, step {solution.point.step:.2g}")
 
-    def tell(self, words: str) -> None:
+    def report(self, words: str) -> None:
         """Leave a line on standard error, unless quiet."""
         if not self._quiet:
             print(f"casadi-skin: {words}", file=sys.stderr)

@@ -22,7 +22,7 @@ SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
 
 
 class BoundaryProblem(CollocationEquations):
-    """Unknowns z = (states, free parameters, u), where u is what is held or followed.
+    """Unknowns z = (states, free parameters, u), where u is held or followed.
 
     Each component of the state is measured by its own largest value, and by no less than its entry in `floors`; free
     parameters by their value and no less than `scalar_floors`.

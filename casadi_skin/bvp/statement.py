@@ -32,7 +32,7 @@ class Statement:
     conditions and integrals as states and free parameters. `objective`, in ends and parameters, plus the integral of
     `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name.
 
-    Raises ValueError and TypeError, naming the argument and what is accepted, where these do not fit.
+    Raises ValueError and TypeError, naming the argument and the accepted values, where these do not fit.
     """
 
     model: OdeModel
@@ -232,7 +232,7 @@ class Statement:
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
     def with_parameters(self, **values: float) -> Statement:
-        """The same problem at other values of parameters; what is built for one is kept for all."""
+        """The same problem at other values of parameters; functions built for one serve all."""
         _ = self._formulations  # shared by the copy
         other = copy.copy(self)
         other.__dict__.pop("values", None)

@@ -23,7 +23,7 @@ from casadi_skin.models.lifted import Program, lifted
 from casadi_skin.models.ode import OdeModel
 
 MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
-KEPT = 32  # resolutions of models for which what is built is kept
+KEPT = 32  # resolutions of models whose functions are kept
 ALIASED = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
 
 

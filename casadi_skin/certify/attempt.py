@@ -87,7 +87,7 @@ def carrying(orbit: Orbit, system: CosineSystem) -> int:
 
 
 def attempt_near(start: CosineSeries, nu: arb, computed: CosineSeries | None = None) -> Attempt:
-    """The bounds about the zero that Newton's method finds near a series, and its distance from what was computed."""
+    """The bounds about the zero that Newton's method finds near a series, and its distance from the computed orbit."""
     try:
         _check_size(start.system, start.harmonics)
         inverse = FiniteInverse(start, nu)

@@ -21,7 +21,7 @@ from casadi_skin.orbits.certificate import Constants
 if TYPE_CHECKING:
     from flint import arb
 
-LARGEST_WEIGHT = 2.0**100  # or what is lost below the smallest double might count
+LARGEST_WEIGHT = 2.0**100  # or parts below the smallest double might count
 LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the second derivative is bounded
 
 

@@ -25,7 +25,7 @@ from casadi_skin.orbits.certificate import Constants
 if TYPE_CHECKING:
     from flint import arb
 
-MORE_NODES = 1.3  # than the degree of what is bounded
+MORE_NODES = 1.3  # than the degree of the bounded polynomial
 LARGEST_Z = 0.9  # from which on no further node is looked at
 
 
@@ -114,7 +114,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """Bounds at one place, of what is a polynomial of the parameter each.
+    """Bounds at one place of polynomials in the parameter.
 
     Attributes:
         finite: of the finite rows of I - A_f DF.
@@ -124,7 +124,7 @@ class Node:
         weights: lower bounds of the weights of its columns.
         slope: largest modulus of c_n.
         derivatives: of the forces' derivatives with respect to each position.
-        factor: modulus of what is near 1/lambda; `defect` of 1 - lambda times it.
+        factor: modulus of a number near 1/lambda; `defect` of 1 - lambda times it.
         sizes: norms of the series of each position.
     """
 

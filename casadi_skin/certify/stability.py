@@ -94,7 +94,7 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
     for place, low, high in zip(between.tolist(), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         count = negative_eigenvalues(problem, place)
         if count is None:
-            return _undecided(orbit, f"exponents at sigma = {low:.9g} and {high:.9g} are too near to tell them apart")
+            return _undecided(orbit, f"exponents at sigma = {low:.9g} and {high:.9g} are too near to be separated")
         counts.append(count)
     changes = np.diff(counts)
     if not np.all(changes % 2):

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     from casadi_skin.progress import Progress
     from casadi_skin.runs.locking import in_use
 
-    with Progress(arguments.quiet) as progress, in_use(directory, progress.tell):
+    with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
         return _run_in(directory, existing, request, text, arguments, progress)
 
 

@@ -138,7 +138,7 @@ class PointSolver:
         return point
 
     def confirmed(self, points: Sequence[tuple[Point, Scalar | None]]) -> list[Point | SingularError | None]:
-        """Points, with what was held, as the corrector's last word has them; where it refuses one, an error."""
+        """Points as the corrector confirms them, each with its held value; an error where it refuses one."""
         found: list[Point | SingularError | None] = []
         for problem, these in groupby(points, key=lambda item: item[0].problem):
             some = list(these)
@@ -150,7 +150,7 @@ class PointSolver:
         return found
 
     def _row(self, point: Point, held: Scalar | None) -> Array:
-        """The row that holds what is held, or the place along the tangent."""
+        """The row of the held value, or of the place along the tangent."""
         problem = point.problem
         return self.metric(problem, point.z) * point.tangent if held is None else problem.row_of(held)
 

@@ -25,7 +25,7 @@ class Target:
     value: float
 
     def unknown(self, problem: Problem) -> tuple[int, float]:
-        """The place in z of what is held, and its value there."""
+        """The place in z of the held unknown, and its value."""
         return problem.index_of(self.held), problem.unknown_at(self.held, self.value)
 
     def meets(self, point: Point) -> bool:

@@ -52,7 +52,7 @@ class OrbitCurveSpace(BoundarySpace):
     orbits: BoundarySpace | None = None
 
     @property
-    def knows_stability(self) -> bool:
+    def stability_included(self) -> bool:
         """Of orbits, whose multipliers are needed for the special points."""
         return self.periodic is not None
 

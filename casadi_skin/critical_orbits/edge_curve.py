@@ -165,7 +165,7 @@ class _Walk:
         nearest = min(same, key=lambda edge: abs(edge.S - S))
         others = [abs(edge.S - nearest.S) for edge in same if edge is not nearest]
         if abs(nearest.S - S) > min([BADLY * S, *(APART * other for other in others)]):
-            raise ArithmeticError("the edge is not told from another one")
+            raise ArithmeticError("the edge cannot be distinguished from another one")
         return nearest
 
     def _at_value(self, value: float, S: float) -> Family:

@@ -78,7 +78,7 @@ def component_sizes(values: Array) -> Array:
 def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Vector, complex, Vector]:
     """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and how it starts.
 
-    Its start is a multiple of the velocity of an autonomous orbit, which is second, and what is across it, third.
+    Its start is a multiple of the velocity of an autonomous orbit, which is second; the part across it is third.
     """
     twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)))
     q = null_vectors(twisted)[0].reshape(problem.columns, -1)

@@ -79,10 +79,10 @@ class _Search(Search):
         """The special points that the ends indicate, each located; None where one cannot be."""
         if len(expected) > 1 or not (expected or pairs) or (self.free and len(reals) != len(expected)):
             return None
-        asked = [(kind, (reals or [0])[0]) for kind in expected] + [(HOPF, place) for place in pairs]
-        found = [_located(self.equations, stretch, kind, place) for kind, place in asked]
+        requested = [(kind, (reals or [0])[0]) for kind in expected] + [(HOPF, place) for place in pairs]
+        found = [_located(self.equations, stretch, kind, place) for kind, place in requested]
         those = sorted((one for one in found if one is not None), key=lambda one: one.along)
-        return [one.point for one in those] if len(those) == len(asked) and _differ(those) else None
+        return [one.point for one in those] if len(those) == len(requested) and _differ(those) else None
 
 
 def _differ(found: list[Found]) -> bool:
@@ -165,8 +165,8 @@ def _unresolved(equations: EquilibriumEquations, stretch: Stretch, kinds: list[s
         return  # an eigenvalue that was matched to another one
     words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
     name = equations.parameter
-    told = f"between {name} = {low:.12g} and {high:.12g} there is more than can be told apart: {words}"
-    warnings.warn(told, UnresolvedWarning, stacklevel=2)
+    message = f"between {name} = {low:.12g} and {high:.12g} there is more than can be distinguished: {words}"
+    warnings.warn(message, UnresolvedWarning, stacklevel=2)
     width = abs(float(stretch.last.point.z[-1] - stretch.first.point.z[-1]))
     for kind in kinds:
         point = stretch.first.point

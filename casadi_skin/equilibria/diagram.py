@@ -111,7 +111,7 @@ def follow_all(
             complete = False
             break
         closes = not isinstance(space, BoundarySpace) or space.closes
-        with_stability = stability and closes and not space.knows_stability
+        with_stability = stability and closes and not space.stability_included
         further.add(run_following(Following(space, with_stability), None), space, point)
         names.append(name)
         origins.append(point)

@@ -111,14 +111,14 @@ class EquilibriumSpace(EquilibriumEquations):
             raise ValueError(f"at: given {name}; accepted: {self.parameter}")
         return Target(Scalar.PARAMETER, self.course.fraction(value))
 
-    def asked(self) -> Mapping[str, Sequence[float]]:
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
         return {self.parameter: self.at}
 
     def value(self, name: str, point: Point) -> float:
         assert self.course is not None
-        asked = {self.course.fraction(value): value for value in (*self.at, self.to)}
+        requested = {self.course.fraction(value): value for value in (*self.at, self.to)}
         u = point.parameter
-        return asked[u] if u in asked else float(self.course.at(u))
+        return requested[u] if u in requested else float(self.course.at(u))
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         return None, ""
@@ -160,7 +160,7 @@ class EquilibriumSpace(EquilibriumEquations):
     # Stability ------------------------------------------------------------------------------------------------------
 
     @property
-    def knows_stability(self) -> bool:
+    def stability_included(self) -> bool:
         """Whether stability is computed with every solution."""
         return True
 

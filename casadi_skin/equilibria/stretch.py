@@ -108,7 +108,7 @@ class Stretch:
     @cached_property
     def quantities(self) -> tuple[Array, Array]:
         """Leading quantities, then the quantities of each eigenvalue; and derivatives; (sample, quantity)."""
-        told, rates, noisy, many = [], [], [], self.leading
+        sums, rates, noisy, many = [], [], [], self.leading
         for sample, order in zip(self.samples, self.orders, strict=True):
             scale, rate, curved = sample.along(self.first.row)
             values, slopes = sample.values[order], scale * sample.rates[order]
@@ -116,12 +116,12 @@ class Stretch:
                 values, slopes = values**2, 2.0 * values * slopes
             no = np.abs(values.real) <= sample.noise[order] if self.signs == "real parts" else _unreal(values)
             leading = ((rate, curved),) if sample.leading is None else [(g, scale * d) for g, d in sample.leading]
-            told.append(np.concatenate([[g for g, _ in leading], values.real]))
+            sums.append(np.concatenate([[g for g, _ in leading], values.real]))
             rates.append(np.concatenate([[d for _, d in leading], slopes.real]))
             noisy.append(np.concatenate([[abs(g) <= STILL for g, _ in leading], no]))
         counts = ~(np.all(noisy, axis=0) if self.signs == "real parts" else np.any(noisy, axis=0))
         counts[:many] = ~np.all(noisy, axis=0)[:many]
-        return np.array(told) * counts, np.array(rates) * counts
+        return np.array(sums) * counts, np.array(rates) * counts
 
     @cached_property
     def _halves(self) -> tuple[_Cubics, Array]:

@@ -131,7 +131,7 @@ def _branch(name: str, variables: Variables, share: int) -> dict[str, Any]:
 
 
 def _columns(variables: Variables) -> dict[str, NDArray[Any]]:
-    """Quantities that are one number a point, what is followed first; of a state that moves its largest value."""
+    """Quantities that are one number a point, the followed one first; of a state that moves its largest value."""
     found: dict[str, NDArray[Any]] = {}
     names = [str(n) for n in variables.get("parameter_name", ())]
     for i, name in enumerate(names):
@@ -197,8 +197,8 @@ def _between(S: NDArray[Any], Omega: NDArray[Any], at: float, height: float) -> 
 def _chosen(count: int, most: int, special: Mapping[int, str], variables: Variables) -> NDArray[np.int64]:
     """Places of at most so many points, evenly, with special and requested ones and both ends."""
     even = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    asked = np.flatnonzero(variables.get("requested", np.zeros(count)))[:most]
-    return np.unique(np.concatenate([even, asked, np.array(list(special)[:most], dtype=int)])).astype(np.int64)
+    requested = np.flatnonzero(variables.get("requested", np.zeros(count)))[:most]
+    return np.unique(np.concatenate([even, requested, np.array(list(special)[:most], dtype=int)])).astype(np.int64)
 
 
 def _detail(variables: Variables, chosen: NDArray[np.int64], kept: NDArray[np.int64]) -> dict[str, Any]:

@@ -77,8 +77,8 @@ def c_name(words: str) -> str:
 
     Letters that are not ASCII are written as their numbers, as u3b1, so that names stay different.
     """
-    told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
-    stem = re.sub(r"[^a-z0-9]+", "_", told).strip("_") or "model"
+    plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
+    stem = re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "model"
     return stem if stem[0].isalpha() and stem not in KEYWORDS | HEADERS else f"m_{stem}"
 
 
@@ -93,7 +93,7 @@ def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[st
     for function in functions:
         check_parts(function)
     generator = ca.CodeGenerator(f"{name}.c", {"with_export": False, "avoid_stack": True, "verbose": False})
-    with contextlib.redirect_stderr(io.StringIO()):  # CasADi warns of what is refused below
+    with contextlib.redirect_stderr(io.StringIO()):  # CasADi warns of expressions that are refused below
         for function in functions:
             generator.add(function)
         text = generator.dump()

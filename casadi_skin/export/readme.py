@@ -56,7 +56,7 @@ def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Col
 
 Written by casadi_skin {__version__} (license.txt). It is C99 and
 needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
-The model is dimensionless. `{name}.h` tells every function, size and order; `main.c` is an example.
+The model is dimensionless. `{name}.h` declares every function and gives sizes and orders; `main.c` is an example.
 
 | part | what it is |
 | --- | --- |
@@ -100,5 +100,5 @@ def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
     elif not isinstance(floquet, str):
         words = f"(estimated error {floquet.error:.1g})"
         lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
-    told = "\n".join(lines)
-    return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{told}\n```\n"
+    table = "\n".join(lines)
+    return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{table}\n```\n"

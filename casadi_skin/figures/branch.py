@@ -44,7 +44,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
     space = branch.space
     if not isinstance(space, BoundarySpace) or not space.parameter or not branch.solutions:
         given = "a family" if isinstance(space, Family) else "one without a parameter or solutions"
-        given = "one of equilibria, see bifurcation_figure" if space.knows_stability else given
+        given = "one of equilibria, see bifurcation_figure" if space.stability_included else given
         raise ValueError(f"branch: given {given}; accepted: a branch of orbits or solutions in a parameter")
     state = plain(space.state_names[0])
     low, high = np.array([[side[0] for side in extremes(solution)] for solution in branch.solutions]).T

@@ -55,13 +55,13 @@ class Panel:
 
 
 def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[Panel]) -> Figure:
-    """A panel for each value of what is not drawn along an axis, with one scale of colours.
+    """A panel for each value of the parameters that are not along an axis, with one scale of colours.
 
     Arguments:
         name: the quantity.
         title: of the picture.
         axes: one or two; along the first is drawn to the right.
-        panels: what is drawn; of many the first ones.
+        panels: the first ones of many.
 
     Returns:
         The figure; failed cells are crossed out.

@@ -66,10 +66,10 @@ def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:
     None where no orbit is among the branches: equilibria alone are seen in the diagram.
     """
     held = [s for branch in branches for s in branch.solutions]
-    asked = [s for s in held if s.point.requested]
+    requested = [s for s in held if s.point.requested]
     cycles = next((branch.solutions for branch in branches if isinstance(branch.solutions[0], Orbit)), ())
-    if asked and cycles:
-        return asked[:MOST]
+    if requested and cycles:
+        return requested[:MOST]
     moving = [s for s in cycles[1:] if not s.point.special]  # the first one has no amplitude
     places = np.unique(np.linspace(0, len(moving) - 1, CHOSEN + 1)[1:].astype(int)) if moving else ()
     born = [s for s in held if s.point.special == "hopf" and isinstance(s, Equilibrium)][:1]

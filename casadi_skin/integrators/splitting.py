@@ -17,7 +17,7 @@ from casadi_skin.integrators.trajectory import (
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.linear import Array
 
-LONGEST_FOLD = 4096  # steps in one call, so that an interruption is heard
+LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed
 RETRIES = 6
 
 
@@ -49,7 +49,7 @@ def symplectic(
         if count == len(result.states):
             raise IntegrationError("symplectic", NOT_FINITE, found, t)
         step *= splitting.shrink(tolerance, float(errors.max()))
-    reason = f"one step of {found.step:.2g} is off by up to {errors.max():.1e}; asked: {tolerance:.1e}"
+    reason = f"one step of {found.step:.2g} is off by up to {errors.max():.1e}; requested: {tolerance:.1e}"
     raise IntegrationError("symplectic", reason, found, t)
 
 

@@ -68,7 +68,7 @@ def _check(chain: Chain, number: int) -> None:
     if chain.sites > 1 and 0.0 < 4.0 * chain.coupling < NARROWEST_BAND * square:
         raise ValueError(
             f"alpha: given {chain.alpha!r}, beside which the band is {4 * chain.coupling / square:.0e} wide:"
-            f" doubles do not tell its modes apart; accepted: alpha up to {4.0 * chain.coupling / NARROWEST_BAND:.3g}"
+            f" its modes are the same in doubles; accepted: alpha up to {4.0 * chain.coupling / NARROWEST_BAND:.3g}"
         )
     edge = chain.sites if chain.g > 0 else 1
     if abs(chain.gamma) == 1.0 and number != edge:

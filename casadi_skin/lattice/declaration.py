@@ -108,7 +108,7 @@ class Declaration:
         boundary: "fixed", "free" or "periodic" along each direction.
         parameters: numbers by name; by cell a list, a formula in n and m, or a `Uniform`.
 
-    Raises ValueError and TypeError, naming the place, the value and what is accepted.
+    Raises ValueError and TypeError, naming the place, the value and the accepted values.
     """
 
     cells: tuple[int, ...]

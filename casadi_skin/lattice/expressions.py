@@ -35,8 +35,8 @@ def expression(formula: Formula | Tree, values: Mapping[str, ca.SX]) -> ca.SX:
 def antiderivative(formula: Formula, name: str) -> ca.Function | None:
     """The integral of a formula over one of its names, from 0; None where no rule fits.
 
-    There are rules for polynomials, for functions and powers of what is linear in the name, and for sums and multiples
-    of these.
+    There are rules for polynomials, for functions and powers of terms that are linear in the name, and for sums and
+    multiples of these.
 
     Arguments:
         formula: what is integrated.

@@ -44,7 +44,7 @@ class Lattice(OdeModel):
             them where these have one.
 
     Raises:
-        ValueError, TypeError: the message names the place, the value and what is accepted.
+        ValueError, TypeError: the message names the place, the value and the accepted values.
     """
 
     declaration: Declaration

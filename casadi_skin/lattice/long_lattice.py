@@ -57,7 +57,7 @@ class LongLattice:
         edge: "first" or "last", the end whose breathers are followed; left out, that to which the lattice leans.
         name: of the model.
 
-    Raises ValueError and TypeError, naming the place, what was given and what is accepted.
+    Raises ValueError and TypeError, naming the place, what was given and the accepted values.
     """
 
     cells: float

@@ -58,10 +58,10 @@ def check_boundary(scene: Scene, grid: Grid) -> None:
         raise SceneError("[map] boundary: given without [stability]; accepted: beside [orbit] with a [stability]")
 
 
-def boundaries(scene: Scene, path: Path, tables: Tables, columns: Columns, tell: Callable[[str], None]) -> Lines:
+def boundaries(scene: Scene, path: Path, tables: Tables, columns: Columns, report: Callable[[str], None]) -> Lines:
     """Lines of the boundary by the places of the axes that are no ranges; a line of one point is a point.
 
-    `tell` takes a line for each edge that cannot be followed, with the reason.
+    `report` takes a line for each edge that cannot be followed, with the reason.
     """
     grid = columns.store.grid
     found, files = dict[tuple[int, ...], tuple[Points, ...]](), dict[Any, Any]()
@@ -73,9 +73,9 @@ def boundaries(scene: Scene, path: Path, tables: Tables, columns: Columns, tell:
         if grid.amplitude in plane.along:
             if "first_tongue" not in columns.texts:
                 continue
-            found[plane.chosen] = tuple(tongue_lines(plane, columns, bound, tell))
+            found[plane.chosen] = tuple(tongue_lines(plane, columns, bound, report))
         elif "stable" in columns.numbers:
-            found[plane.chosen] = tuple(_curves(plane, columns, scene, path, tables, tell))
+            found[plane.chosen] = tuple(_curves(plane, columns, scene, path, tables, report))
     return found
 
 
@@ -112,7 +112,7 @@ def read_boundary(grid: Grid, path: Path) -> Lines:
 
 
 def _curves(
-    plane: Plane, columns: Columns, scene: Scene, path: Path, tables: Tables, tell: Callable[[str], None]
+    plane: Plane, columns: Columns, scene: Scene, path: Path, tables: Tables, report: Callable[[str], None]
 ) -> Iterator[Points]:
     """Curves of special points through the pairs of neighbours that differ in stability."""
     found, files, starts, without = list[Points](), dict[Any, Any](), 0, list[str]()
@@ -120,7 +120,7 @@ def _curves(
         if any(_passes(curve, plane, one, other) for curve in found):
             continue
         if starts == MOST_STARTS:
-            tell(f"the boundary is not sought beyond {MOST_STARTS} pairs of neighbouring cells that differ")
+            report(f"the boundary is not sought beyond {MOST_STARTS} pairs of neighbouring cells that differ")
             break
         starts += 1
         try:
@@ -132,7 +132,7 @@ def _curves(
         found += curves
         yield from curves
     if without:
-        tell(f"no boundary is followed between {len(without)} pair(s) of cells that differ, such as {without[0]}")
+        report(f"no boundary is followed between {len(without)} pair(s) of cells that differ, such as {without[0]}")
 
 
 def _pairs(plane: Plane, columns: Columns) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:

@@ -36,7 +36,7 @@ class Job(msgspec.Struct, frozen=True):
 
 @dataclass
 class Computer:
-    """Computes tasks of one job; a model's file is run once, so that what is built of it serves all cells."""
+    """Computes tasks of one job; a model's file is run once, so that its functions serve all cells."""
 
     job: Job
     _files: Files = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Computer:
         return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
 
     def _request(self, scene: Scene) -> Request:
-        """The request of a scene; cells share the model that a file gives, with what is built of it."""
+        """The request of a scene; cells share the model that a file gives, with its functions."""
         return bind(scene, Path(self.job.path), self._files)
 
 

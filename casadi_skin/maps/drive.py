@@ -34,7 +34,7 @@ class Drive:
     """A map on its way.
 
     Attributes:
-        grid, store, engine: its cells, what is known of them, where they are computed.
+        grid, store, engine: its cells, their results, the place of their computation.
         job: what every task shares, encoded.
         cell_limit: seconds that a cell may take.
         part: the share that is computed here; None of a map that is computed here as a whole.
@@ -151,7 +151,7 @@ class Drive:
         for task in waiting.values():
             self._keep(task, Result(kind=LOST, reason=reason), attempt)
         waiting.clear()
-        self.progress.tell(f"{reason}; {self.workers} worker(s) of this machine go on")
+        self.progress.report(f"{reason}; {self.workers} worker(s) of this machine go on")
         with suppress(Exception):  # of an engine that is gone already
             self.engine.close()
         self.engine = local_engine(self.workers)
@@ -175,7 +175,7 @@ class Drive:
         self.progress.say(words)
         if not self.progress.on_terminal and now - self._told > TELL:
             self._told = now
-            self.progress.tell(words)
+            self.progress.report(words)
 
 
 def _outcome(future: Future[bytes], engine: Engine) -> Result:

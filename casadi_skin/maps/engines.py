@@ -69,13 +69,13 @@ def dask_engine(address: str) -> Engine:
     except OSError as error:
         words = f"no scheduler answers within {CONNECT_LIMIT:g} s ({' '.join(str(error).split())})"
         raise OSError(errno.ETIMEDOUT, words, address) from None
-    known, asked = 0, -math.inf
+    known, requested = 0, -math.inf
 
     def workers() -> int:
-        nonlocal known, asked
-        if time.monotonic() - asked > ASK:
+        nonlocal known, requested
+        if time.monotonic() - requested > ASK:
             found: dict[str, Any] = client.scheduler_info(n_workers=-1).get("workers", {})
-            known, asked = sum(int(worker.get("nthreads", 1)) for worker in found.values()), time.monotonic()
+            known, requested = sum(int(worker.get("nthreads", 1)) for worker in found.values()), time.monotonic()
         return known
 
     def lost() -> str:

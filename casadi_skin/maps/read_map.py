@@ -58,7 +58,7 @@ def _in_directory(directory: Path, shown: Path) -> Map:
         grid = Grid.of(scene)
     except SceneError as error:
         raise ValueError(f"{shown}: {error}; {ACCEPTED}") from None
-    with Progress() as progress, Store(directory, grid, scene, None, progress.tell) as store:
+    with Progress() as progress, Store(directory, grid, scene, None, progress.report) as store:
         columns = Columns(store, scene.map.quantities)
     try:
         boundary = read_boundary(grid, directory / BOUNDARY)

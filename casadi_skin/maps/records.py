@@ -10,7 +10,7 @@ OUTSIDE = (DIED, LATE, LOST)  # those that another run may not meet
 
 
 class Row(msgspec.Struct, frozen=True):
-    """Quantities of a cell by name; what is not known is left out.
+    """Quantities of a cell by name, unknown ones left out.
 
     Attributes:
         values: by name.

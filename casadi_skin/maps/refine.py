@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin.maps.grid import Cells, Grid
 
 UNKNOWN = -1  # of the label of a cell that is not computed
-Labels = NDArray[np.int32]  # shape of the finest grid, equal where what is watched is equal
+Labels = NDArray[np.int32]  # shape of the finest grid, equal where the watched quantities are equal
 Places = NDArray[np.int64]  # shape (boxes, axes)
 
 

@@ -113,7 +113,7 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
             yield "first_tongue", f"{first.kind}{modes}", "kind of the first instability, and the modes that meet there"
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
         yield "changes", len(branch.changes), "changes of stability along the branch"
-    elif branch.with_events and not branch.space.knows_stability:
+    elif branch.with_events and not branch.space.stability_included:
         change = next((c for c in branch.located if not c.stable_after), None)
         where, error = (math.nan, math.nan) if change is None else (change.value, change.error)
         yield "first_instability", where, f"{branch.parameter} at which stability is first lost along the branch"

@@ -194,13 +194,13 @@ def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress)
     if ways.collect and not (directory / SCENE).is_file():
         raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
     with ExitStack() as held:
-        held.enter_context(in_use(directory, progress.tell, ways.shared))
+        held.enter_context(in_use(directory, progress.report, ways.shared))
         if ways.part is not None:
-            held.enter_context(in_use(directory, progress.tell, part=str(ways.part[0])))
+            held.enter_context(in_use(directory, progress.report, part=str(ways.part[0])))
         engine = None if ways.collect else _engine(ways)
         try:
             _prepare(mapped, directory, ways)
-            store = Store(directory, mapped.grid, mapped.scene, own, progress.tell)
+            store = Store(directory, mapped.grid, mapped.scene, own, progress.report)
         except BaseException:
             _closed(engine)
             raise
@@ -274,7 +274,7 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
         progress.say("following the boundary")
         with one_thread():
             lines = boundaries(
-                mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY), progress.tell
+                mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY), progress.report
             )
         write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
         found = replace(found, boundary=lines)

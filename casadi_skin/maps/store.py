@@ -32,8 +32,8 @@ ATTEMPTS = 2  # at a cell
 
 def digest(scene: Scene) -> bytes:
     """Digest of a scene in its journal: the same for the same cells with the same results."""
-    asked = msgspec.structs.replace(scene, title="")
-    return sha256(msgspec.json.encode(asked, order="sorted")).digest()
+    requested = msgspec.structs.replace(scene, title="")
+    return sha256(msgspec.json.encode(requested, order="sorted")).digest()
 
 
 class Store:
@@ -46,7 +46,9 @@ class Store:
         seconds, finished: time that tasks took, and number of cells that they gave, in all journals.
     """
 
-    def __init__(self, directory: Path, grid: Grid, scene: Scene, own: str | None, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, directory: Path, grid: Grid, scene: Scene, own: str | None, report: Callable[[str], None]
+    ) -> None:
         watched = None if scene.map is None else scene.map.watch
         self.directory, self.grid, self.watch, self._digest = directory, grid, Watch(grid, watched), digest(scene)
         self.states = np.zeros(grid.size, dtype=np.int8)
@@ -61,11 +63,11 @@ class Store:
             self._paths, self._ends = [directory / own], [0]
             self._journal = Journal(directory / own, DECODER, partial(self._index, 0))
             if self._journal.fault:
-                tell(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
+                report(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
             if self._journal.end == 0:
                 self._append(MapHead(self._digest))
         for path, fault in self.refresh().items():
-            tell(f"{path}: {fault}; what follows it is not read")
+            report(f"{path}: {fault}; what follows it is not read")
 
     def __enter__(self) -> Self:
         return self

@@ -36,12 +36,12 @@ class Entry:
     cell: int
 
 
-def tongue_lines(plane: Plane, columns: Columns, bound: Bound, tell: Callable[[str], None]) -> list[Points]:
+def tongue_lines(plane: Plane, columns: Columns, bound: Bound, report: Callable[[str], None]) -> list[Points]:
     """Lines of the boundary, in the order of the plane's axes.
 
     Arguments:
         bound: the request of a family up to an amplitude, at settings of the scene.
-        tell: takes the reason why an edge cannot be followed; its line joins the families then.
+        report: takes the reason why an edge cannot be followed; its line joins the families then.
     """
     entries, lines = _entries(plane, columns), list[Points]()
     values = [entry.value for entry in entries]
@@ -55,7 +55,7 @@ def tongue_lines(plane: Plane, columns: Columns, bound: Bound, tell: Callable[[s
             lines.append(_followed(plane, run, reach, bound))
         except (ValueError, ArithmeticError) as error:
             words = f"{plane.axes[0].name}, {plane.axes[1].name}: the edge of the tongue {tongue} is not followed"
-            tell(f"{words}, its line joins families: {' '.join(str(error).split())}")
+            report(f"{words}, its line joins families: {' '.join(str(error).split())}")
             lines.append(np.array([(entry.value, entry.S) for entry in run]))
     shown = [part for k, line in enumerate(lines) for part in lowest(line, lines[:k] + lines[k + 1 :])]
     return [line if plane.along[1] == plane.grid.amplitude else line[:, ::-1] for line in shown]

@@ -48,7 +48,7 @@ def end_with(parent: int) -> None:
 def main(descriptor: int, parent: int) -> None:
     """Compute tasks until the socket is closed, or none comes."""
     end_with(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is heard by who waits
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the process that waits
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  what a model prints is nobody's
     connection = Connection(descriptor)
     from casadi_skin.maps.cell import Computer, Job

@@ -89,11 +89,11 @@ class Worker:
             return f"no worker could be started ({error})"
         try:
             code = process.wait(1.0)
-            told = process.stderr.read().decode(errors="replace").split("\n") if process.stderr is not None else []
+            said = process.stderr.read().decode(errors="replace").split("\n") if process.stderr is not None else []
         except subprocess.TimeoutExpired:
-            code, told = None, []
+            code, said = None, []
         self.end()
-        last = next((line.strip() for line in reversed(told) if line.strip()), "")
+        last = next((line.strip() for line in reversed(said) if line.strip()), "")
         how = "" if code is None else f" by signal {-code}" if code < 0 else f" with status {code}"
         return f"its worker ended{how}{': ' + last if last else ''}"
 

@@ -101,7 +101,7 @@ def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
 def _put_numbers(
     file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str, unit: str
 ) -> None:
-    """A column as it is on the disk; what is not known has netCDF's fill value."""
+    """A column as it is on the disk; unknown values are netCDF's fill value."""
     stored = file.createVariable(_free(file, name), "f8", dimensions)
     values = columns.numbers[name]
     data = scratch(">f8", values.shape)
@@ -111,7 +111,7 @@ def _put_numbers(
 
 
 def _units(unit: str) -> dict[str, str]:
-    """Attributes of what has a unit: numbers of a model of the user's have whatever unit the model has."""
+    """Attributes of quantities with a unit: numbers of a model of the user's have whatever unit the model has."""
     return {"units": unit} if unit else {}
 
 

@@ -213,7 +213,7 @@ def _names(model: Equations) -> Iterator[str]:
 
 
 def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
-    """Expressions that depend on what is not declared."""
+    """Expressions that depend on undeclared symbols."""
     named: dict[str, object] = {label: getattr(model, label) for label in ("rhs", "normalisation", "hamiltonian")}
     for label, group in (("output", model.outputs), ("conserved", model.conserved), ("symmetries", model.symmetries)):
         named |= {f"{label} {name}": expression for name, expression in group.items()}

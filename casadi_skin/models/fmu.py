@@ -15,7 +15,7 @@ from casadi_skin.arguments import by_name, file_path, number, short_repr
 from casadi_skin.models.fmu_archive import unpack
 from casadi_skin.models.fmu_model import FmuModel, Signal, made, signal_at
 from casadi_skin.models.fmu_trial import check_answer
-from casadi_skin.models.fmu_variables import Asked, Variables
+from casadi_skin.models.fmu_variables import FmuChoices, Variables
 
 TIME_LIMIT = 60.0  # seconds
 
@@ -66,12 +66,12 @@ def import_fmu(
     first = [signal_at(name, signal, t, forcing_period) for name, signal in signals.items()]
     at_start = {name: float(ca.Function("u", [t], [u])(0.0)) for name, u in zip(signals, first, strict=True)}
     order = None if states is None else tuple(states)
-    asked = Asked(order, tuple(parameters), tuple(signals), forcing_period)
+    choices = FmuChoices(order, tuple(parameters), tuple(signals), forcing_period)
     unpacked = unpack(file_path("path", path))
     try:
-        Variables(unpacked.path, unpacked.description, asked)  # names first: they run nothing
-        check_answer(unpacked, asked, at_start, time_limit)
-        return made(unpacked, asked, signals)
+        Variables(unpacked.path, unpacked.description, choices)  # names first: they run nothing
+        check_answer(unpacked, choices, at_start, time_limit)
+        return made(unpacked, choices, signals)
     except BaseException:
         unpacked.remove()
         raise

@@ -71,8 +71,8 @@ class Unpacked:
 def unpack(path: str | Path) -> Unpacked:
     """Unpack an FMU for Model Exchange, without its sources, into a new temporary folder, which the caller removes.
 
-    Raises ValueError, in one line, for what is no FMU, is damaged or hostile, has no Model Exchange, or no binary for
-    this platform, and where fmpy is missing; nothing is left behind then.
+    Raises ValueError, in one line, for other files, for FMUs that are damaged or hostile, have no Model Exchange or no
+    binary for this platform, and where fmpy is missing; nothing is left behind then.
     """
     path = Path(path)
     archive = Archive(path)  # refuses pipes and devices

@@ -170,7 +170,7 @@ class Component:
         (self._fmu.fmi2FreeInstance if self._two else self._fmu.fmi3FreeInstance)(self._fmu.component)
 
     # Values -----------------------------------------------------------------------------------------------------------
-    # Points and results are given as addresses of doubles: what is called at every node makes no objects.
+    # Points and results are given as addresses of doubles: calls at every node make no objects.
 
     def place(self, t: float, x: int, inputs: Array | None) -> None:
         """Go to a time, a state and inputs."""

@@ -89,8 +89,8 @@ class _FmuJacobian(ca.Callback):  # type: ignore[misc]
 
     def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
         at, derivatives = _point(arguments, self._sizes), self._derivatives
-        asked = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
-        for result, jacobian in zip(results, asked, strict=True):
+        choices = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
+        for result, jacobian in zip(results, choices, strict=True):
             if result:
                 np.frombuffer(result)[:] = jacobian(*at)
         return 0

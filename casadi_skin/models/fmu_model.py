@@ -15,7 +15,7 @@ from casadi_skin.models.fmu_archive import DESCRIPTION, Unpacked
 from casadi_skin.models.fmu_derivatives import STEP, Derivatives
 from casadi_skin.models.fmu_function import FmuFunction
 from casadi_skin.models.fmu_instance import FmuInstance
-from casadi_skin.models.fmu_variables import Asked, Variables
+from casadi_skin.models.fmu_variables import FmuChoices, Variables
 from casadi_skin.models.ode import OdeModel
 
 Signal: TypeAlias = float | Callable[[Any], Any]
@@ -71,21 +71,21 @@ class FmuModel(OdeModel):
         self.instance.close()
 
 
-def made(unpacked: Unpacked, asked: Asked, signals: Mapping[str, Signal]) -> FmuModel:
+def made(unpacked: Unpacked, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:
     """The model in an FMU that is unpacked, with values or signals of its inputs; raises ValueError as `import_fmu`."""
-    instance = FmuInstance(unpacked, Variables(unpacked.path, unpacked.description, asked))
+    instance = FmuInstance(unpacked, Variables(unpacked.path, unpacked.description, choices))
     try:
-        return _model(instance, asked, signals)
+        return _model(instance, choices, signals)
     except BaseException:
         instance.close()
         raise
 
 
-def _model(instance: FmuInstance, asked: Asked, signals: Mapping[str, Signal]) -> FmuModel:
-    variables, forced = instance.variables, asked.forcing_period is not None
-    count = len(asked.parameters)
+def _model(instance: FmuInstance, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:
+    variables, forced = instance.variables, choices.forcing_period is not None
+    count = len(choices.parameters)
     t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(variables.states)), ca.MX.sym("p", count)
-    inputs = [signal_at(name, signals[name], t, asked.forcing_period) for name in asked.inputs]
+    inputs = [signal_at(name, signals[name], t, choices.forcing_period) for name in choices.inputs]
     if not forced:
         _check_autonomous(instance, [float(ca.evalf(value)) for value in inputs])
     offered = _offers_derivatives(instance)
@@ -103,11 +103,11 @@ def _model(instance: FmuInstance, asked: Asked, signals: Mapping[str, Signal]) -
         rhs=results[0][variables.order],
         parameters=p,
         time=t if forced else None,
-        forcing_period=asked.forcing_period,
+        forcing_period=choices.forcing_period,
         outputs={element.name: results[1][i] for i, element in enumerate(shown)},
         nominal=tuple(float(v) for v in instance.start_given[:count]),
         state_labels=tuple(variables.states[i].name for i in variables.order),
-        parameter_labels=asked.parameters,
+        parameter_labels=choices.parameters,
         checked=False,
         start_state=tuple(float(instance.start[i]) for i in variables.order),
         instance=instance,

@@ -19,16 +19,16 @@ from typing import Any
 
 from casadi_skin.models.fmu_archive import Unpacked, read_description
 from casadi_skin.models.fmu_model import made
-from casadi_skin.models.fmu_variables import Asked
+from casadi_skin.models.fmu_variables import FmuChoices
 
 ANSWERED = 86  # the exit status of a process in which the binary came back, with values or an error
 _PROGRAM = "from casadi_skin.models.fmu_trial import main; main()"
 _answered: set[tuple[str, str]] = set()  # archives and arguments that were tried in this process
 
 
-def check_answer(unpacked: Unpacked, asked: Asked, inputs: Mapping[str, float], time_limit: float) -> None:
+def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, float], time_limit: float) -> None:
     """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
-    wanted = {"asked": asdict(asked), "inputs": dict(inputs)}
+    wanted = {"asked": asdict(choices), "inputs": dict(inputs)}
     key = unpacked.digest, json.dumps(wanted)
     if key in _answered:
         return
@@ -66,8 +66,8 @@ def main() -> None:
     try:
         unpacked = Unpacked(path, folder, Path(given["library"]), read_description(path, folder), lambda: None)
         names: Any = {name: tuple(v) if isinstance(v, list) else v for name, v in given["asked"].items()}
-        asked = Asked(**names)
-        model = made(unpacked, asked, given["inputs"])
+        choices = FmuChoices(**names)
+        model = made(unpacked, choices, given["inputs"])
         model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
     except Exception:  # the same is raised, and reported, where the FMU is read
         pass

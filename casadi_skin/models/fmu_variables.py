@@ -25,7 +25,7 @@ _REAL = ("Real", "Float64")
 
 
 @dataclass(frozen=True)
-class Asked:
+class FmuChoices:
     """Choices of a script for an FMU, by name: the order of its states, and the variables that get values."""
 
     states: tuple[str, ...] | None = None
@@ -98,14 +98,14 @@ class Variables:
 
     path: Path
     description: Any
-    asked: Asked
+    choices: FmuChoices
 
     def __post_init__(self) -> None:
         _check_description(self.path, self.description)
         _ = self.given
         names = [state.name for state in self.states]
-        if self.asked.states is not None:
-            _check_order(self.asked.states, names)
+        if self.choices.states is not None:
+            _check_order(self.choices.states, names)
 
     @cached_property
     def states(self) -> tuple[Element, ...]:
@@ -130,12 +130,12 @@ class Variables:
         variables = [v for v in self.description.modelVariables if v.type in _REAL]
         found: list[Element] = []
         for label, names, kinds in (
-            ("parameters", self.asked.parameters, ("parameter", "input")),
-            ("inputs", self.asked.inputs, ("input",)),
+            ("parameters", self.choices.parameters, ("parameter", "input")),
+            ("inputs", self.choices.inputs, ("input",)),
         ):
             found += _chosen(label, names, [v for v in variables if v.causality in kinds])
-        for name in self.asked.inputs:
-            if name in self.asked.parameters:
+        for name in self.choices.inputs:
+            if name in self.choices.parameters:
                 raise ValueError(f"inputs: given {name!r}, which is among parameters; accepted: one of them")
         return tuple(found)
 
@@ -143,7 +143,7 @@ class Variables:
     def order(self) -> list[int]:
         """Places of the states in the requested order."""
         names = [state.name for state in self.states]
-        return list(range(len(names))) if self.asked.states is None else [names.index(n) for n in self.asked.states]
+        return list(range(len(names))) if self.choices.states is None else [names.index(n) for n in self.choices.states]
 
     def declared(self, unknowns: Sequence[Element]) -> Pattern:
         """Which unknowns depend on which states as ModelStructure says; on all where it says nothing."""

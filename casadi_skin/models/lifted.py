@@ -1,4 +1,4 @@
-"""Expressions with their numbers as symbols: models that differ in numbers alone share what is built from these.
+"""Expressions with their numbers as symbols: models that differ in numbers alone share functions.
 
 A scan of a parameter solves the same equations with other numbers in them. Their instructions, without the numbers, are
 the key under which compiled functions and solvers are kept.

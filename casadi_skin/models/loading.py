@@ -59,7 +59,7 @@ def run_file(path: Path, source: str) -> dict[str, Any]:
 def named(path: Path, names: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
     """Object of a name in a file that was run: one of the kinds, or the result of a function.
 
-    Raises ModelFileError for a name that is not there, with the nearest one, and for what is of no such kind.
+    Raises ModelFileError for a name that is not there, with the nearest one, and for one of another kind.
     """
     accepted = " or ".join(f"{_article(kind.__name__)} {kind.__name__}" for kind in kinds)
     if name not in names:

@@ -26,7 +26,7 @@ DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedErro
 class Archive:
     """The files of an archive by the names under which they are written, checked; `repeated` are in it more than once.
 
-    Raises ValueError, in one line, for what is no archive, is damaged or hostile.
+    Raises ValueError, in one line, for other files, and for damaged and hostile ones.
     """
 
     def __init__(self, path: Path, kind: str = "an FMU") -> None:

@@ -91,11 +91,11 @@ class BoundarySpace:
 
     @property
     def model(self) -> OdeModel:
-        """The model that the solutions belong to, of first order; of an orbit without what was added to close it."""
+        """The model that the solutions belong to, of first order; of an orbit without the added parameters."""
         return self.statement.model if self.periodic is None else self.periodic.model
 
     @property
-    def knows_stability(self) -> bool:
+    def stability_included(self) -> bool:
         """Whether stability is computed with every solution."""
         return False
 
@@ -249,14 +249,14 @@ class BoundarySpace:
         start = self.statement.values[self.parameter]
         return (value - start) / (self.to - start)
 
-    def asked(self) -> Mapping[str, Sequence[float]]:
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
         return {self.parameter: self.at}
 
     def value(self, name: str, point: Point) -> float:
         if name == self.parameter:
-            asked = {self._fraction(value): value for value in (*self.at, self.to)}
+            requested = {self._fraction(value): value for value in (*self.at, self.to)}
             u = point.parameter
-            return asked[u] if u in asked else float(self.parameters(point)[name])
+            return requested[u] if u in requested else float(self.parameters(point)[name])
         period = self.parameters(point)[PERIOD]
         return period if name == PERIOD else TWO_PI / period
 

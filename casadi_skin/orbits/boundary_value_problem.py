@@ -16,7 +16,8 @@ class BoundaryValueProblem(Statement):
 
     def __repr__(self) -> str:
         start, end = (end if isinstance(end, int | float) else "a parameter" for end in self.interval)
-        counts = f"{len(self.conditions)} conditions, {len(self.integrals)} integrals"
+        conditions, integrals = (sum(int(e.numel()) for e in group) for group in (self.conditions, self.integrals))
+        counts = f"{conditions} conditions, {integrals} integrals"
         free = f"; free: {', '.join(self.free)}" if self.free else ""
         return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
 

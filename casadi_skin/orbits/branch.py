@@ -70,7 +70,7 @@ class Branch(Result):
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
         known = self.with_events and (not isinstance(self.space, Family) or "stability_diagram" in vars(self))
-        sought = known and self.with_stability and not self.space.knows_stability
+        sought = known and self.with_stability and not self.space.stability_included
         changes = f", {len(self.changes)} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))

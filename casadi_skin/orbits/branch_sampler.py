@@ -31,7 +31,7 @@ NEAREST = 1e-4  # of that way, at least
 ADDED = 24  # orbits that are added for one that is not found, at most
 UNEVEN = 2.0  # responses to rounding within a piece, one over another, beyond which the larger is looked at as well
 ORBIT_SAFETY = 2.0
-GAIN = 0.5  # of an error on one level of resolution: what is left of it on the next, unless it is rounding
+GAIN = 0.5  # of an error on one level of resolution: the remaining part on the next, unless it is rounding
 ROUGH = 1e-8  # error that is more than rounding, however slowly it falls from level to level
 
 

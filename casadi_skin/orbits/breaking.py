@@ -34,7 +34,7 @@ from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.orbit_statement import Asked, statement_of
+from casadi_skin.orbits.orbit_statement import OrbitRequest, statement_of
 from casadi_skin.orbits.restating import restated, with_amplitude
 from casadi_skin.solvers.levels import ErrorEstimate
 
@@ -133,8 +133,8 @@ def breaking_space(
     section = None
     if symmetry is SymmetryClass.FULL:  # where S is stationary: no phase is at rest
         section = ca.jtimes(select, extended.state, extended.velocity)
-    asked = Asked(first, length, 1, values, np.zeros(first.full_size), start, symmetry, select, section)
-    statement = statement_of(asked)
+    request = OrbitRequest(first, length, 1, values, np.zeros(first.full_size), start, symmetry, select, section)
+    statement = statement_of(request)
     old = start.space
     assert isinstance(old, BoundarySpace)
     sizes, method = Sizes.of(statement, start.states), replace(old.method, corrector="newton")

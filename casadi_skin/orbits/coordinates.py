@@ -254,7 +254,7 @@ def quarter_phases(nodes: int) -> Array:
 def shift_by_projection(Omega: float, omega: float, nonlinear: float, overlap: float, size: float) -> float:
     """Omega - omega from Omega^2 - omega^2 = nonlinear / overlap, or by subtraction where the overlap is small.
 
-    `size` bounds the overlap: the product of the norms of what is projected.
+    `size` bounds the overlap: the product of the norms of both vectors.
     """
     by_projection = nonlinear / overlap / (Omega + omega)
     subtraction_is_better = 100.0 * size / abs(overlap) * abs(by_projection) > omega

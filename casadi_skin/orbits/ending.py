@@ -81,7 +81,7 @@ class Ending:
         if last.point.parameter_rate > STILL:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
-            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit to tell orbits apart"
+            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit for orbits to differ in doubles"
         return f"{words} and {UNBOUNDED}: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:

@@ -68,7 +68,7 @@ class Family:
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
     free: Sequence[str] = ()
-    knows_stability = False
+    stability_included = False
     locates_folds = False  # while the family is followed; `Branch.special_points` locates them on first use
 
     def __init__(self, request: FamilyRequest) -> None:
@@ -210,7 +210,7 @@ class Family:
         """S at which the family ends."""
         return self.request.amplitude_max
 
-    def asked(self) -> dict[str, Sequence[float]]:
+    def requested_values(self) -> dict[str, Sequence[float]]:
         """Values at which orbits are wanted, by name."""
         targets = self.request.targets
         return {"S": targets.at, "Omega": targets.at_Omega, "period": targets.at_period}

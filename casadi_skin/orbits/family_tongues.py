@@ -17,7 +17,7 @@ from casadi_skin.stability.tongues import StabilityDiagram
 from casadi_skin.threads import one_thread
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
-AT_REST = 1e-12  # of the largest omega^2: what is rounding in that of a mode without restoring force
+AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force
 ROUNDS = 3  # of looking, each with orbits added where some were not found
 FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
 
@@ -34,7 +34,7 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
         flow_tolerance: of the transition matrices, in norm; a smaller one decides narrower tongues.
 
     Returns:
-        Changes of stability, tongues, and what is not decided or not resolved.
+        Changes of stability, tongues, and undecided and unresolved places.
     """
     whole = family.whole
     squares = linear_spectrum(whole.request.model, whole.coordinates.parameters).squares

@@ -21,7 +21,7 @@ from casadi_skin.orbits.boundary_choices import Periodic
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, Asked, statement_of
+from casadi_skin.orbits.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, statement_of
 from casadi_skin.orbits.rank_deficiency import equilibrium_words
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
@@ -84,13 +84,13 @@ def find_orbit(
     symmetry = SymmetryClass.FULL
     if symmetric:  # angles that rotate have no half-period symmetry
         symmetry = SymmetryClass.HALF if np.any(turns) else symmetry_class(model)
-    asked = Asked(
+    request = OrbitRequest(
         first, length, cycles, by_name("parameters", parameters), turns, guess, symmetry,
         _column_of("select", select, first), section, tuple(free), by_name("bounds", bounds, "(lower, upper)"),
         objective, running,
     )  # fmt: skip
-    _check_selects(asked)
-    solution = solve(statement_of(asked), guess, **options)
+    _check_selects(request)
+    solution = solve(statement_of(request), guess, **options)
     space = cast(BoundarySpace, solution.space)
     space = replace(space, periodic=Periodic(model, first, symmetry, tuple(int(k) for k in turns)))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
@@ -108,7 +108,7 @@ def closed_statement(
 ) -> Statement:
     """The orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
     rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
-    return statement_of(Asked(model, period, 1, dict(parameters), rotations, guess))
+    return statement_of(OrbitRequest(model, period, 1, dict(parameters), rotations, guess))
 
 
 def forced_statement(
@@ -116,7 +116,7 @@ def forced_statement(
 ) -> Statement:
     """The orbit of a forced model of first order after a number of periods of the forcing."""
     rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
-    return statement_of(Asked(model, 0.0, cycles, dict(parameters), rotations, np.zeros(model.full_size)))
+    return statement_of(OrbitRequest(model, 0.0, cycles, dict(parameters), rotations, np.zeros(model.full_size)))
 
 
 def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bool = False) -> Array:
@@ -143,16 +143,16 @@ def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bo
     return turns
 
 
-def _check_selects(asked: Asked) -> None:
+def _check_selects(request: OrbitRequest) -> None:
     """Raises ValueError where the number of entries of `select` is not the dimension of the family."""
-    given = 0 if asked.select is None else int(asked.select.numel())
-    if asked.model.forced or asked.free or given == asked.selects:
+    given = 0 if request.select is None else int(request.select.numel())
+    if request.model.forced or request.free or given == request.selects:
         return
-    if asked.selects < 2 and given < 2:
+    if request.selects < 2 and given < 2:
         return  # reported by name before
-    alone = [name for name in asked.model.conserved if name not in asked.symmetries]
+    alone = [name for name in request.model.conserved if name not in request.symmetries]
     why = f"; {', '.join(alone)} belong to no symmetry that is known (symmetries)" if alone else ""
-    raise ValueError(f"select: given {given} expressions; accepted: {asked.selects}{why}")
+    raise ValueError(f"select: given {given} expressions; accepted: {request.selects}{why}")
 
 
 def _column_of(label: str, given: Any, model: OdeModel) -> Any:

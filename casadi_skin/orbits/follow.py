@@ -186,5 +186,5 @@ def following_settings(
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
-        closing=back_to is None and (solution.space.knows_stability or forced),  # an isola of responses
+        closing=back_to is None and (solution.space.stability_included or forced),  # an isola of responses
     )  # fmt: skip

@@ -45,7 +45,7 @@ class Following:
         missed: Sequence[Target] = (),
         keep: Callable[[Point, Sequence[Target]], None] | None = None,
     ) -> None:
-        stability = stability and not space.knows_stability
+        stability = stability and not space.stability_included
         events = events and stability and not (isinstance(space, Family) and space.coordinates.localised)
         self.space, self.stability, self.events, self.until = space, stability, events, until
         self.solutions, self.changes = list(solutions), list(changes)
@@ -161,7 +161,7 @@ class Following:
         """The branch of the solutions computed so far, with a known end."""
         return Branch(
             self.space, tuple(self.solutions), tuple(self.changes),
-            self.stability or self.space.knows_stability, end, detail, misses,
+            self.stability or self.space.stability_included, end, detail, misses,
             stopped or self._stopped, self.events,
         )  # fmt: skip
 

@@ -36,7 +36,7 @@ class Method:
         stability_sites: sites at the edge of a chain with an eliminated tail on whose motion stability is computed:
             localised multipliers. Left out, all sites, or as many as these need where they are too many.
 
-    Raises ValueError for what is not accepted.
+    Raises ValueError for other values.
     """
 
     transcription: str | None = None
@@ -83,7 +83,7 @@ class Method:
             raise ValueError(f"symmetry: given {self.symmetry}; odd cosines live on a quarter of the period; use gauss")
 
     def check_degree(self, lowest: int) -> None:
-        """Raises ValueError for a degree that is none from `lowest` on, which depends on what is solved."""
+        """Raises ValueError for a degree that is none from `lowest` on, which depends on the problem."""
         if self.degree is not None:
             whole("degree", self.degree, lowest, HIGHEST_DEGREE)
 
@@ -99,7 +99,7 @@ class Targets:
         period_max: the period at which the family ends where that comes first.
         max_points: number of points after which it ends wherever it is.
 
-    Raises ValueError and TypeError, naming the argument, for what is not accepted.
+    Raises ValueError and TypeError, naming the argument, for other values.
     """
 
     at: Sequence[float] = ()

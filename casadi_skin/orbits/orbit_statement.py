@@ -48,7 +48,7 @@ class Extended(OdeModel):
 
 
 def extended(model: OdeModel, length: float, unfolded: Mapping[str, Expression]) -> Extended:
-    """A model with its period, nominally `length`, and the coefficients of what is unfolded among the parameters.
+    """A model with its period, nominally `length`, and the unfolding coefficients among the parameters.
 
     Time goes from 0 to the period.
     """
@@ -102,7 +102,7 @@ class Reference:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class OrbitRequest:
     """A first-order model, a guessed period, parameters, and the conditions on the orbit.
 
     `rotations` are how many times 2 pi is added to each state in a period, shape (states,).
@@ -164,7 +164,7 @@ class Asked:
     # The model ------------------------------------------------------------------------------------------------------
 
     def extended(self) -> OdeModel:
-        """The model with its period and the coefficients of what is unfolded among the parameters."""
+        """The model with its period and the unfolding coefficients among the parameters."""
         return extended(self.model, self.length, self.unfolded)
 
     def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:
@@ -204,7 +204,7 @@ class Asked:
 
     @cached_property
     def sampled(self) -> tuple[Array, Array]:
-        """Times over the guessed period and states of the guess there; raises ValueError for what is no orbit."""
+        """Times over the guessed period and states of the guess there; raises ValueError for other guesses."""
         model, span = self.model, (0.0, self.length)
         statement = Statement(model, [model.start(model.state)], interval=span, parameters=self.values_of(model))
         times = known_times(statement, self.guess, SAMPLES + 1)
@@ -234,88 +234,88 @@ def _unfolding(name: str) -> str:
     return UNFOLDING if name == HAMILTONIAN else f"{UNFOLDING}_{name}"
 
 
-def statement_of(asked: Asked) -> Statement:
+def statement_of(request: OrbitRequest) -> Statement:
     """The boundary-value problem whose solution is the requested orbit."""
-    if asked.model.forced:
-        return _forced(asked)
-    return _closed(asked) if asked.symmetry is SymmetryClass.FULL else _symmetric(asked)
+    if request.model.forced:
+        return _forced(request)
+    return _closed(request) if request.symmetry is SymmetryClass.FULL else _symmetric(request)
 
 
-def _forced(asked: Asked) -> Statement:
+def _forced(request: OrbitRequest) -> Statement:
     """Whole periods of the forcing, closed."""
-    model = asked.model
+    model = request.model
     assert model.forcing_period is not None
-    period = asked.cycles * model.forcing_period
-    conditions = [_closure(asked, model)]
-    conditions += [] if asked.select is None else [asked.at_start(model, "select", asked.select)]
+    period = request.cycles * model.forcing_period
+    conditions = [_closure(request, model)]
+    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
     return Statement(
-        model, conditions, (), (0.0, period), asked.values, asked.free, **asked.minimised(model, period)
+        model, conditions, (), (0.0, period), request.values, request.free, **request.minimised(model, period)
     )  # fmt: skip
 
 
-def _closed(asked: Asked) -> Statement:
+def _closed(request: OrbitRequest) -> Statement:
     """The whole period, closed, with its phases; unfolded where the model is conservative."""
-    model = asked.extended()
+    model = request.extended()
     period = model.parameters[model.parameter_names.index(PERIOD)]
-    conditions = [_closure(asked, model)]
-    if asked.select is not None:
-        conditions.append(asked.at_start(model, "select", asked.select))
+    conditions = [_closure(request, model)]
+    if request.select is not None:
+        conditions.append(request.at_start(model, "select", request.select))
     integrals = []
-    if asked.section is not None:
-        conditions.append(asked.at_start(model, "section", asked.section))
+    if request.section is not None:
+        conditions.append(request.at_start(model, "section", request.section))
     else:
-        slope = asked.reference.slope(model.time / period)
-        integrals.append(ca.dot(slope, _without_rotation(asked, model, period)) / asked.reference.size / period)
-    integrals += _symmetry_phases(asked, model, period)
-    free = [PERIOD, *asked.unfolded, *asked.free]
+        slope = request.reference.slope(model.time / period)
+        integrals.append(ca.dot(slope, _without_rotation(request, model, period)) / request.reference.size / period)
+    integrals += _symmetry_phases(request, model, period)
+    free = [PERIOD, *request.unfolded, *request.free]
     return Statement(
-        model, conditions, integrals, (0.0, period), asked.values_of(model), free, **asked.minimised(model, period)
+        model, conditions, integrals, (0.0, period), request.values_of(model), free, **request.minimised(model, period)
     )  # fmt: skip
 
 
-def _symmetric(asked: Asked) -> Statement:
+def _symmetric(request: OrbitRequest) -> Statement:
     """Half or a quarter of the period, from one fixed set of the reversal to the other."""
-    first, last = pinned_components(asked.model, asked.symmetry)
-    model = asked.extended()
+    first, last = pinned_components(request.model, request.symmetry)
+    model = request.extended()
     period = model.parameters[model.parameter_names.index(PERIOD)]
-    turned = np.pi * asked.rotations[last]  # half of what a period adds
+    turned = np.pi * request.rotations[last]  # half of what a period adds
     conditions = [model.start(model.state)[first], model.end(model.state)[last] - ca.DM(turned)]
-    conditions += [] if asked.select is None else [asked.at_start(model, "select", asked.select)]
-    minimised, part = asked.minimised(model, period), asked.symmetry.value
+    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
+    minimised, part = request.minimised(model, period), request.symmetry.value
     if "running" in minimised:
         minimised["running"] = minimised["running"] / part
-    phases = [phase / part for phase in _symmetry_phases(asked, model, period)]
-    free = [PERIOD, *asked.unfolded, *asked.free]
+    phases = [phase / part for phase in _symmetry_phases(request, model, period)]
+    free = [PERIOD, *request.unfolded, *request.free]
     return Statement(
-        model, conditions, phases, (0.0, part * period), asked.values_of(model), free, **minimised
+        model, conditions, phases, (0.0, part * period), request.values_of(model), free, **minimised
     )  # fmt: skip
 
 
-def _closure(asked: Asked, model: OdeModel) -> Expression:
+def _closure(request: OrbitRequest, model: OdeModel) -> Expression:
     """Expression that vanishes where the orbit returns to its start, turned by its rotations."""
     closure = model.end(model.state) - model.start(model.state)
-    return closure - ca.DM(TWO_PI * asked.rotations) if np.any(asked.rotations) else closure
+    return closure - ca.DM(TWO_PI * request.rotations) if np.any(request.rotations) else closure
 
 
-def _without_rotation(asked: Asked, model: OdeModel, period: Expression) -> Expression:
+def _without_rotation(request: OrbitRequest, model: OdeModel, period: Expression) -> Expression:
     """The state without what its rotation adds in proportion to time, and without the mean of the reference then."""
-    if not np.any(asked.rotations):
+    if not np.any(request.rotations):
         return model.state
-    reference = asked.reference
+    reference = request.reference
     return model.state - ca.DM(reference.rotation) * (model.time / period) - ca.DM(reference.mean)
 
 
-def _symmetry_phases(asked: Asked, model: OdeModel, period: Expression) -> list[Expression]:
+def _symmetry_phases(request: OrbitRequest, model: OdeModel, period: Expression) -> list[Expression]:
     """For each symmetry the distance from the reference along it, whose mean vanishes."""
-    found, reference = [], asked.reference if asked.symmetries else None
-    for name, way in asked.symmetries.items():
+    found, reference = [], request.reference if request.symmetries else None
+    for name, way in request.symmetries.items():
         assert reference is not None
-        turn, count = model.time / period, int(asked.model.parameters.numel())
-        at, moved = reference.state(turn), asked.model.function(name, ca.densify(way))
+        turn, count = model.time / period, int(request.model.parameters.numel())
+        at, moved = reference.state(turn), request.model.function(name, ca.densify(way))
         along = moved(0.0, at, model.parameters[:count])
         away = model.state - ca.DM(reference.rotation) * turn - at
-        _, states = asked.sampled
-        p = [asked.values_of(asked.model)[entry] for entry in asked.model.parameter_names]
+        _, states = request.sampled
+        p = [request.values_of(request.model)[entry] for entry in request.model.parameter_names]
         size = float(np.mean([float(ca.sumsqr(moved(0.0, x, p))) for x in states]))
         found.append(ca.dot(along, away) / size / period)
     return found

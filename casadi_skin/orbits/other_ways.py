@@ -24,7 +24,7 @@ First = Callable[[BoundarySpace, Guess], Point]
 
 
 def other_ways(space: BoundarySpace, guess: Guess, first: First) -> tuple[Solution | None, str]:
-    """A solution by another way with what was done, or None with what was tried, in words.
+    """A solution by another way with its description, or None with the ways that failed, in words.
 
     Arguments:
         space: of the solution that is sought.

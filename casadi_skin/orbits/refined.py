@@ -9,7 +9,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
 from casadi_skin.solvers.corrector import Correction
 
-MEANINGLESS = 1e-2  # estimated error of what is called solved but for rounding, and is not
+MEANINGLESS = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
 
 
 class BoundaryError(ArithmeticError):

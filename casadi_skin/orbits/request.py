@@ -58,7 +58,7 @@ class FamilyRequest:
         certify: orbits whose existence tables prove: True for requested orbits, "all" for every one.
         decimals: whether proofs take parameters and S for the decimals that Python prints for their doubles.
 
-    Raises ValueError and TypeError, naming the argument, its value and what is accepted.
+    Raises ValueError and TypeError, naming the argument, its value and the accepted values.
     """
 
     model: FamilyModel | OdeModel
@@ -185,8 +185,8 @@ class FamilyRequest:
 
     def S_of(self, parameter: float) -> float:
         """S at a value of the free parameter; exactly the requested S where the value came from one."""
-        asked = {self.coordinates.parameter_of(S): S for S in (*self.targets.at, self.amplitude_max)}
-        return asked.get(parameter) or self.coordinates.S_of(parameter)
+        requested = {self.coordinates.parameter_of(S): S for S in (*self.targets.at, self.amplitude_max)}
+        return requested.get(parameter) or self.coordinates.S_of(parameter)
 
     @property
     def _Omega_of_period(self) -> dict[float, float]:
@@ -195,10 +195,10 @@ class FamilyRequest:
 
     def period_of(self, Omega: float) -> float:
         """Period at Omega; exactly the requested period where Omega came from one."""
-        asked = self._Omega_of_period
+        requested = self._Omega_of_period
         if self.targets.period_max is not None:
-            asked[TWO_PI / self.targets.period_max] = self.targets.period_max
-        return asked.get(Omega, TWO_PI / Omega)
+            requested[TWO_PI / self.targets.period_max] = self.targets.period_max
+        return requested.get(Omega, TWO_PI / Omega)
 
 
 def is_polynomial(coordinates: Coordinates) -> bool:

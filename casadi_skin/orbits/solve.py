@@ -76,18 +76,20 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         ValueError: an argument is out of range.
         BoundaryError: no solution is found to the tolerance.
     """
-    limit, tell = options.get("time_limit"), options.get("progress")
+    limit, report = options.get("time_limit"), options.get("progress")
     if limit is not None and not number("time_limit", limit) > 0.0:
         raise ValueError(f"time_limit: given {limit!r}; accepted: a number of seconds > 0")
-    if tell is not None and not callable(tell):
-        raise TypeError(f"progress: given {short_repr(tell)}; accepted: a function of words")
+    if report is not None and not callable(report):
+        raise TypeError(f"progress: given {short_repr(report)}; accepted: a function of words")
     if statement.optimises or statement.bounds:
-        if limit is not None or tell is not None:
+        if limit is not None or report is not None:
             raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
         optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
         return optimum
     space = space_of(statement, guess, options)
-    watch = watched(limit, tell) if limit is not None or tell is not None else nullcontext()  # or that of the caller
+    watch = (
+        watched(limit, report) if limit is not None or report is not None else nullcontext()
+    )  # or that of the caller
     try:
         with watch, np.errstate(all="ignore"):  # no corrector takes a residual that is not finite
             return solution_near(space, guess)

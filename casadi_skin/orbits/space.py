@@ -23,7 +23,7 @@ class SolutionSpace(Protocol):
         locates_folds: whether special points are located while the branch is followed.
         tolerance: relative error allowed in the solutions.
         to: value of `parameter` at which the branch ends.
-        knows_stability: whether stability is computed with every solution, requested or not.
+        stability_included: whether stability is computed with every solution, requested or not.
         free: names of parameters that are solved for with the state.
         state_names, output_sites: names and numbers of the components in files and pictures.
         symmetry: which part of the period is unknown.
@@ -41,7 +41,7 @@ class SolutionSpace(Protocol):
     @property
     def to(self) -> float: ...
     @property
-    def knows_stability(self) -> bool: ...
+    def stability_included(self) -> bool: ...
     @property
     def free(self) -> Sequence[str]: ...
     @property
@@ -71,7 +71,7 @@ class SolutionSpace(Protocol):
         """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
         ...
 
-    def asked(self) -> Mapping[str, Sequence[float]]:
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
         """Values at which solutions are wanted, by the name of the quantity."""
         ...
 

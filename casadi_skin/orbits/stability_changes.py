@@ -14,7 +14,7 @@ from casadi_skin.stability.result import Floquet
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
 
-WIDTH = 1e-6  # of the bracket in what is followed
+WIDTH = 1e-6  # of the bracket in the continuation parameter
 FINEST = 1e-14  # of the way from one orbit to the next
 TINY = 1e-300  # a gap of nothing, which still has its sign
 
@@ -93,7 +93,7 @@ class _Bracket:
         return size if as_before else -size
 
     def close(self, width: float) -> None:
-        """Narrow the bracket to a width: by the root of `gap`, then by halving what is left."""
+        """Narrow the bracket to a width: by the root of `gap`, then by bisection."""
         from scipy.optimize import brentq
 
         reach = width / max(self.width, width)  # of the way, if the branch went along evenly

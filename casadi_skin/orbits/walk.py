@@ -82,7 +82,7 @@ class Walk:
         return settings.closing and point.walked and beyond
 
     def _all(self) -> Iterator[Point]:
-        """The points of the branch, and of what is beyond its start where it may close."""
+        """The points of the branch, and those beyond its start where it may close."""
         known = [point for point in self._known if not point.located]
         last = known[-1] if known else None
         reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
@@ -128,7 +128,7 @@ class Walk:
         start, solver = self.space.start, self.space.point_solver
         low, high = sorted((before.parameter, after.parameter))
         beside = start.parameter < 1.5 * low - 0.5 * high or start.parameter > 1.5 * high - 0.5 * low
-        if before is start or (beside and not self.space.knows_stability):  # equilibria cost nothing to compare
+        if before is start or (beside and not self.space.stability_included):  # equilibria cost nothing to compare
             return False
         problem = after.problem
         z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
@@ -186,7 +186,7 @@ class Walk:
 
     def _asked(self) -> Mapping[str, Sequence[float]]:
         """All requested values by name, the ends among them where the continuation missed them."""
-        asked = dict(self.space.asked())
+        requested = dict(self.space.requested_values())
         if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
-            asked[self.space.parameter] = (*asked[self.space.parameter], self.space.to)
-        return asked
+            requested[self.space.parameter] = (*requested[self.space.parameter], self.space.to)
+        return requested

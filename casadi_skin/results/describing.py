@@ -63,7 +63,7 @@ def _(result: Branch) -> tuple[str, Rows]:
     rows = [("points", str(len(result)))]
     if values.size:
         rows.append((name, f"{values[0]:.8g} to {values[-1]:.8g}, within {values.min():.8g} to {values.max():.8g}"))
-    if result.with_stability and not result.space.knows_stability:
+    if result.with_stability and not result.space.stability_included:
         stable = int(np.count_nonzero(result.stable))
         rows.append(("stable", f"{stable} of {len(result)} points"))
         known = result.with_events and (not isinstance(result.space, Family) or "stability_diagram" in vars(result))

@@ -198,7 +198,7 @@ class Reader:
             self._shared.append(read_shared(self, data))
 
     def value(self, data: Any, space: Any = None) -> Any:
-        """A value of data, points among it those of a space; raises ValueError and others for what is none."""
+        """A value of data, points among it those of a space; raises ValueError and others for other data."""
         if not isinstance(data, list):
             if not (data is None or isinstance(data, bool | str | int | float)):
                 raise ValueError(f"a value {short_repr(data)}")

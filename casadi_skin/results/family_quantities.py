@@ -81,8 +81,8 @@ def _of_proof(value: Callable[[Certificate], float]) -> Callable[[Place], float]
 
 def certified(branch: Branch) -> list[Orbit]:
     """The orbits of a branch for which a proof was requested."""
-    asked = isinstance(branch.space, Family) and branch.space.request.certify
-    return [o for o in branch.orbits if asked == "all" or o.point.requested] if asked else []
+    requested = isinstance(branch.space, Family) and branch.space.request.certify
+    return [o for o in branch.orbits if requested == "all" or o.point.requested] if requested else []
 
 
 FAMILY_PROOFS: tuple[Quantity, ...] = (

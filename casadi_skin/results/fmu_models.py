@@ -21,9 +21,9 @@ class OtherModelError(ValueError):
 def identity(model: FmuModel) -> dict[str, Any]:
     """What identifies the model of an FMU: its token, a hash of its files, and the choices of its import."""
     variables = model.instance.variables
-    asked, description = variables.asked, variables.description
+    choices, description = variables.choices, variables.description
     token = description.guid if str(description.fmiVersion).startswith("2") else description.instantiationToken
-    times = [k / SAMPLES * (asked.forcing_period or 0.0) for k in range(SAMPLES)]
+    times = [k / SAMPLES * (choices.forcing_period or 0.0) for k in range(SAMPLES)]
     signals = np.array([np.array(model.signals(t)).ravel() for t in times])
     return {
         "name": model.name,
@@ -31,9 +31,9 @@ def identity(model: FmuModel) -> dict[str, Any]:
         "hash": model.instance.digest,
         "states": list(model.state_names),
         "parameters": list(model.parameter_names),
-        "inputs": list(asked.inputs),
+        "inputs": list(choices.inputs),
         "signals": signals.ravel().tolist(),
-        "forcing_period": asked.forcing_period,
+        "forcing_period": choices.forcing_period,
         "derivatives": [model.derivatives, model.parameter_derivatives],
     }
 

@@ -89,7 +89,7 @@ def mapped(path: Path) -> Iterator[Data]:
 
 
 def read_records(data: bytes, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[list[Record], int, str]:
-    """The records of a journal up to the first that is not whole, the length of these, and what is wrong with the next.
+    """The records of a journal up to the first that is not whole, the length of these, and the fault of the next.
 
     The last is empty where all of `data` is records of this format.
     """
@@ -102,7 +102,7 @@ def scan(
 ) -> tuple[int, str]:
     """Call `each` with place and record of every record from a place on, up to the first that is not whole.
 
-    Returns the place where these end, and what is wrong there; empty where the data end.
+    Returns the place where these end, and the fault there; empty where the data end.
     """
     place = start
     while place < len(data):

@@ -92,7 +92,7 @@ class Branches:
         """Follow every branch, with every solution in the journal at `path` before anything else happens to it."""
         with Journal(path, msgspec.msgpack.Decoder(BranchRecord)) as journal:
             if journal.fault:
-                self.progress.tell(f"{path}: {journal.fault}; what follows it is dropped and computed again")
+                self.progress.report(f"{path}: {journal.fault}; what follows it is dropped and computed again")
             self.follow(journal)
 
     def follow(self, journal: Records) -> None:
@@ -161,7 +161,7 @@ class Branches:
                 simulated = cycle(self.request)
                 journal.append(cycle_record(simulated))
         self.progress.say("solving")
-        with watched(tell=self.progress.say):
+        with watched(report=self.progress.say):
             first = first_solution(self.request, simulated)
         if table is not None:
             yield (
@@ -189,7 +189,7 @@ class Branches:
     def _alone(self, solution: Solution) -> Branch:
         """A single orbit or solution as a branch of one point."""
         end, words = End.REACHED, ""
-        if self._with_stability and not solution.space.knows_stability:
+        if self._with_stability and not solution.space.stability_included:
             try:
                 found = solution.space.floquets([solution.point])[0]
                 solution = solution_at(solution.space, solution.point, found, solution.exact)
@@ -203,10 +203,10 @@ class Branches:
         An interruption may come before a result is handed over: its row is added then.
         """
         with interrupts_deferred():
-            known = known_of(journal.records, name, space, self._with_stability and not space.knows_stability)
+            known = known_of(journal.records, name, space, self._with_stability and not space.stability_included)
         if known.fault:
             words = f"{known.fault} in record {known.kept + 1} of {name}; what follows it is dropped and computed again"
-            self.progress.tell(f"{journal.path}: {words}")
+            self.progress.report(f"{journal.path}: {words}")
             journal.append(CutRecord(name, known.kept))
 
         def keep(point: Point, missed: Sequence[Target]) -> None:

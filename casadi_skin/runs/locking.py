@@ -65,12 +65,12 @@ os.register_at_fork(after_in_child=_close_all)
 
 
 @contextmanager
-def in_use(directory: Path, tell: Callable[[str], None], shared: bool = False, part: str = "") -> Iterator[None]:
+def in_use(directory: Path, report: Callable[[str], None], shared: bool = False, part: str = "") -> Iterator[None]:
     """Keep other processes out of a directory, which is made where it is not there.
 
     Arguments:
         directory: it.
-        tell: takes a line where the disk has no locks, and nothing is kept out.
+        report: takes a line where the disk has no locks, and nothing is kept out.
         shared: whether others may have it at the same time that share it too.
         part: of a shared directory, what one process alone may have.
 
@@ -80,7 +80,7 @@ def in_use(directory: Path, tell: Callable[[str], None], shared: bool = False, p
     check_writable(directory)
     new = not directory.exists()
     make_directory(directory)
-    held = _taken(directory / (f"{LOCK}_{part}" if part else LOCK), tell, shared)
+    held = _taken(directory / (f"{LOCK}_{part}" if part else LOCK), report, shared)
     try:
         yield
     finally:
@@ -90,7 +90,7 @@ def in_use(directory: Path, tell: Callable[[str], None], shared: bool = False, p
             directory.rmdir()
 
 
-def _taken(path: Path, tell: Callable[[str], None], shared: bool) -> _Held | None:
+def _taken(path: Path, report: Callable[[str], None], shared: bool) -> _Held | None:
     """The lock of a file; None on a disk without locks. Raises DirectoryError where another process has it."""
     try:
         while True:
@@ -107,5 +107,5 @@ def _taken(path: Path, tell: Callable[[str], None], shared: bool) -> _Held | Non
             holder = path.read_text(encoding="utf-8", errors="replace")
         raise DirectoryError(f"{path.parent}: {holder or 'another process'} computes in it; {ACCEPTED}") from None
     except OSError as error:
-        tell(f"{path.parent}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
+        report(f"{path.parent}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
         return None

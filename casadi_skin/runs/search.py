@@ -59,7 +59,7 @@ def run_search(request: Request, journal: Path, progress: Progress) -> SearchRes
     progress.say("building")
     with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
         if file.fault:
-            progress.tell(f"{journal}: {file.fault}; what follows it is dropped and computed again")
+            progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
         records = [record for record in file.records if record.ending is not Ending.INTERRUPTED]
         return search(
             problem,

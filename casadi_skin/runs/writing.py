@@ -100,8 +100,8 @@ def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress
 
     for branch in branches:
         progress.say(f"film of j = {mode_of(branch)}")
-        asked = [orbit for orbit in branch.orbits if orbit.point.requested]
-        animate((asked or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+        requested = [orbit for orbit in branch.orbits if orbit.point.requested]
+        animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
 
 
 def _write_branch(request: Request, branch: Branch, directory: Path) -> None:

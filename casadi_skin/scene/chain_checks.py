@@ -62,7 +62,7 @@ def _check_frequency(chain: ChainTable, mode: int) -> None:
         raise refusal("[family] mode", given, accepted)
     s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
     if chain.sites > 1 and 0 < 4 * s < NARROWEST_BAND * (chain.alpha + own):
-        reason = "beside a larger one doubles do not tell the modes of the band apart"
+        reason = "beside a larger one the modes of the band are the same in doubles"
         accepted = f"with a [family] up to {4 * s / NARROWEST_BAND:.3g} ({reason})"
         raise refusal("[chain] alpha", repr(chain.alpha), accepted)
 

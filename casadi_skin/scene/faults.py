@@ -1,4 +1,4 @@
-"""Reports of faults of a scene: one line with the place, the value and what is accepted."""
+"""Reports of faults of a scene: one line with the place, the value and the accepted values."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ LONGEST_LIST = 400  # characters of a message on several names
 
 
 class SceneError(ValueError):
-    """A scene that cannot be used: one line with file, table and key, what was given and is accepted."""
+    """A scene that cannot be used: one line with file, table and key, the given and the accepted values."""
 
     def __init__(self, message: str) -> None:
         # Names and values come from a file and may hold any character: escaped, the message stays one line.

@@ -53,7 +53,7 @@ class ModelTable(Table, frozen=True):
 
 
 class OrbitTable(Table, frozen=True):
-    """A periodic orbit of the model: where it is sought, and what picks it out."""
+    """A periodic orbit of the model: a guess of its period and states, and conditions that select it."""
 
     start: Annotated[
         tuple[Finite, ...] | _Named, Meta(title="State that a simulation starts from", description=_STATES)
@@ -107,7 +107,7 @@ class OrbitTable(Table, frozen=True):
 
 
 class EquilibriumTable(Table, frozen=True):
-    """An equilibrium of the model: where it is sought."""
+    """An equilibrium of the model, near a guess."""
 
     start: Annotated[
         tuple[Finite, ...] | _Named,
@@ -189,7 +189,7 @@ class ContinuationTable(Table, frozen=True):
     depth: Annotated[
         Annotated[int, Meta(ge=0)] | None,
         Meta(
-            title="Special points one after the other that may lie between the branch and what is followed",
+            title="Special points one after the other that may lie between the branch and the followed one",
             description="a whole number >= 0; not beside [family] (left out: any number, half of what crosses)",
         ),
     ] = None

@@ -30,7 +30,7 @@ from casadi_skin.scene.task_tables import DynamicsTable, ExportTable, FiguresTab
 
 
 class Scene(Table, frozen=True):
-    """All that one run is asked for, of a chain, a lattice or a model; what is None is neither built nor computed."""
+    """A request of one run, of a chain, a lattice or a model; a table that is None is neither built nor computed."""
 
     chain: ChainTable | None = None
     lattice: LatticeTable | None = None
@@ -60,8 +60,8 @@ class Scene(Table, frozen=True):
         """The modes whose families are followed, numbers where the chain's length is known."""
         if self.family is None:
             return ()
-        asked = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
-        return asked if self.sites is None else self.family.modes(self.sites)
+        requested = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
+        return requested if self.sites is None else self.family.modes(self.sites)
 
     @property
     def methods(self) -> MethodTable:

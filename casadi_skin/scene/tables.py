@@ -65,7 +65,7 @@ class ChainTable(Table, frozen=True):
 
 
 class SpectrumTable(Table, frozen=True):
-    """Linear frequencies and modes are asked for; there is nothing to set."""
+    """Linear frequencies and modes; the table has no keys."""
 
 
 class FamilyTable(Table, frozen=True):
@@ -113,14 +113,14 @@ class FamilyTable(Table, frozen=True):
     ] = False
 
     def modes(self, sites: float) -> tuple[int, ...]:
-        """Numbers of the modes asked for; "last" is -1 in an infinite chain, which has no other but "first"."""
-        asked = self.mode if isinstance(self.mode, tuple) else (self.mode,)
+        """Numbers of the requested modes; "last" is -1 in an infinite chain, which has no other but "first"."""
+        requested = self.mode if isinstance(self.mode, tuple) else (self.mode,)
         last = -1 if sites == math.inf else int(sites)
-        return tuple({"first": 1, "last": last}[mode] if isinstance(mode, str) else mode for mode in asked)
+        return tuple({"first": 1, "last": last}[mode] if isinstance(mode, str) else mode for mode in requested)
 
 
 class StabilityTable(Table, frozen=True):
-    """Floquet multipliers of every orbit are asked for."""
+    """Floquet multipliers of every orbit."""
 
     events: Annotated[bool, Meta(title="Locate changes of stability", description="true or false")] = True
     vectors: Annotated[
@@ -137,7 +137,7 @@ class StabilityTable(Table, frozen=True):
 
 
 class AccuracyTable(Table, frozen=True):
-    """The relative error allowed in the results, by a preset or as a number."""
+    """The allowed relative error of the results, by a preset or as a number."""
 
     preset: Annotated[Preset | None, Meta(title="Named tolerance", description=one_of(PRESETS))] = None
     tolerance: Annotated[
@@ -154,12 +154,12 @@ class AccuracyTable(Table, frozen=True):
 
     @property
     def relative_tolerance(self) -> float:
-        """The tolerance that holds: the number, else that of the preset, else that of "standard"."""
+        """The tolerance: the number, else that of the preset, else that of "standard"."""
         return PRESET_TOLERANCES[self.preset or "standard"] if self.tolerance is None else self.tolerance
 
 
 class MethodTable(Table, frozen=True):
-    """The interchangeable methods, by name; what is left out is chosen for the model."""
+    """The interchangeable methods, by name; those left out are chosen for the model."""
 
     transcription: Annotated[
         Transcription | None,

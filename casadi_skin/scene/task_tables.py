@@ -109,7 +109,7 @@ class FiguresTable(Table, frozen=True):
 
 
 class ExportTable(Table, frozen=True):
-    """The model, or one of its orbits, out of Python."""
+    """The model, or one of its orbits, as C code or as an FMU."""
 
     c: Annotated[
         Literal["all"] | Annotated[tuple[CPart, ...], Meta(min_length=1)] | None,
@@ -151,7 +151,7 @@ class SearchCondition(Table, frozen=True):
 
 
 class SearchTable(Table, frozen=True):
-    """An orbit found by optimisation: what is free, what is optimised, what must hold."""
+    """An orbit found by optimisation: free numbers, objective, constraints."""
 
     objective: Annotated[
         str,
@@ -165,7 +165,7 @@ class SearchTable(Table, frozen=True):
     bounds: Annotated[
         dict[str, tuple[float, float]],
         Meta(
-            title="Bounds of what is free, and of quantities",
+            title="Bounds of free numbers and of quantities",
             description="a table of names, each with a list [lower, upper]; -inf or inf where there is none",
         ),
     ] = msgspec.field(default_factory=dict)

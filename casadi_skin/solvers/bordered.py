@@ -183,7 +183,7 @@ class BorderedSolver:
         solve = self._factor_sparse(nonzeros, row)
         if not self._accurate(solve(self._probes), nonzeros, row):
             raise SingularError(
-                "the Jacobian with its border is singular: two families meet, a fold in what is held, or sizes "
+                "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "
                 "too far apart for double precision"
             )
         return solve

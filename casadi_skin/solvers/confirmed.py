@@ -1,4 +1,4 @@
-"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, and the last word on what is reported.
+"""Newton's method first, at a fraction of Ipopt's cost; Ipopt where it fails, which also confirms the results.
 
 A call of Ipopt that has nothing to do costs more than a Newton step. Several orbits are confirmed in one call: the
 nonlinear programme of independent blocks, one an orbit, takes half of what the calls take one by one.

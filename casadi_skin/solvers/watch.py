@@ -17,17 +17,17 @@ class TimeLimitError(ArithmeticError):
 class _Watch:
     allowed: float | None
     end: float
-    tell: Callable[[str], object] | None
+    report: Callable[[str], object] | None
 
 
 _WATCH: ContextVar[_Watch | None] = ContextVar("watch", default=None)
 
 
 @contextmanager
-def watched(seconds: float | None = None, tell: Callable[[str], object] | None = None) -> Iterator[None]:
+def watched(seconds: float | None = None, report: Callable[[str], object] | None = None) -> Iterator[None]:
     """Let solvers in the block end with TimeLimitError after so many seconds, and report how far they are."""
     end = float("inf") if seconds is None else time.monotonic() + seconds
-    token = _WATCH.set(_Watch(seconds, end, tell))
+    token = _WATCH.set(_Watch(seconds, end, report))
     try:
         yield
     finally:
@@ -45,7 +45,7 @@ def heed(words: str) -> None:
     watch = _WATCH.get()
     if watch is None:
         return
-    if watch.tell is not None:
-        watch.tell(words)
+    if watch.report is not None:
+        watch.report(words)
     if is_over():
         raise TimeLimitError(f"the time allowed, {watch.allowed:g} s, is over, at {words}")

@@ -23,7 +23,7 @@ from casadi_skin.stability.rotation import Spectrum
 from casadi_skin.stability.small_blocks import Block, ComplexBlock, Segment, SingleBlock
 from casadi_skin.stability.zeros import Function
 
-SHORTEST = 1e-9  # of the series that an interval belongs to: what is shorter is given up
+SHORTEST = 1e-9  # of the series that an interval belongs to: a shorter one is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
 SHORT = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
 OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
@@ -151,7 +151,7 @@ def _generation(intervals: Sequence[Interval], found: Crossings, whole: int) -> 
     waiting: list[Interval] = []
     for part in parts:
         if part.too_long and part.interval.is_shortest:
-            reason = "more than two multipliers meet in one place, as far as they can be told apart"
+            reason = "more than two multipliers meet in one place, as far as errors show"
             found.gaps.append(Gap(part.interval.start, part.interval.end, reason))
         elif part.too_long or (not part.interval.is_shortest and any(block.is_blurred for block in part.blocks)):
             waiting += part.interval.halves

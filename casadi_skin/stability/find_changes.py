@@ -45,7 +45,7 @@ def find_changes(
         short: whether one piece of the lowest degree is tried on each section of the branch first.
 
     Returns:
-        Changes of stability and tongues, with what is not decided and what is not known.
+        Changes of stability and tongues, with undecided and unresolved places.
     """
     power = POWERS[branch.fraction]
     known, found = _looked_at(branch, tolerance, work, progress, short)

@@ -65,7 +65,7 @@ def _symmetric(matrices: Array) -> Array:
 
 
 def orthogonal_complements(directions: Array) -> Array:
-    """Orthonormal bases of what is orthogonal to each direction, smooth along them; (points, n) -> (points, n, n - 1).
+    """Orthonormal bases of the orthogonal complement of each direction, smooth along them; to (points, n, n - 1).
 
     A reflection maps each direction to that of the middle one, whose complement is the same for all.
     """

@@ -20,7 +20,7 @@ from casadi_skin.stability.half_period import reduced_matrices
 DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
 SHORTEST = 1e-3  # of a section: shorter pieces are given up
-SKIPPED = 0.03  # of a section, at most: what is given up at a time in the middle of a gap
+SKIPPED = 0.03  # of a section, at most: the stretch given up at a time in the middle of a gap
 ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
 SMALLEST = 1e-300
 LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
@@ -155,7 +155,7 @@ class Gap:
 
 @dataclass
 class Interpolated:
-    """A branch as pieces in order, as far as they are computed, with what is missing; `samples` counts orbits."""
+    """A branch as pieces in order, as far as they are computed, with the missing stretches; `samples` counts orbits."""
 
     pieces: list[Piece] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)

@@ -18,7 +18,7 @@ BLOCK = 128  # columns of a product of which zeros are left out
 class Reflections:
     """Householder matrices I - 2 u u^T that map given directions to multiples of the first unit vector; u (points, n).
 
-    Their columns but the first span what is orthogonal to the directions.
+    Their columns but the first span the orthogonal complement of the directions.
     """
 
     u: Array

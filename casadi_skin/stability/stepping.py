@@ -167,8 +167,8 @@ class SteppedFlow(ABC):
         steps = self.step_numbers[level]
         if level + 1 == len(self.step_numbers):
             raise FlowError(
-                f"the {self.method} leaves {truncation:.1e} with {steps} steps; asked: {tolerance:.1e}; worst {place}; "
-                "try a larger tolerance or another flow (splitting, gauss, cvodes, rk4)"
+                f"the {self.method} leaves {truncation:.1e} with {steps} steps; requested: {tolerance:.1e}; worst "
+                f"{place}; try a larger tolerance or another flow (splitting, gauss, cvodes, rk4)"
             )
         if not np.isfinite(truncation):
             return level + 1

@@ -247,3 +247,10 @@ def test_the_place_of_a_failure_follows_a_free_end() -> None:
     message = failing(lambda: problem.solve(lambda t: [4.0 - t, 0.0]))
     place = float(message.split(" at t = ")[1].split(",")[0])
     assert 4.0 < place < 6.0
+
+
+def test_conditions_are_counted_one_by_one() -> None:
+    x = ca.SX.sym("x", 2)
+    model = OdeModel("line", x, ca.vertcat(x[1], -x[0]))
+    problem = BoundaryValueProblem(model, lambda start, end, p: [start[0], end[0] - 1.0])
+    assert repr(problem) == "<BoundaryValueProblem: line from 0.0 to 1.0, 2 conditions, 0 integrals>"

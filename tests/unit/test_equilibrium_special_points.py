@@ -126,7 +126,7 @@ def test_pairs_that_cross_together_are_told_and_counted() -> None:
     p = ca.SX.sym("p")
     points = _from_below(hopf_pairs([p, p], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
     np.testing.assert_allclose([point.parameters["p"] for point in points], 0.0, atol=1e-14)
-    with pytest.warns(UnresolvedWarning, match="more than can be told apart: hopf, 2 in all"):
+    with pytest.warns(UnresolvedWarning, match="more than can be distinguished: hopf, 2 in all"):
         points = _from_below(hopf_pairs([p, p], p, [1.0, 1.0]), np.zeros(4), "p", -1.0, 1.0)
     assert [point.kind for point in points] == ["hopf", "hopf"]
     assert all(abs(point.parameters["p"]) <= point.error < 1e-3 for point in points)

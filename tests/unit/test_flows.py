@@ -358,7 +358,7 @@ def test_steps_go_up_and_down_with_the_orbits(kind: type[SteppedFlow], monkeypat
 def test_rk4_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RungeKuttaFlow, "step_numbers", (6, 8, 12, 16))
     orbit = followed(*ORBITS[0]).at(1.5)
-    with pytest.raises(FlowError, match=r"the Runge-Kutta method leaves .*e-0\d with 16 steps; asked: 1\.0e-10"):
+    with pytest.raises(FlowError, match=r"the Runge-Kutta method leaves .*e-0\d with 16 steps; requested: 1\.0e-10"):
         RungeKuttaFlow(orbit.space.coordinates.scaled, 1e-10).transition(orbit.point.problem, orbit.point.z)
 
 

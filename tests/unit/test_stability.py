@@ -244,7 +244,7 @@ def test_the_estimated_errors_of_mu_cover_the_true_ones(
 def test_the_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SplittingFlow, "step_numbers", (3, 4, 6))
     orbit = followed(Chain(3, 1.0, 0.3, -1.0), 1, 1.5, 1e-12).at(1.5)
-    with pytest.raises(FlowError, match=r"with 6 steps; asked: 1\.0e-11"):
+    with pytest.raises(FlowError, match=r"with 6 steps; requested: 1\.0e-11"):
         SplittingFlow(orbit.space.coordinates.scaled, 1e-11).transition(orbit.point.problem, orbit.point.z)
     branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 5.0, tolerance=1e-11, corrector="newton", stability=True)
     assert branch.end is End.FLOW

@@ -123,14 +123,14 @@ def test_advice_names_method_time_and_lead() -> None:
     assert advice(made(), 1e-13, MU) == "no setting measured here promises and keeps it"
 
 
-def test_times_that_overlap_are_not_told_apart() -> None:
+def test_times_that_overlap_are_not_distinguished() -> None:
     near = [
         orbits("trigonometric", "series", 1e-8, 0.10, 1e-9),
         orbits("gauss", "arclength", 1e-8, 0.103, 1e-9),
     ]
-    assert "not told apart by these times from gauss, arclength, newton (103 ms)" in advice(near, 1e-8, OMEGA)
+    assert "not distinguished by these times from gauss, arclength, newton (103 ms)" in advice(near, 1e-8, OMEGA)
     single = [replace(m, seconds=s, seconds_min=s, seconds_max=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
-    assert "not told apart" in advice(single, 1e-8, OMEGA)
+    assert "not distinguished" in advice(single, 1e-8, OMEGA)
     assert "faster" in advice(
         [single[0], replace(single[1], seconds=0.2, seconds_min=0.2, seconds_max=0.2)], 1e-8, OMEGA
     )
@@ -169,9 +169,9 @@ def test_fronts_and_broken_promises_in_words() -> None:
     assert "trigonometric, series, newton from 1.0e-06 in 10 ms to 1.0e-09 in 14 ms; gauss" in words
     assert front_words([], Kind.FLOW, nan) == ""
     (line,) = broken_promises(made())
-    assert line == "cvodes, tolerance 1e-08: true error 4.0e-08, 4 times that; the program does not tell."
+    assert line == "cvodes, tolerance 1e-08: true error 4.0e-08, 4 times that; the program does not say so."
     told = [replace(m, told=True) for m in made()]
-    assert broken_promises(told)[0].endswith("; the program tells.")
+    assert broken_promises(told)[0].endswith("; the program says so.")
     assert broken_promises([replace(m, at_reference_round_off=True) for m in made()]) == []
     failed = Measured(default_orbits(1e-12), failure="no step")
     assert broken_promises([failed]) == ["trigonometric, arclength, ipopt, tolerance 1e-12: no result: no step."]

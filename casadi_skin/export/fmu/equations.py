@@ -148,7 +148,7 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
         "PARAMETER_MAX": [high for _, high in bounds],
     }
     lines = [
-        "/* What the interface has to know of this model; written by casadi_skin. */",
+        "/* Sizes and names of this model for the interface; written by casadi_skin. */",
         "#ifndef CONFIG_H\n#define CONFIG_H\n",
         f'#define INSTANTIATION_TOKEN "{token}"',
         f"#define DEFAULT_TOLERANCE {problem.tolerance!r}\n",

@@ -30,8 +30,8 @@ class InitialValueProblem:
     """A model x' = f(t, x, p) with outputs y(t, x, p) and its start; dimensionless.
 
     `start` and `nominals` (usual sizes) have one value a state, `parameters` one a parameter; the last parameters are
-    the `inputs`. `bounds` limit parameters and `meanings` describe variables, both by name. `chain` tells that states
-    are displacements, then velocities, of a chain.
+    the `inputs`. `bounds` limit parameters and `meanings` describe variables, both by name. `chain` is true where
+    states are displacements, then velocities, of a chain.
     """
 
     model: OdeModel
@@ -49,8 +49,8 @@ class InitialValueProblem:
     @property
     def identifier(self) -> str:
         """The model's name as an identifier of C: letters, digits and single underscores, others by their numbers."""
-        told = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in self.model.name)
-        name = re.sub(r"[\W_]+", "_", told, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in self.model.name)
+        name = re.sub(r"[\W_]+", "_", plain, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
         return name if name[0].isalpha() else f"model_{name}"
 
 

@@ -72,7 +72,7 @@ class Tally:
         if self.median >= OVERESTIMATE:
             found.append(f"{self.label}: estimates are {self.median:.0f} times the true error in the median")
         if self.missed:
-            found.append(f"{self.label}: {self.missed} results miss the tolerance and do not tell")
+            found.append(f"{self.label}: {self.missed} results miss the tolerance without saying so")
         return found
 
 
@@ -158,7 +158,7 @@ class ErrorCalibration(Study):
 
 
 def row(outcome: Outcome) -> dict[str, object]:
-    """One row of honesty.csv; what is not known is missing."""
+    """One row of honesty.csv; unknown values are missing."""
     values: dict[str, object] = {**asdict(outcome.case), **vars(outcome), "at_S": outcome.S, "S": outcome.case.S}
     for q in outcome.quantities:
         numbers = {"true": q.true, "estimate": q.estimate, "relative_true": q.relative, "verdict": q.verdict}

@@ -65,7 +65,7 @@ def analytical_sensitivity(N: int, gamma: float) -> float:
 
 
 class PaperData:
-    """The computations behind the paper; `say` is called with what is being computed.
+    """The computations behind the paper; `say` takes the current computation in words.
 
     Parameters of the paper: N = 24, alpha = 1, gamma = 0.25, g = +1 and -1.
     """

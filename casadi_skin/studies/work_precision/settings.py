@@ -156,9 +156,9 @@ def pareto_front(points: Sequence[tuple[float, float]], same: float = 1.0) -> li
 
 def front_of(measured: Sequence[Measured], kind: Kind, known: float) -> list[Measured]:
     """The Pareto front of the settings of a kind; errors up to `known`, that of the reference, count as equal."""
-    asked = [m for m in measured if m.setting.kind is kind and not m.failure]
+    requested = [m for m in measured if m.setting.kind is kind and not m.failure]
     floor = known if known == known else 0.0
-    return [asked[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in asked], SAME_ERROR)]
+    return [requested[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in requested], SAME_ERROR)]
 
 
 def orbit_settings(family: FamilyCase, tolerances: Iterable[float]) -> list[Setting]:

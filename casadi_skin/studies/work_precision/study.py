@@ -122,9 +122,9 @@ def look(measured: Measured) -> dict[str, Any]:
 
 def _draw(axes: Axes, measured: Sequence[Measured], kind: Kind, known: float) -> None:
     """Each method a line through its tolerances, and the front behind them."""
-    asked = [m for m in measured if m.setting.kind is kind and not m.failure]
-    for method in dict.fromkeys(m.setting.method for m in asked):
-        of_method = [m for m in asked if m.setting.method == method]
+    requested = [m for m in measured if m.setting.kind is kind and not m.failure]
+    for method in dict.fromkeys(m.setting.method for m in requested):
+        of_method = [m for m in requested if m.setting.method == method]
         label = f"flow: {method}" if kind is Kind.FLOW else method
         times = np.array([[m.seconds, m.seconds_min, m.seconds_max] for m in of_method]).T
         spread = np.maximum([times[0] - times[1], times[2] - times[0]], 0.0)

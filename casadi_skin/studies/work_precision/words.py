@@ -39,7 +39,7 @@ def fastest(measured: Iterable[Measured], wanted: float, error: str) -> Measured
     return min(kept, key=lambda m: m.seconds, default=None)
 
 
-def told_apart(faster: Measured, slower: Measured) -> bool:
+def distinguished(faster: Measured, slower: Measured) -> bool:
     """Whether the times differ by more than noise, and the median is below all of the other's."""
     noise = SINGLE_RUN if slower.seconds_min == slower.seconds_max else SEVERAL_RUNS
     return faster.seconds < slower.seconds_min and noise * faster.seconds < slower.seconds
@@ -57,8 +57,8 @@ def advice(measured: Sequence[Measured], wanted: float, quantity: Quantity) -> s
     if following is None:
         return f"{words}; no other method reaches it"
     name = f"{following.setting.method} ({duration(following.seconds)})"
-    if not told_apart(best, following):
-        return f"{words}; not told apart by these times from {name}"
+    if not distinguished(best, following):
+        return f"{words}; not distinguished by these times from {name}"
     return f"{words}; {following.seconds / best.seconds:.2g} times faster than the next, {name}"
 
 
@@ -124,7 +124,7 @@ def preset_words(preset: Measured, measured: Sequence[Measured]) -> str:
     if same is None or best is None or same.failure:
         return words
     words += f" Its orbits alone take {duration(same.seconds)}"
-    if best.setting.method == default or not told_apart(best, same):
+    if best.setting.method == default or not distinguished(best, same):
         return f"{words}; nothing measured here is faster and keeps the tolerance."
     return (
         f"{words}, {same.seconds / best.seconds:.2g} times as long as the fastest that keeps the tolerance: "
@@ -140,8 +140,8 @@ def broken_promises(measured: Sequence[Measured]) -> list[str]:
         if m.failure:
             lines.append(f"{where}: no result: {m.failure}.")
         elif m.error > m.setting.tolerance and not m.at_reference_round_off:
-            told = "the program tells" if m.told else "the program does not tell"
-            lines.append(f"{where}: true error {m.error:.1e}, {m.error / m.setting.tolerance:.2g} times that; {told}.")
+            said = "the program says so" if m.told else "the program does not say so"
+            lines.append(f"{where}: true error {m.error:.1e}, {m.error / m.setting.tolerance:.2g} times that; {said}.")
     return lines
 
 
