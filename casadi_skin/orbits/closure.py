@@ -11,7 +11,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.stability.full_period import interval_maps, multipliers_of, stage_jacobians
+from casadi_skin.stability.full_period import multipliers_of
+from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
 from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_at
 
@@ -29,13 +30,14 @@ class Closure:
     def multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> FullPeriodFloquet:
         """Multipliers of a solution: those of S^-1 times the flow over the interval."""
         jacobians, n = stage_jacobians(problem, z), self.matrix.shape[0]
-        back = np.linalg.inv(self.matrix)
+        back = np.asarray(np.linalg.inv(self.matrix), dtype=float)
         maps = np.concatenate([interval_maps(problem, jacobians), back[None]])
         quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
         contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2))
         contraction += float(np.linalg.slogdet(back)[1])
         values = z[: problem.states].reshape(-1, n)
-        return multipliers_of(maps, self._trivial(values, problem.parameters(z)), tolerance, contraction)
+        trivial = self._trivial(values, problem.parameters(z))
+        return multipliers_of(maps, trivial, tolerance, contraction, parts=Parts(problem, z, jacobians, back))
 
     def _trivial(self, values: Array, parameters: Array) -> Trivial:
         """Trivial multipliers: directions and gradients that S maps as it maps the solution."""

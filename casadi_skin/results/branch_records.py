@@ -53,6 +53,8 @@ class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
     trivial: int
     trivial_deviation: float
     allowed: float
+    log_moduli: bytes = b""
+    lost: bool = False
 
 
 class RefinementRecord(msgspec.Struct, frozen=True):
@@ -176,7 +178,10 @@ def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityCh
     else:
         assert isinstance(floquet, FullPeriodFloquet)
         multipliers, monodromy = bytes_of(floquet.multipliers, "<c16"), bytes_of(floquet.monodromy)
-        found = FullPeriodRecord(multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed)
+        found = FullPeriodRecord(
+            multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed,
+            bytes_of(floquet.log_moduli), floquet.lost,
+        )  # fmt: skip
     return StabilityRecord(branch, found, tuple(changes))
 
 
@@ -295,4 +300,7 @@ def _floquet(record: ReversibleRecord | LocalisedRecord | FullPeriodRecord) -> F
         return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
     multipliers = doubles_of(record.multipliers, "<c16")
     monodromy = doubles_of(record.monodromy).reshape(multipliers.size, multipliers.size)
-    return FullPeriodFloquet(multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed)
+    logs = doubles_of(record.log_moduli)
+    return FullPeriodFloquet(
+        multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed, logs, record.lost
+    )

@@ -14,11 +14,20 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.result import Result
 from casadi_skin.stability.reduction import ComplexArray
 
+LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
 
 
 class TrivialMultiplierWarning(UserWarning):
     """A multiplier that is 1 for every orbit has drifted from it: the others are not to be trusted either."""
+
+
+class HugeMultiplierWarning(UserWarning):
+    """A multiplier exceeds the largest double."""
+
+
+class LostMultiplierWarning(UserWarning):
+    """Several multipliers are so far from 1 that maps over the intervals of the mesh have lost their digits."""
 
 
 class Floquet(Result, ABC):
@@ -91,6 +100,12 @@ class Floquet(Result, ABC):
     def allowed_deviation(self) -> float:
         """Largest `trivial_deviation` of multipliers that can be trusted."""
         return np.inf
+
+    @property
+    def log10_abs_multipliers(self) -> Array:
+        """Decimal logarithms of the moduli of all multipliers, also of those that no double holds; -inf of zeros."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log10(np.abs(self.multipliers)))
 
     def warn(self) -> None:
         """Warn where the trivial multipliers have drifted by more than errors allow."""
@@ -195,13 +210,33 @@ class ReversibleFloquet(Floquet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullPeriodFloquet(Floquet):
-    """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1."""
+    """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1.
+
+    `log_moduli` are natural logarithms of the moduli of the multipliers, which doubles may not hold; `lost` is whether
+    maps over intervals have lost digits of those that are far from 1.
+    """
 
     multipliers: ComplexArray
     monodromy: Array
     trivial: int
     trivial_deviation: float
     allowed: float
+    log_moduli: Array = field(default_factory=lambda: np.empty(0))
+    lost: bool = False
+
+    @property
+    def log10_abs_multipliers(self) -> Array:
+        return self.log_moduli / np.log(10.0) if self.log_moduli.size else super().log10_abs_multipliers
+
+    def warn(self) -> None:
+        super().warn()
+        if self.lost:
+            words = "several multipliers are far from 1, and the mesh does not resolve what grows and decays: not even"
+            warnings.warn(f"{words} their orders of magnitude are known", LostMultiplierWarning, stacklevel=4)
+        huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
+        if huge:
+            words = f"{huge} of the multipliers exceed the largest double, which stands for them"
+            warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
 
     @property
     def outside(self) -> NDArray[np.bool_]:

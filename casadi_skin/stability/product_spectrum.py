@@ -1,0 +1,180 @@
+"""Eigenvalues of a product of matrices by their logarithms, of those beyond the largest double too.
+
+Where the product is not too far from orthogonal, of the product itself and of that of the inverses, each of which has
+digits of the eigenvalues on its side. Else by a periodic Schur form: the factors are made triangular by orthogonal
+matrices, of which the first is that of the last factor too (Bojanczyk, Golub and Van Dooren 1992), in blocks whose
+eigenvalues are close enough in modulus to be those of a product that keeps its digits. The orthogonal matrices come
+from subspace iteration through the factors, which converges as the ratio of moduli across the gap between two blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.bvp.problem import Array
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import LARGEST_LOGARITHM
+
+SMALL = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
+EXTREME = float(np.log(1e14))  # of the condition of a product: beyond it eigenvalues in the middle have lost digits
+FAR = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
+WIDE = 1e200  # norm of a product that needs no scales
+SPREAD = float(np.log(1e4))  # of the moduli of a block
+CONVERGED = 40.0  # logarithm of what subspace iteration has to gain over a gap
+ROUNDS = 60  # of it
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Eigenvalues as exp(logs) times phases of modulus 1, in descending modulus; `extreme` by a periodic Schur form."""
+
+    logs: Array
+    phases: ComplexArray
+    extreme: bool = False
+
+    @classmethod
+    def of(cls, values: ComplexArray) -> Spectrum:
+        """Of eigenvalues that are numbers; zeros have the logarithm minus infinity."""
+        moduli = np.abs(values)
+        with np.errstate(divide="ignore"):
+            return cls(np.log(moduli), np.where(moduli > 0.0, values / np.where(moduli > 0.0, moduli, 1.0), 1.0))
+
+    @property
+    def values(self) -> ComplexArray:
+        """The eigenvalues, those beyond the largest double as that."""
+        return np.asarray(np.exp(np.minimum(self.logs, LARGEST_LOGARITHM)) * self.phases)
+
+    @property
+    def far(self) -> int:
+        """How many are so far from 1 that a step may have lost their digits, 0 where all but one are near."""
+        return int(np.count_nonzero(np.abs(self.logs) > -np.log(SMALL))) if np.any(np.abs(self.logs) > FAR) else 0
+
+    def taken(self, chosen: NDArray[np.bool_]) -> Spectrum:
+        """Some of them."""
+        return Spectrum(self.logs[chosen], self.phases[chosen], self.extreme)
+
+
+def scaled_product(maps: Sequence[Array] | Array) -> tuple[Array, float]:
+    """Later maps times earlier ones as a matrix of norm 1 and the logarithm of a factor."""
+    total, logarithm = np.eye(maps[0].shape[0]), 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        plain = reduce(lambda done, matrix: matrix @ done, maps, total)
+        size = float(np.linalg.norm(plain))
+    if 1.0 / WIDE < size < WIDE:
+        return np.asarray(plain / size), float(np.log(size))
+    for matrix in maps:
+        total = matrix @ total
+        size = float(np.linalg.norm(total))
+        if size > 0.0:
+            total, logarithm = total / size, logarithm + float(np.log(size))
+    return total, logarithm
+
+
+def spectrum_of(maps: Array, across: Array | None = None) -> Spectrum:
+    """Eigenvalues of the product of maps, shape (factors, n, n); with a basis `across` of that between its columns.
+
+    Where the product is extreme those of the whole, whatever the basis.
+    """
+    if maps.shape[1] == 0:
+        return Spectrum(np.empty(0), np.empty(0, dtype=complex))
+    basis = np.eye(maps.shape[1]) if across is None else across
+    forward, size = scaled_product(maps)
+    values = np.linalg.eigvals(basis.T @ forward @ basis).astype(complex)
+    found = _shifted(values, size)
+    if len(maps) == 1:
+        return found
+    inverse = _inverse_product(maps)
+    if inverse is not None and size + inverse[1] <= EXTREME:
+        return _of_both(found, size, inverse, basis)
+    triangular = _schur(maps)
+    return triangular or Spectrum(found.logs, found.phases, True)
+
+
+def _shifted(values: ComplexArray, logarithm: float) -> Spectrum:
+    found = Spectrum.of(values[np.argsort(-np.abs(values))])
+    return Spectrum(found.logs + logarithm, found.phases)
+
+
+def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float], basis: Array) -> Spectrum:
+    """Each eigenvalue from the product or from that of the inverses, whichever has more of its digits.
+
+    Rounding is relative to the norm of either, so that each serves the eigenvalues on its own side of the modulus at
+    which both are equally good.
+    """
+    reciprocal = _shifted(np.linalg.eigvals(basis.T @ inverse[0] @ basis).astype(complex), inverse[1])
+    backward = Spectrum(-reciprocal.logs[::-1], reciprocal.phases[::-1].conj())
+    small = (forward.logs < np.log(SMALL)) & (0.5 * (forward.logs + backward.logs) < 0.5 * (size - inverse[1]))
+    if forward.logs.size == 1:
+        small[:] = forward.logs < np.log(SMALL)
+    logs = np.where(small, backward.logs, forward.logs)
+    return Spectrum(logs, np.where(small, backward.phases, forward.phases))
+
+
+def _inverse_product(maps: Array) -> tuple[Array, float] | None:
+    """The inverse of the product, from those of the maps, scaled; None where it has no finite entries."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            inverse, size = scaled_product([np.linalg.inv(m) for m in maps[::-1]])
+    except np.linalg.LinAlgError:
+        return None
+    return (inverse, size) if np.all(np.isfinite(inverse)) and np.isfinite(size) else None
+
+
+# The periodic Schur form ----------------------------------------------------------------------------------------------
+
+
+def _schur(maps: Array) -> Spectrum | None:
+    """Eigenvalues block by block of triangular factors; None where a factor is singular."""
+    n = maps.shape[1]
+    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
+    edges: list[int] = []
+    for turn in range(1, ROUNDS + 1):
+        start, factors = frame, np.empty_like(maps)
+        for k, matrix in enumerate(maps):
+            frame, factors[k] = np.linalg.qr(matrix @ frame)
+        diagonal = np.abs(np.diagonal(factors, axis1=1, axis2=2))
+        if np.any(diagonal == 0.0):
+            return None
+        logs = np.sum(np.log(diagonal), axis=0)
+        gaps = logs[:-1] - logs[1:]
+        edges = [0, *(np.flatnonzero(turn * gaps > CONVERGED) + 1).tolist(), n]
+        if turn > 1 and all(abs(logs[a] - logs[b - 1]) <= SPREAD for a, b in pairwise(edges)):
+            break
+    blocks = []
+    for a, b in pairwise(edges):
+        product, size = scaled_product(factors[:, a:b, a:b])
+        closed = start[:, a:b].T @ frame[:, a:b]
+        blocks.append(_shifted(np.linalg.eigvals(closed @ product).astype(complex), size))
+    logs, phases = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("logs", "phases"))
+    order = np.argsort(-logs, kind="stable")
+    return Spectrum(logs[order], phases[order], True)
+
+
+# Liouville's formula --------------------------------------------------------------------------------------------------
+
+
+def by_liouville(spectrum: Spectrum, maps: Array, contraction: float) -> Spectrum:
+    """The eigenvalues, a single one that is tiny, or huge where none is tiny, from their product exp(contraction)."""
+    index = _single(spectrum)
+    if index is None:
+        return spectrum
+    others = np.delete(spectrum.logs, index)
+    logs, phases = spectrum.logs.copy(), spectrum.phases.copy()
+    logs[index] = contraction - float(np.sum(others))
+    sign = np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(np.delete(phases, index)).real
+    phases[index] = np.sign(sign) or 1.0
+    return Spectrum(logs, phases, spectrum.extreme)
+
+
+def _single(spectrum: Spectrum) -> int | None:
+    """Place of the single eigenvalue that is tiny, or huge where none is tiny; None where there are more, or none."""
+    small, large = spectrum.logs < np.log(SMALL), spectrum.logs > -np.log(SMALL)
+    if np.count_nonzero(small) == 1:
+        return spectrum.logs.size - 1
+    return 0 if np.count_nonzero(large) == 1 and not small.any() else None

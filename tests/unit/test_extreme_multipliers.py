@@ -1,0 +1,126 @@
+"""Multipliers that no double holds, and several far from 1 at once, against exponents in closed form."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.stability.product_spectrum import spectrum_of
+from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
+
+
+def turning(exponents: list[float]) -> Solution:
+    """x' = (Q D + Q') Q' (x - sin 2 pi t) + ..., with D the exponents times 1 + 0.3 cos 2 pi t and Q(t + 1) = Q(t).
+
+    x - sin 2 pi t = Q exp(int D) Q(0)' c, so that the logarithms of the multipliers are the exponents.
+    """
+    n, t = len(exponents), ca.SX.sym("t")
+    x, Q = ca.SX.sym("x", n), ca.SX.eye(n)
+    for i in range(n - 1):
+        plane, angle = ca.SX.eye(n), 2.0 * np.pi * t * (1 + i % 2)
+        plane[i, i] = plane[i + 1, i + 1] = ca.cos(angle)
+        plane[i + 1, i] = ca.sin(angle)
+        plane[i, i + 1] = -plane[i + 1, i]
+        Q = Q @ plane
+    D = ca.diag(ca.vertcat(*exponents)) * (1 + 0.3 * ca.cos(2 * np.pi * t))
+    rhs = (Q @ D + ca.jtimes(Q, t, 1)) @ Q.T @ (x - ca.sin(2 * np.pi * t)) + 2 * np.pi * ca.cos(2 * np.pi * t)
+    model = OdeModel("turning", x, rhs, time=t, forcing_period=1.0)
+    problem = BoundaryValueProblem(model, [model.start(x) - model.end(x)], interval=(0.0, 1.0))
+    return problem.solve(lambda s: np.sin(2.0 * np.pi * s) * np.ones(n))
+
+
+@pytest.mark.parametrize(
+    "exponents",
+    [
+        [800.0, -800.0, 0.7],
+        [900.0, 1.0, -0.5],
+        [-900.0, 1.0, -0.5],
+        [30.0, 1.0, -1.0, -30.0],
+        [0.5, -100.0, -200.0, -300.0],
+        pytest.param([800.0, 700.0, 0.2, -0.1, -600.0, -800.0], marks=pytest.mark.slow),
+        [10.0, 9.9, 0.1, -9.8],
+    ],
+)
+@pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+def test_exponents_of_any_size_are_the_known_ones(exponents: list[float]) -> None:
+    solution = turning(exponents)
+    floquet = solution.floquet()
+    found = np.sort(floquet.log10_abs_multipliers)[::-1] * np.log(10.0)
+    np.testing.assert_allclose(found, np.sort(exponents)[::-1], rtol=1e-12, atol=3e-9)
+    assert np.all(np.isfinite(floquet.multipliers))
+    assert np.all(np.isfinite(floquet.monodromy))
+    assert not floquet.lost
+    assert floquet.error < 0.03
+    assert floquet.unstable_real == sum(value > 0.0 for value in exponents)
+
+
+def test_a_multiplier_beyond_doubles_is_named_and_saved_with_its_logarithm(tmp_path: object) -> None:
+    solution = turning([900.0, 1.0, -0.5])
+    with pytest.warns(HugeMultiplierWarning, match="1 of the multipliers exceed the largest double"):
+        floquet = solution.floquet()
+    assert floquet.max_abs_multiplier == pytest.approx(np.finfo(float).max)
+    save_result(floquet, f"{tmp_path}/floquet")
+    again = read_result(f"{tmp_path}/floquet")
+    assert np.array_equal(again.log10_abs_multipliers, floquet.log10_abs_multipliers)
+
+
+@pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+def test_digits_that_no_number_of_parts_brings_back_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = turning([800.0, -800.0, 0.7])
+    monkeypatch.setattr("casadi_skin.stability.interval_maps.MOST_PARTS", 100)
+    with pytest.warns(LostMultiplierWarning, match="several multipliers are far from 1"):
+        assert solution.floquet().lost
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+@pytest.mark.parametrize("sign", [1, -1])
+def test_van_der_pols_relaxation_has_the_multiplier_of_liouvilles_formula(sign: int) -> None:
+    """Forwards and backwards in time, mu = 30: the multiplier is beyond all doubles."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    mu = 30.0
+
+    def rates(t: float, z: list[float]) -> list[float]:
+        return [z[1], mu * (1 - z[0] ** 2) * z[1] - z[0], mu * (1 - z[0] ** 2)]
+
+    def turns(t: float, z: list[float]) -> float:
+        return z[1] if z[0] > 0.0 else 1.0
+
+    turns.direction = -1.0  # type: ignore[attr-defined]
+    known = solve_ivp(
+        rates, (0.0, 170.0), [2.0, -0.1, 0.0], "LSODA", rtol=1e-11, atol=1e-11, max_step=0.5, dense_output=True,
+        events=turns,
+    )  # fmt: skip
+    first, last = known.t_events[0][-2:]
+    exponent = float(known.sol(last)[2] - known.sol(first)[2])
+    rhs = sign * ca.vertcat(y, mu * (1 - x**2) * y - x)
+    states = lambda t: known.sol(first + t if sign > 0 else last - t)[:2]  # noqa: E731
+    orbit = find_orbit(OdeModel("van der Pol", ca.vertcat(x, y), rhs), states, last - first)
+    assert orbit.period == pytest.approx(last - first, rel=1e-7)  # whose ends are interpolated
+    found = orbit.floquet().log10_abs_multipliers * np.log(10.0)
+    assert found[np.argmax(np.abs(found))] == pytest.approx(sign * exponent, rel=1e-6)
+    assert abs(exponent) > 1000.0
+    assert orbit.stable == (sign > 0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_products_of_random_factors_have_the_eigenvalues_of_their_exact_product(seed: int) -> None:
+    """Against mpmath with 600 digits; moduli in clusters and apart, pairs among them."""
+    from mpmath import mp, mpf
+
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(2, 6))
+    scales = np.exp(generator.choice([-6.0, -3.0, 0.0, 0.0, 2.0, 6.0], size=n))
+    maps = np.array([np.eye(n) + 0.3 * generator.normal(size=(n, n)) for _ in range(40)]) * scales[:, None]
+    found = spectrum_of(maps)
+    with mp.workdps(600):
+        product = mp.eye(n)
+        for matrix in maps:
+            product = mp.matrix([[mpf(float(v)) for v in row] for row in matrix]) * product
+        exact = mp.eig(product, left=False, right=False)
+        logs = sorted((float(mp.log(abs(value))) for value in exact), reverse=True)
+    np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
