@@ -1,11 +1,16 @@
-"""Runs without the work of drawing: nine tenths of a small one."""
+"""Runs without the work of drawing, nine tenths of a small one; and what overlaps in a picture."""
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 
 def blank_pictures(patch: pytest.MonkeyPatch) -> None:
@@ -25,3 +30,47 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
     patch.setattr("casadi_skin.figures.style.lay_out", lambda *_: None)
+
+
+def texts(figure: Figure) -> dict[tuple[str, str], Bbox]:
+    """Boxes of all that a drawn figure shows outside of its panels, by panel and words; ticks of an axis together."""
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    figure.canvas.draw()
+    boxes = {("figure", str(artist)): artist.get_window_extent() for artist in (*figure.texts, *figure.legends)}
+    for name, axes in enumerate(figure.axes):
+        titles = [child for child in axes.get_children() if isinstance(child, Text) and child not in axes.texts]
+        outside = [text for text in axes.texts if text.get_window_extent().x0 > axes.bbox.x1]
+        powers = [axes.xaxis.get_offset_text(), axes.yaxis.get_offset_text()]
+        shown = [t for t in (axes.xaxis.label, axes.yaxis.label, *titles, *outside, *powers) if t.get_text()]
+        boxes |= {(str(name), str(text)): text.get_window_extent() for text in shown}
+        for axis in (axes.xaxis, axes.yaxis):
+            ticks = [tick.label1 for tick in axis._update_ticks()]  # type: ignore[attr-defined]
+            labels = [tick.get_window_extent() for tick in ticks if tick.get_visible() and tick.get_text()]
+            if labels:
+                boxes[str(name), f"ticks of {axis}"] = Bbox.union(labels)
+    return boxes
+
+
+def overlaps(figure: Figure) -> list[tuple[tuple[str, str], object]]:
+    """Pairs of texts that overlap, and texts that a panel covers or that leave the figure."""
+    boxes = texts(figure)
+    pairs = [(a, b) for a, b in itertools.combinations(boxes, 2) if _meet(boxes[a], boxes[b]) and not _at_corner(a, b)]
+    panels = [axes.get_window_extent() for axes in figure.axes]
+    covered = [(a, "a panel") for a, box in boxes.items() if any(_meet(box, panel) for panel in panels)]
+    page = figure.bbox.padded(0.5)
+    out = [(a, "the edge") for a, box in boxes.items() if not all(page.contains(*corner) for corner in box.corners())]
+    return [*pairs, *covered, *out]
+
+
+def _meet(one: Bbox, other: Bbox) -> bool:
+    from matplotlib.transforms import Bbox
+
+    common = Bbox.intersection(one, other)
+    return common is not None and min(common.width, common.height) > 0.5  # of a pixel
+
+
+def _at_corner(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether these are the ticks of the two axes of a panel: boxes of the two zeros where axes meet overlap."""
+    return one[0] == other[0] and all(words.startswith("ticks") for _, words in (one, other))

@@ -69,7 +69,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
         what = name if all(equilibria) else both
         axes.set(xlabel=plain(held[0].parameter), ylabel=what)
         axes.set_title(_title(held[0], title, (held[0].parameter,)))
-        return finished(figure, [axes], 3)
+        return finished(figure, [axes], 3, plain=True)
 
 
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
@@ -102,7 +102,7 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))
         axes.set_title(_title(curves[0], title, (first, second)))
-        return finished(figure, [axes], 4)
+        return finished(figure, [axes], 4, plain=True)
 
 
 def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
@@ -132,7 +132,7 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
                 axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words[kind] if k == 0 else None)
         axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
         axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}")
-        return finished(figure, [axes], 4)
+        return finished(figure, [axes], 4, plain=True)
 
 
 def _has_orbits(branch: Branch) -> bool:

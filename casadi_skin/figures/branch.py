@@ -66,7 +66,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))
         axes[0].set_title(_title(branch.solutions[0], title, (space.parameter, *space.statement.free)))
-        return finished(figure, axes, 5, in_black=True)
+        return finished(figure, axes, 5, in_black=True, plain=True)
 
 
 def _second_panel(branch: Branch, space: BoundarySpace) -> list[tuple[str, list[Array]]]:
@@ -106,7 +106,7 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
             axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
             axes[1].set(xlabel=labels[0], ylabel=labels[1])
         figure.suptitle(orbit_title(solution, title))
-        return finished(figure, axes, SHOWN + 1)
+        return finished(figure, axes, SHOWN + 1, plain=True)
 
 
 def drawn_states(solution: Solution) -> Indices:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,15 +36,25 @@ def lay_out(figure: Figure, dpi: float, plain: bool) -> None:
 
     canvas, before = FigureCanvasAgg(figure), figure.get_dpi()
     figure.set_dpi(dpi)
+    renderer: Any = canvas.get_renderer()  # type: ignore[no-untyped-call]
+    renderer.mathtext_parser = _parser()
     if plain:
         for _ in range(2):  # ticks depend on places
-            _place(figure, canvas.get_renderer())  # type: ignore[no-untyped-call]
+            _place(figure, renderer)
     else:
         ConstrainedLayoutEngine().execute(figure)
     figure.set_dpi(before)
     for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
         box = np.round(axes.get_position(original=True).bounds, 9)
         axes.set_position((float(box[0]), float(box[1]), float(box[2]), float(box[3])))
+
+
+@cache
+def _parser() -> Any:
+    """One parser of formulas for all figures, which keeps what it has parsed: each formula takes milliseconds."""
+    from matplotlib.backends.backend_agg import RendererAgg
+
+    return RendererAgg(1, 1, POINTS).mathtext_parser  # type: ignore[no-untyped-call]
 
 
 def _place(figure: Figure, renderer: Any) -> None:

@@ -57,7 +57,7 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
         if in_plane:
             axes[1].set(xlabel=plain(names[states[0]]), ylabel=plain(names[states[1]]))
         figure.suptitle(model_title(solutions[0].space.model, common, title))
-        return finished(figure, axes, 3)
+        return finished(figure, axes, 3, plain=True)
 
 
 def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:

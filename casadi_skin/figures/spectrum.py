@@ -60,4 +60,4 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
             panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
             number_sites(panels[letter], *moving(u[None]), n if mode == 1 else "")
         figure.suptitle(title(model, parameters))
-        return finished(figure, (), 1)
+        return finished(figure, (), 1, plain=True)

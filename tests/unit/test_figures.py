@@ -1,7 +1,6 @@
 """Pictures: what they draw, where lines change their look, and files that are the same bytes every time."""
 
 import dataclasses
-import itertools
 import re
 import subprocess
 import sys
@@ -11,11 +10,10 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from drawing import overlaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.text import Text
-from matplotlib.transforms import Bbox
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
@@ -272,43 +270,6 @@ def test_spectrum_leaves_out_modes_that_do_not_oscillate() -> None:
 
 
 # Places -------------------------------------------------------------------------------------------------------------
-
-
-def texts(figure: Figure) -> dict[tuple[str, str], Bbox]:
-    """Boxes of all that a drawn figure shows outside of its panels, by panel and words; ticks of an axis together."""
-    figure.canvas.draw()
-    boxes = {("figure", str(artist)): artist.get_window_extent() for artist in (*figure.texts, *figure.legends)}
-    for name, axes in enumerate(figure.axes):
-        titles = [child for child in axes.get_children() if isinstance(child, Text) and child not in axes.texts]
-        outside = [text for text in axes.texts if text.get_window_extent().x0 > axes.bbox.x1]
-        powers = [axes.xaxis.get_offset_text(), axes.yaxis.get_offset_text()]
-        for text in (axes.xaxis.label, axes.yaxis.label, *titles, *outside, *powers):
-            boxes[str(name), str(text)] = text.get_window_extent()
-        for axis in (axes.xaxis, axes.yaxis):
-            labels = [tick.label1.get_window_extent() for tick in axis._update_ticks()]  # type: ignore[attr-defined]
-            boxes[str(name), f"ticks of {axis}"] = Bbox.union([box for box in labels if box.width] or [Bbox.null()])
-    return {name: box for name, box in boxes.items() if box.width > 0.0}
-
-
-def overlaps(figure: Figure) -> list[tuple[tuple[str, str], object]]:
-    """Pairs of texts that overlap, and texts that a panel covers or that leave the figure."""
-    boxes = texts(figure)
-    pairs = [(a, b) for a, b in itertools.combinations(boxes, 2) if _meet(boxes[a], boxes[b]) and not _at_corner(a, b)]
-    panels = [axes.get_window_extent() for axes in figure.axes]
-    covered = [(a, "a panel") for a, box in boxes.items() if any(_meet(box, panel) for panel in panels)]
-    page = figure.bbox.padded(0.5)
-    out = [(a, "the edge") for a, box in boxes.items() if not all(page.contains(*corner) for corner in box.corners())]
-    return [*pairs, *covered, *out]
-
-
-def _meet(one: Bbox, other: Bbox) -> bool:
-    common = Bbox.intersection(one, other)
-    return common is not None and min(common.width, common.height) > 0.5  # of a pixel
-
-
-def _at_corner(one: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether these are the ticks of the two axes of a panel: boxes of the two zeros where axes meet overlap."""
-    return one[0] == other[0] and all(words.startswith("ticks") for _, words in (one, other))
 
 
 SLOWER = ("several", "multipliers", "steep")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from drawing import overlaps
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
@@ -27,6 +29,7 @@ from casadi_skin.figures import (
     spectrum_figure,
 )
 from casadi_skin.figures.branch_lines import smooth
+from casadi_skin.figures.portrait import portrait_figure
 from casadi_skin.figures.spacetime import spacetime_figure
 from casadi_skin.orbits.closed_curve import cosine_curve
 from casadi_skin.orbits.solution import Solution
@@ -408,3 +411,24 @@ def test_progress_says_where_a_branch_is(kind: str, words: str, request: pytest.
     progress._status = Status()  # type: ignore[assignment]
     progress.solution(last, 7)
     assert said[0].startswith(words)
+
+
+# Places -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize("draw", ["cycles", "resonance", "orbit", "multipliers", "families", "spectrum", "portrait"])
+def test_no_text_covers_another(draw: str, cycles: Branch, resonance: Branch, families: list[Branch]) -> None:
+    figures: dict[str, Callable[[], Figure | None]] = {
+        "cycles": lambda: branch_figure(cycles),
+        "resonance": lambda: branch_figure(resonance, "Resonance"),
+        "orbit": lambda: orbit_figure(cycles.orbits[-1]),
+        "multipliers": lambda: multiplier_figure(resonance),
+        "families": lambda: profile_figure(families),
+        "spectrum": lambda: spectrum_figure(Chain(24, 1.0, 0.25, 1.0)),
+        "portrait": lambda: portrait_figure(cycles.orbits[:3]),
+    }
+    figure = figures[draw]()
+    assert figure is not None
+    assert overlaps(figure) == []
