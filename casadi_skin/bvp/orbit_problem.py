@@ -57,8 +57,8 @@ class OrbitProblem(Problem):
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
-        weights = np.ones(self.size)
-        weights[: self.states] = 1.0 / (z[: self.states] @ z[: self.states])
+        state = z[: self.states]
+        weights = np.full(self.size, 1.0 / (state @ state))
         weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
         weights[self.parameter_index] = 1.0 / parameter_scale**2
         return weights

@@ -105,7 +105,7 @@ class Problem(ABC):
         """Place of Omega or the free parameter among the unknowns."""
         return self.states + scalar.value
 
-    @property
+    @cached_property
     def Omega_index(self) -> int:
         """Place of Omega among the unknowns."""
         return self.index_of(Scalar.OMEGA)
@@ -129,7 +129,7 @@ class Problem(ABC):
     def frequency_step(self, z: Array, step: Array) -> float:
         """Change of Omega in a small step from z; where there is none, the largest relative change of a scalar."""
 
-    @property
+    @cached_property
     def parameter_index(self) -> int:
         """Place of the free parameter among the unknowns."""
         return self.index_of(Scalar.PARAMETER)
@@ -231,7 +231,7 @@ class Problem(ABC):
         """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
-    @property
+    @cached_property
     def probe(self) -> Array:
         """Residuals of size 1 in general position, shape (size - 1,)."""
         return np.asarray(np.cos(np.arange(self.size - 1) ** 2 % 6.25))

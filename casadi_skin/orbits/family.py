@@ -75,6 +75,7 @@ class Family:
         self.request = request
         self._recursions: dict[int, TaylorRecursion] = {}
         self._cuts: dict[int, Family] = {}
+        self._rhs_of: dict[int, ca.Function] = {}  # by the number of points at which it is evaluated
 
     @property
     def model(self) -> Any:
@@ -357,7 +358,9 @@ class Family:
         """q'' at phase zero, shape (orbits, scaled positions)."""
         starts = np.stack([orbit.problem.sample(orbit.z, np.zeros(1))[0] for orbit in orbits], axis=1)
         parameters = np.array([[orbit.parameter for orbit in orbits]])
-        return np.array(self.rhs.map(len(orbits))(starts, parameters)[0]).T
+        if len(orbits) not in self._rhs_of:
+            self._rhs_of[len(orbits)] = self.rhs.map(len(orbits))
+        return np.array(self._rhs_of[len(orbits)](starts, parameters)[0]).T
 
     def on_all_positions(self, point: Point) -> Point:
         """A point of a family whose tail is eliminated, as a point of `whole`."""

@@ -87,10 +87,16 @@ class SteppedFlow(ABC):
 
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
         """Transition matrices in several numbers of steps, each along orbits of its own, as `matrices`."""
-        return [
-            self.step_map(steps)(self._linearised(orbits, self.step_map(steps).fractions), self._durations(orbits))
-            for steps, orbits in wanted
-        ]
+        found: list[Array] = []
+        for _, group in groupby(wanted, key=lambda item: id(item[1])):  # orbits are sampled once for all their steps
+            those = list(group)
+            orbits, maps = those[0][1], [self.step_map(steps) for steps, _ in those]
+            nonzeros = self._linearised(orbits, np.concatenate([step_map.fractions for step_map in maps]))
+            ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
+            durations = self._durations(orbits)
+            parts = zip(maps, np.split(nonzeros, ends, axis=1), strict=True)
+            found += [step_map(part, durations) for step_map, part in parts]
+        return found
 
     def _durations(self, orbits: Sequence[OrbitState]) -> Array:
         """Times that the fraction of the period takes, shape (orbits,)."""
