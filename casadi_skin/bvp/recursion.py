@@ -17,6 +17,7 @@ from casadi_skin.bvp.problem import Array, Indices, Solve
 from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, polynomial_terms
+from casadi_skin.native.taylor import Term, taylor_kernel
 
 _Place = slice | Indices
 
@@ -122,6 +123,18 @@ class _Sum:
                 products.complete(k)
 
 
+def _single(groups: Sequence[Monomials]) -> list[Term]:
+    """Terms one by one, without those that are linear: nothing is left of them when the order sought is taken out."""
+    return [
+        (group.power, row, coefficient, states)
+        for group in groups
+        if group.power + group.degree > 1
+        for row, coefficient, states in zip(
+            group.rows.tolist(), group.coefficients.tolist(), group.factors.T.tolist(), strict=True
+        )
+    ]
+
+
 @dataclass(frozen=True)
 class PolynomialForm:
     """Right-hand side and normalisation of a model as polynomials of its state and parameter."""
@@ -149,9 +162,13 @@ class TaylorRecursion:
         self.problem, self.orders = problem, orders
         self._coefficients = np.zeros((orders + 1, problem.size))
         states = self._coefficients[:, : problem.states]
+        D2, at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
+        self._kernel = taylor_kernel(self._coefficients, D2, at_zero, _single(form.force), _single(form.norm))
+        if self._kernel is not None:
+            return
         self._start = np.zeros((orders + 1, N))  # the state at phase zero, which the normalisation is about
         self._curvature = np.zeros((orders + 1, N * H))
-        self._D2, self._at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
+        self._D2, self._at_zero = D2, at_zero
         self._by_site = states.reshape(orders + 1, N, H)
         self._force = _Sum(form.force, states, N, H)
         self._norm = _Sum(form.norm, self._start, 1, 1)
@@ -193,8 +210,11 @@ class TaylorRecursion:
 
         `solve` belongs to the Jacobian at z closed by a row; the higher orders have no component along that row.
         """
-        self._put(0, z)
-        self._put(1, slope)
+        put, right_side = self._put, self._right_side
+        if self._kernel is not None:
+            put, right_side = self._kernel.put, self._kernel.right_side
+        put(0, z)
+        put(1, slope)
         for k in range(2, self.orders + 1):
-            self._put(k, solve(self._right_side(k)))
+            put(k, solve(right_side(k)))
         return self._coefficients.copy()

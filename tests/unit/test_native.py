@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import stat
 import warnings
@@ -14,8 +15,13 @@ from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.bvp import recursion
+from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.polynomial import Monomials
 from casadi_skin.native import library as native
+from casadi_skin.native import taylor
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.orbits.request import family_request
@@ -29,9 +35,14 @@ needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler
 @pytest.fixture
 def fresh() -> Iterator[None]:
     """Nothing that this process loaded before."""
-    library.cache_clear(), splitting_kernel.cache_clear()
+    forget()
     yield
-    library.cache_clear(), splitting_kernel.cache_clear()
+    forget()
+
+
+def forget() -> None:
+    for kept in (library, splitting_kernel, taylor._functions):
+        kept.cache_clear()
 
 
 @pytest.fixture
@@ -72,16 +83,45 @@ def test_kernel_and_numpy_agree_to_rounding(model: OdeModel, monkeypatch: pytest
 
 
 @needs_compiler
+@pytest.mark.parametrize("highest", [1, 5])
+def test_series_by_the_kernel_are_those_by_numpy(highest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random terms of all degrees and powers of the parameter, in any order, also without any state."""
+    generator, orders = np.random.default_rng(5), 9
+    problem = TrigonometricProblem(Chain(5, 1.0, 0.3, -1.0).gauge_model(), 6)
+
+    def terms(rows: int) -> tuple[Monomials, ...]:
+        groups = []
+        for power, degree in itertools.product(range(highest), range(5)):
+            count = int(generator.integers(1, 4))
+            chosen = np.sort(generator.choice(rows, min(count, rows), replace=False))
+            factors = generator.integers(0, 5, size=(degree, chosen.size))
+            groups.append(Monomials(power, chosen, generator.normal(size=chosen.size), factors))
+        return tuple(groups)
+
+    form = PolynomialForm(terms(5), terms(1))
+    z, slope = generator.normal(size=(2, problem.size))
+    mixing = generator.normal(size=(problem.size, problem.size)) / problem.size
+    found = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
+    monkeypatch.setattr(recursion, "taylor_kernel", lambda *arguments: None)
+    plain = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
+    sizes = np.max(np.abs(plain), axis=1, keepdims=True)
+    assert np.all(sizes > 0.0)
+    np.testing.assert_allclose(found / sizes, plain / sizes, rtol=0, atol=1e-12)
+
+
+@needs_compiler
 def test_multipliers_of_a_family_do_not_depend_on_the_kernel(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     chain = Chain(10, 1.0, 0.25, -1.0)
     found = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
     assert list(caches.glob("splitting-*.so"))
-    library.cache_clear(), splitting_kernel.cache_clear()
+    forget()
     monkeypatch.setenv(native.SWITCH, "0")
     assert splitting_kernel() is None
     plain = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
+    assert list(caches.glob("taylor-*.so"))
     for one, other in zip(found.orbits, plain.orbits, strict=True):
-        assert one.Omega == other.Omega
+        assert abs(one.Omega - other.Omega) <= 1e-10
+        assert abs(one.S - other.S) <= 1e-8
         np.testing.assert_allclose(one.floquet().multipliers, other.floquet().multipliers, rtol=0, atol=1e-10)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin.bvp import recursion
 from casadi_skin.bvp.problem import SingularError
 from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -45,6 +46,13 @@ def followed(chain: Chain, mode: int, amplitude_max: float, tolerance: float, at
 # The series ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(params=["compiled", "numpy"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the kernel, where there is a compiler, and by numpy."""
+    if request.param == "numpy":
+        monkeypatch.setattr(recursion, "taylor_kernel", lambda *arguments: None)
+
+
 def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tuple[Family, np.ndarray]:
     """Coefficients of a family at its linear mode, in kappa = g S itself."""
     tools = tools_of(chain, mode, 3.0)
@@ -58,7 +66,7 @@ def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tup
     )
 
 
-def test_one_site_has_the_series_of_the_exact_frequency() -> None:
+def test_one_site_has_the_series_of_the_exact_frequency(way: None) -> None:
     """Of Omega = pi sqrt(w2 + k)/(2 K(m)), m = k/(2 (w2 + k)), computed with 60 digits."""
     import mpmath
 
@@ -69,7 +77,7 @@ def test_one_site_has_the_series_of_the_exact_frequency() -> None:
 
 
 @pytest.mark.parametrize(("chain", "mode"), [(Chain(5, 1.0, 0.3, 1.0), 2), (Chain(6, 0.5, -0.6, -1.0), 1)])
-def test_the_equations_hold_to_the_order_of_the_series(chain: Chain, mode: int) -> None:
+def test_the_equations_hold_to_the_order_of_the_series(way: None, chain: Chain, mode: int) -> None:
     """The residual at tau falls with tau^(orders + 1): a wrong coefficient of any order would show."""
     tools, coefficients = series_at_start(chain, mode, 8, 7)
     problem = TrigonometricProblem(tools.coordinates.scaled, 8)
@@ -78,7 +86,7 @@ def test_the_equations_hold_to_the_order_of_the_series(chain: Chain, mode: int) 
     assert orders == pytest.approx([8.0, 8.0], abs=0.25)
 
 
-def test_terms_in_no_order_are_gathered() -> None:
+def test_terms_in_no_order_are_gathered(way: None) -> None:
     """Couplings between sites that are not neighbours, and powers of the parameter, take the general way."""
     import casadi as ca
 
