@@ -208,9 +208,10 @@ class Statement:
         t0, t1 = self.ends_at(p)
         time = t0 + s * (t1 - t0)
         border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
-        mean = self.along("mean", _stacked(kind, self.integrals))
+        integrands = kind(0, 1)
+        if self.integrals:
+            integrands = (t1 - t0) * self.along("mean", _stacked(kind, self.integrals))(time, x, p)
         field = (t1 - t0) * model.field_at(time, x, p)
-        integrands = (t1 - t0) * mean(time, x, p)
         return Formulation(s, x, last, scalars, field, border(x, last, p), integrands, constants)
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:

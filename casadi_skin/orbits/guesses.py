@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,7 +80,7 @@ def _function(guess: Guess, names: Sequence[str]) -> Callable[[float], Array] | 
         if set(guess) <= set(names) and any(callable(part) for part in parts):
             return lambda t: np.array([float(part(t) if callable(part) else part) for part in parts])
         return None
-    if is_constant(guess) or isinstance(guess, Evaluated) or not callable(guess):
+    if not callable(guess) or isinstance(guess, Evaluated):
         return None
     function = guess
     return lambda t: np.asarray(function(t), dtype=float).ravel()
@@ -117,7 +117,7 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     One array of shape (intervals,) for each of `counts`. The states are measured by their ranges. A guess with
     its own times, as a simulated cycle, is sampled there.
     """
-    if is_constant(guess):
+    if is_straight(guess):
         return []
     start, end = statement.span(np.array(list(statement.values.values())))
     for samples in (FIRST_SAMPLES, SAMPLES):
@@ -134,16 +134,27 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     return [np.diff(np.interp(np.linspace(0.0, total[-1], count + 1), total, places)) for count in counts]
 
 
-def is_constant(guess: Guess) -> bool:
-    """Whether a guess is numbers, one a state."""
+def is_straight(guess: Guess) -> bool:
+    """Whether a guess is numbers, one a state, or samples at two times: such a guess says nothing of a mesh."""
+    return _is_constant(guess) or (_is_sampled(guess) and np.size(guess[0]) == 2)
+
+
+def _is_constant(guess: Guess) -> bool:
     if not isinstance(guess, list | tuple | np.ndarray):
         return False
     return all(isinstance(entry, Real) for entry in guess)
 
 
+def _is_sampled(guess: Guess) -> TypeGuard[tuple[ArrayLike, ArrayLike]]:
+    """Whether a guess is (t, x)."""
+    if not isinstance(guess, list | tuple) or len(guess) != 2:
+        return False
+    return isinstance(guess[0], list | tuple | range | np.ndarray)
+
+
 def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     names = statement.model.state_names
-    if not is_constant(guess) and isinstance(guess, Evaluated):
+    if not isinstance(guess, list | tuple | np.ndarray) and isinstance(guess, Evaluated):
         return _evaluated(guess, t)
     if isinstance(guess, Mapping):
         for name in guess:
@@ -157,7 +168,7 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
             raise ValueError(
                 f"guess: the function fails: {words}; accepted: one that gives {len(names)} numbers"
             ) from error
-    if isinstance(guess, list | tuple) and len(guess) == 2 and isinstance(guess[0], list | tuple | range | np.ndarray):
+    if _is_sampled(guess):
         times, values = (real_array("guess", part, ACCEPTED) for part in guess)
         turned = values.shape == (len(names), times.size) != (times.size, len(names))  # as scipy has it
         return _interpolated(times, values.T if turned else values, t)
@@ -184,11 +195,14 @@ def _column(name: str, given: Any, t: Array) -> Array:
 
 
 def _interpolated(times: Array, values: Array, t: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
     if times.ndim != 1 or times.size != len(values) or times.size < 2 or not np.all(np.diff(times) > 0):
         given = f"times of shape {times.shape}, states of shape {values.shape}"
         raise ValueError(f"guess: given {given}; accepted: two or more ascending times, one row of states each")
     if not np.all(np.isfinite(values)):
         raise ValueError("guess: given values that are not finite; accepted: finite numbers")
+    if times.size == 2:
+        share = np.clip((t - times[0]) / (times[1] - times[0]), 0.0, 1.0)[:, None]
+        return np.asarray((1.0 - share) * values[0] + share * values[1])
+    from scipy.interpolate import CubicSpline
+
     return np.asarray(CubicSpline(times, values)(np.clip(t, times[0], times[-1])))

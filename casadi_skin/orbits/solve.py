@@ -18,7 +18,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.boundary_choices import Sizes, boundary_method
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.converged_mesh import converged_mesh
-from casadi_skin.orbits.guesses import Guess, along_the_guess, is_constant, sampled
+from casadi_skin.orbits.guesses import Guess, along_the_guess, is_straight, sampled
 from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.other_ways import other_ways
 from casadi_skin.orbits.rank_deficiency import rank_deficiency
@@ -193,7 +193,7 @@ def _first_problems(
         problem = levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         z = packed(problem, guess)
-        if not is_constant(guess) and problem.imbalance(z) > 1.0:
+        if not is_straight(guess) and problem.imbalance(z) > 1.0:
             placed = problem.placed(z, problem)
             assert isinstance(placed, BoundaryProblem)
             problem, z = placed, packed(placed, guess)
