@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 import reprlib
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, cast
@@ -63,6 +64,18 @@ def check_name(label: str, name: object, known: Iterable[str]) -> None:
     names = list(known)
     if not isinstance(name, str) or name not in names:
         raise ValueError(f"{label}: given {short_repr(name)}; {accepted_names(name, names)}")
+
+
+def check_options(label: str, given: Iterable[str], *functions: Callable[..., Any]) -> None:
+    """Raises TypeError, with the nearest accepted name, for an option that no function or class of these takes."""
+    known = dict[str, None]()
+    for function in functions:
+        for name, parameter in inspect.signature(function).parameters.items():
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY or parameter.default is not inspect.Parameter.empty:
+                known[name] = None
+    for name in given:
+        if name not in known:
+            raise TypeError(f"{label}: given the option {name!r}; {accepted_names(name, known)}")
 
 
 def number(name: str, value: object, accepted: str = "a finite number") -> float:

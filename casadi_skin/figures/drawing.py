@@ -103,7 +103,7 @@ def _along(branch: Branch, name: str) -> Array:
     """
     states, solutions = branch.space.state_names, branch.solutions
     of_orbits = [] if isinstance(solutions[0], Equilibrium) else ["S", "Omega", "period", "energy"]
-    check_name("plot", name, [*solutions[0].parameters, branch.parameter, *states, *of_orbits])
+    check_name("plot", name, dict.fromkeys([*solutions[0].parameters, branch.parameter, *states, *of_orbits]))
     if name in solutions[0].parameters or name == branch.parameter:
         return branch[name]
     if name in states:

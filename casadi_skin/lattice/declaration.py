@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ class Bond:
     Attributes:
         start: name of the site in a cell.
         end: name of the site in the other cell.
-        offset: cells along each direction.
+        offset: cells along each direction; one whole number in a lattice of one direction.
         force: F, a formula in d.
         gain: the force on `start` is gain[0] * F(d), that on `end` is -gain[1] * F(d); formulas in parameters.
 
@@ -63,6 +63,11 @@ class Bond:
     offset: tuple[int, ...]
     force: str = "d"
     gain: tuple[str, str] = ("1", "1")
+
+    def __post_init__(self) -> None:
+        offset: Any = self.offset
+        if isinstance(offset, int) and not isinstance(offset, bool):
+            object.__setattr__(self, "offset", (offset,))
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
     for label, expression in given.items():
         unknown = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
         if unknown:
-            yield f"{label} depends on {', '.join(unknown)}, which is not declared"
+            yield f"{label} depends on {', '.join(unknown)}, not declared"
     if isinstance(model.forcing_period, ca.SX | ca.MX):
         period = ca.Function("T", [model.parameters], [model.forcing_period], {"allow_free": True})
         if period.get_free():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
+from casadi_skin.arguments import check_options
 from casadi_skin.arrays import real_array
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
@@ -228,7 +229,9 @@ class Solution(Result):
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
         """The `Branch` of solutions through this one, by `casadi_skin.orbits.follow.follow`, with its options."""
-        return methods.TASKS["follow"].load()(self, parameter, to, **options)
+        follow = methods.TASKS["follow"].load()
+        check_options("follow", options, follow)
+        return follow(self, parameter, to, **options)
 
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
         """The branch through this solution, with all that leave it; options are those of `follow`."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin import methods
+from casadi_skin.arguments import check_options
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.turns import rate, turning
@@ -102,7 +103,9 @@ class SpecialPoint(Result):
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
         """The `Branch` that leaves here, by `casadi_skin.equilibria.switch.switch`."""
-        return methods.TASKS["switch"].load()(self, parameter, to, **options)
+        switch = methods.TASKS["switch"].load()
+        check_options("follow", options, switch)
+        return switch(self, parameter, to, **options)
 
     def curve(self, parameter: str, to: float, **options: Any) -> Any:
         """This point followed in a second parameter, by `casadi_skin.critical_orbits.curve.curve`."""

@@ -9,7 +9,19 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, import_fmu, smallest_kick
+from casadi_skin import (
+    Bond,
+    BoundaryValueProblem,
+    Chain,
+    Lattice,
+    OdeModel,
+    Site,
+    find_equilibrium,
+    find_orbit,
+    follow_family,
+    import_fmu,
+    smallest_kick,
+)
 from casadi_skin.arguments import short_repr
 from casadi_skin.arrays import real_array, site_numbers
 
@@ -272,3 +284,24 @@ def test_a_message_shows_any_value_in_one_short_line() -> None:
         assert len(text) <= 60
         assert text.isprintable()
     assert short_repr(deep) == "SX of shape (1, 1)"
+
+
+def test_options_of_other_names_are_refused_with_the_nearest() -> None:
+    chain = Chain(2, 1.0, 0.25, -1.0)
+    family = r"^follow_family: given the option 'stabilty'; .*accepted: .*tolerance"
+    with pytest.raises(TypeError, match=family):
+        follow_family(chain, 1, 0.1, stabilty=True)
+    with pytest.raises(TypeError, match=r"^follow_family: given the option 'tolerence'; did you mean tolerance\?"):
+        follow_family(chain, 1, 0.1, tolerence=1e-6)
+    x, mu = ca.SX.sym("x"), ca.SX.sym("mu")
+    rest = find_equilibrium(OdeModel("line", x, mu - x, mu), [0.0], parameters={"mu": 0.0})
+    with pytest.raises(TypeError, match=r"^follow: given the option 'max_point'; did you mean max_points\?"):
+        rest.follow("mu", 1.0, max_point=5)
+    problem = BoundaryValueProblem(OdeModel("line", x, -x), lambda start, end, p: start - 1.0)
+    with pytest.raises(ValueError, match="options: given 'tol'; accepted: tolerance"):
+        problem.solve([0.0], tol=1e-3)
+
+
+def test_an_offset_is_one_number_in_one_direction() -> None:
+    one, two = (Lattice(4, [Site("a")], [Bond("a", "a", offset, "d")], "fixed") for offset in (1, (1,)))
+    assert one.declaration == two.declaration
