@@ -58,6 +58,10 @@ class SpecialPoint(Result):
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
 
+    def __str__(self) -> str:
+        """One line, as `repr`, also within other words."""
+        return repr(self)
+
     @cached_property
     def _critical(self) -> Any:
         return methods.TASKS["critical"].load()(self)
