@@ -8,11 +8,10 @@ core needs: tan(psi) = e a_(c-1)/a_c, e = +1 at the lower edge of the band and -
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import numpy as np
-
-EDGE_ANGLE = 0.25 * np.pi  # psi of the band edge, in the limit of a long tail
+EDGE_ANGLE = 0.25 * math.pi  # psi of the band edge, in the limit of a long tail
 LONGEST = 40.0  # of c kappa: beyond it the far end of the tail is not felt
 
 
@@ -51,20 +50,20 @@ class Tail:
     @property
     def edge_angle(self) -> float:
         """Angle psi at which a harmonic is exactly at the edge of the band."""
-        return float(np.arctan2(self.sites - 1.0, self.sites)) if np.isfinite(self.sites) else EDGE_ANGLE
+        return math.atan2(self.sites - 1.0, self.sites) if math.isfinite(self.sites) else EDGE_ANGLE
 
     def _in_band(self, psi: float) -> Wave:
         from scipy.optimize import brentq
 
         c = self.sites
-        if not np.isfinite(c):
-            return Wave(0.0, 0.0, psi, np.inf)
-        lobe = np.floor((psi + 0.5 * np.pi) / np.pi)  # sin(c theta) vanishes at psi = lobe pi - pi / 2
+        if not math.isfinite(c):
+            return Wave(0.0, 0.0, psi, math.inf)
+        lobe = math.floor((psi + 0.5 * math.pi) / math.pi)  # sin(c theta) vanishes at psi = lobe pi - pi / 2
 
         def angle(phase: float) -> float:
             return _angle_in_band(phase, c) - psi
 
-        low, high = lobe * np.pi, (lobe + 1.0) * np.pi
+        low, high = lobe * math.pi, (lobe + 1.0) * math.pi
         if angle(low if lobe else 1e-300) >= 0.0:
             phase = low
         else:
@@ -74,9 +73,9 @@ class Tail:
     def _beside(self, psi: float) -> Wave:
         from scipy.optimize import brentq
 
-        c, ratio = self.sites, float(np.tan(psi))
-        kappa = -float(np.log(ratio))
-        if np.isfinite(c) and c * kappa < LONGEST:
+        c, ratio = self.sites, math.tan(psi)
+        kappa = -math.log(ratio)
+        if math.isfinite(c) and c * kappa < LONGEST:
             upper = kappa * (1.0 + 1e-10)  # the root is below kappa, but perhaps by less than rounding
             kappa = float(brentq(lambda k: _ratio_beside(k, c) - ratio, 0.0, upper, xtol=1e-300, rtol=1e-15))
         return Wave(0.0, kappa, psi, _slope_beside(kappa, c))
@@ -88,9 +87,9 @@ class Tail:
         """
         if beyond <= 0.0:
             raise ArithmeticError("a harmonic lies in the band: the tail carries it away")
-        kappa = 2.0 * float(np.arcsinh(np.sqrt(beyond)))
+        kappa = 2.0 * math.asinh(math.sqrt(beyond))
         ratio = _ratio_beside(kappa, self.sites)
-        return Wave(0.0, kappa, float(np.arctan(ratio)), _slope_beside(kappa, self.sites))
+        return Wave(0.0, kappa, math.atan(ratio), _slope_beside(kappa, self.sites))
 
     # Frequencies ----------------------------------------------------------------------------------------------------
 
@@ -100,67 +99,67 @@ class Tail:
 
     def outside(self, wave: Wave) -> float:
         """How far (k Omega)^2 of a wave is outside the edge it belongs to, in units of 4 s; negative in the band."""
-        return float(np.sinh(0.5 * wave.kappa) ** 2 - np.sin(0.5 * wave.theta) ** 2)
+        return math.sinh(0.5 * wave.kappa) ** 2 - math.sin(0.5 * wave.theta) ** 2
 
     def outside_slope(self, wave: Wave) -> float:
         """Derivative of `outside` by psi."""
         if wave.kappa > 0.0:
-            return float(0.5 * np.sinh(wave.kappa) / wave.slope)
+            return 0.5 * math.sinh(wave.kappa) / wave.slope
         if wave.theta > 0.0:
-            return float(-0.5 * np.sin(wave.theta) / wave.slope)
-        return 0.0 if not np.isfinite(self.sites) else -_edge_slope(self.sites)
+            return -0.5 * math.sin(wave.theta) / wave.slope
+        return 0.0 if not math.isfinite(self.sites) else -_edge_slope(self.sites)
 
     def squares(self, wave: Wave) -> float:
         """Sum of a_n^2/a_c^2 over the tail; infinite where an infinite tail moves along."""
         m = self.sites - 1.0
         if wave.kappa > 0.0:
-            decay = float(np.exp(-2.0 * wave.kappa))
+            decay = math.exp(-2.0 * wave.kappa)
             if m * wave.kappa > LONGEST:
                 return decay / (1.0 - decay)
-            total = 0.5 * (np.sinh(m * wave.kappa) * np.cosh((m + 1.0) * wave.kappa) / np.sinh(wave.kappa) - m)
-            return float(total / np.sinh((m + 1.0) * wave.kappa) ** 2)
-        if not np.isfinite(m):
-            return float(np.inf)
-        total = 0.5 * (m - np.sin(m * wave.theta) * np.cos((m + 1.0) * wave.theta) / np.sin(wave.theta))
-        return float(total / np.sin((m + 1.0) * wave.theta) ** 2)
+            total = 0.5 * (math.sinh(m * wave.kappa) * math.cosh((m + 1.0) * wave.kappa) / math.sinh(wave.kappa) - m)
+            return total / math.sinh((m + 1.0) * wave.kappa) ** 2
+        if not math.isfinite(m):
+            return math.inf
+        total = 0.5 * (m - math.sin(m * wave.theta) * math.cos((m + 1.0) * wave.theta) / math.sin(wave.theta))
+        return total / math.sin((m + 1.0) * wave.theta) ** 2
 
 
 def _angle_in_band(phase: float, c: float) -> float:
     """psi of c theta = phase, counted on through the lobes."""
-    theta, lobe = phase / c, np.floor(phase / np.pi)
-    inside = phase - lobe * np.pi
-    return float(lobe * np.pi + np.arctan2(np.sin(inside - theta), np.sin(inside)))
+    theta, lobe = phase / c, math.floor(phase / math.pi)
+    inside = phase - lobe * math.pi
+    return lobe * math.pi + math.atan2(math.sin(inside - theta), math.sin(inside))
 
 
 def _slope_in_band(theta: float, c: float) -> float:
     """d psi / d theta."""
-    a, b = np.sin((c - 1.0) * theta), np.sin(c * theta)
-    da, db = (c - 1.0) * np.cos((c - 1.0) * theta), c * np.cos(c * theta)
-    return float((b * da - a * db) / (a * a + b * b)) if theta > 0.0 else np.inf
+    a, b = math.sin((c - 1.0) * theta), math.sin(c * theta)
+    da, db = (c - 1.0) * math.cos((c - 1.0) * theta), c * math.cos(c * theta)
+    return (b * da - a * db) / (a * a + b * b) if theta > 0.0 else math.inf
 
 
 def _ratio_beside(kappa: float, c: float) -> float:
     """sinh((c - 1) kappa) / sinh(c kappa)."""
-    if not np.isfinite(c):
-        return float(np.exp(-kappa))
+    if not math.isfinite(c):
+        return math.exp(-kappa)
     if kappa == 0.0:
         return (c - 1.0) / c
-    return float(np.exp(-kappa) * np.expm1(-2.0 * (c - 1.0) * kappa) / np.expm1(-2.0 * c * kappa))
+    return math.exp(-kappa) * math.expm1(-2.0 * (c - 1.0) * kappa) / math.expm1(-2.0 * c * kappa)
 
 
 def _slope_beside(kappa: float, c: float) -> float:
     """d psi / d kappa."""
     t = _ratio_beside(kappa, c)
-    if np.isfinite(c) and c * kappa < LONGEST:
+    if math.isfinite(c) and c * kappa < LONGEST:
         # d/dkappa of sinh((c-1) kappa)/sinh(c kappa) = (c - 1) cosh((c-1) kappa)/sinh(c kappa) - c t coth(c kappa)
-        both = np.sinh(c * kappa)
-        slope = ((c - 1.0) * np.cosh((c - 1.0) * kappa) - c * t * np.cosh(c * kappa)) / both
+        both = math.sinh(c * kappa)
+        slope = ((c - 1.0) * math.cosh((c - 1.0) * kappa) - c * t * math.cosh(c * kappa)) / both
     else:
         slope = -t
-    return float(slope / (1.0 + t * t))
+    return slope / (1.0 + t * t)
 
 
 def _edge_slope(c: float) -> float:
     """d(theta^2/4)/d psi at theta = 0, from sin((c-1) theta)/sin(c theta) = (c-1)/c (1 + (2 c - 1) theta^2/6 + ...)."""
     t = (c - 1.0) / c
-    return float(0.25 * (1.0 + t * t) * 6.0 / (t * (2.0 * c - 1.0)))
+    return 0.25 * (1.0 + t * t) * 6.0 / (t * (2.0 * c - 1.0))

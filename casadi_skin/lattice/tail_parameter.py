@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -142,7 +143,7 @@ class TailParameter:
             if k != k0:
                 other = self._beside(k, squared)
                 psi[h] = other.psi
-                slopes[h] = -edges[h] * k**2 * other.slope / (2.0 * tail.coupling * np.sinh(other.kappa))
+                slopes[h] = -edges[h] * k**2 * other.slope / (2.0 * tail.coupling * math.sinh(other.kappa))
         h0 = (k0 - 1) // 2
         sign = 1.0 if k0 == 1 else -1.0
         partner = 0.0 if self.edge < 0 else slopes[1 if k0 == 1 else 0] * by_psi
@@ -151,7 +152,7 @@ class TailParameter:
         psi[h0] = wave.psi
         by_u = slopes * squared_slope
         by_u[h0] = psi_slope
-        Omega = float(np.sqrt(squared))
+        Omega = math.sqrt(squared)
         return TailValues(
             Omega,
             float(squared_slope / (2.0 * Omega)),
