@@ -159,9 +159,8 @@ class SteppedFlow(ABC):
         levels = range(level - len(self.orders), level + 1)
         steps = [self.step_numbers[r] for r in levels]
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
-        result = sum(weight * maps[r] for weight, r in zip(few, levels[1:], strict=True))
-        better = sum(weight * maps[r] for weight, r in zip(all_, levels, strict=True))
-        return np.asarray(result), SAFETY * (better - result)
+        found = [maps[r] for r in levels]
+        return _combined(found[1:], few), _combined(found, SAFETY * (all_ - np.append(0.0, few)))
 
     def _lower(self, level: int, truncation: float, tolerance: float) -> int:
         """The level to start from next time: one lower where that would have done."""
@@ -180,6 +179,15 @@ class SteppedFlow(ABC):
             return level + 1
         needed = steps * (truncation / tolerance) ** (1.0 / self.orders[-1])
         return next((r for r in range(level + 1, len(self.step_numbers)) if self.step_numbers[r] >= needed), level + 1)
+
+
+def _combined(maps: Sequence[Array], weights: Array) -> Array:
+    """The sum of maps times weights, with one array beside it: those of long chains leave the cache."""
+    total, term = weights[0] * maps[0], np.empty_like(maps[0])
+    for weight, matrices in zip(weights[1:], maps[1:], strict=True):
+        np.multiply(matrices, weight, out=term)
+        total += term
+    return np.asarray(total)
 
 
 def _place(orbit: OrbitState, errors: Array, size: int) -> str:

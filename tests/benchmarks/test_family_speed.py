@@ -139,6 +139,16 @@ def test_long_chains_without_their_tail(record: Record, mode: str, g: float, sit
     record(f"N = {sites}, mode {mode}, tail eliminated", seconds(lambda: follow(tools, False), 3), len(walk.solutions))
 
 
+@pytest.mark.parametrize("sites", [1000, float("inf")])
+def test_localised_multipliers_of_one_orbit(record: Record, sites: float) -> None:
+    """On 193 sites at the edge of a chain whose tail is eliminated."""
+    chain = Chain(sites, 1.0, 0.25, -1.0)
+    tools = Family(family_request(chain, "first", 1.0, at=(1.0,), tolerance=1e-8, stability_sites=193))
+    point = follow(tools, stability=False).solutions[-1].point
+    assert tools.floquets([point])[0].max_abs_multiplier == pytest.approx(1.1729244569, abs=1e-8)
+    record(f"localised multipliers of one orbit, N = {sites}", seconds(lambda: tools.floquets([point]), 5), 1)
+
+
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
