@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import casadi as ca
 import numpy as np
@@ -15,13 +15,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Solve = Callable[[Array], Array]  # of linear equations, from their right-hand side
 
 EPSILON = float(np.finfo(float).eps)
 
 
 class SingularError(ArithmeticError):
     """Linear equations cannot be solved to any useful accuracy."""
+
+
+class Solve(Protocol):
+    """The solution of linear equations from their right-hand side."""
+
+    def __call__(self, b: Array, /) -> Array: ...
+
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant of their matrix."""
+        ...
 
 
 class Scalar(Enum):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError
+from casadi_skin.continuation.corners import Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.continuation.hermite import HISTORY, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
@@ -31,6 +32,7 @@ class _Departure:
     weights: Array
     row: Array
     curve: Callable[[float], Array]
+    side: Side | None
 
     def angle(self, tangent: Array) -> float:
         """Angle in degrees between t and another tangent, in the metric at z."""
@@ -48,6 +50,7 @@ class ArclengthContinuation:
         self.detail = ""
         self.rejected = 0
         self.missed: list[Target] = []
+        self._last_side: Side | None = None
 
     def __iter__(self) -> Iterator[Point]:
         sign = float(np.sign(self.settings.parameter_max))
@@ -74,6 +77,9 @@ class ArclengthContinuation:
         """The next point of the walk; None with `end` set where there is none."""
         lighter = self.point_solver.lighter(current)
         departure = self._departure(current, lighter)
+        coarser = lighter is not current.problem and self.settings.rounds_corners
+        if coarser and shifts(self.point_solver, current, departure.side, current.step):
+            departure = self._departure(current, current.problem)
         step = min(current.step, self._longest_step(current))
         while step >= self.settings.min_step:
             try:
@@ -102,7 +108,15 @@ class ArclengthContinuation:
             (past.problem.prolong(past.z, problem), past.problem.prolong(past.tangent, problem))
             for past in self.history[-2::-1]
         ]
-        return _Departure(problem, z, t, weights, row, predictor(z, t, before, row))
+        return _Departure(problem, z, t, weights, row, predictor(z, t, before, row), self._side_of(current, problem))
+
+    def _side_of(self, current: Point, problem: Problem) -> Side | None:
+        """The side of a corner that the current point is on; None where corners are not sought."""
+        if not self.settings.rounds_corners:
+            return None
+        if self._last_side is None or self._last_side.problem is not problem or self._last_side.z is not current.z:
+            self._last_side = side_of(self.point_solver, problem, current)
+        return self._last_side
 
     def _stepped(self, departure: _Departure, step: float) -> Point | None:
         """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough."""
@@ -111,15 +125,35 @@ class ArclengthContinuation:
         correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, step)
         if correction is None:
             return None
-        tangent = self.point_solver.tangent(problem, correction.z, self.point_solver.factor(problem, correction.z, row))
+        solve = self.point_solver.factor(problem, correction.z, row)
+        tangent = self.point_solver.tangent(problem, correction.z, solve)
         angle = departure.angle(tangent)
         if angle > self.settings.guard_angle:
             return None
+        if departure.side is not None:
+            there = Side(problem, correction.z, tangent, solve.orientation)
+            found = turned(self.point_solver, departure.side, there)
+            if found is not None:
+                return self._before(departure, found)
         point = self.point_solver.near(problem, correction, tangent, row)
         if point is None:
             self.end = End.RESOLUTION
             return None
+        if departure.side is not None:
+            if point.problem is not problem and shifts(self.point_solver, there, point, step):
+                there = side_of(self.point_solver, point.problem, point) or there
+                found = turned(self.point_solver, departure.side, there)
+                if found is not None:
+                    return self._before(departure, found)
+            self._last_side = there
         return replace(point, step=self._next_step(problem, guess, correction, step, angle))
+
+    def _before(self, departure: _Departure, found: Corner) -> Point | None:
+        """The point before a corner, from which it is walked round; None where the departure is as near to it."""
+        problem = found.before.problem
+        start = departure.problem.prolong(departure.z, problem)
+        near = self.point_solver.distance(problem, start, found.before.z) <= found.length
+        return None if near else point_before(self.point_solver, found)
 
     def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
         """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""

@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 
 HISTORY = 4  # points that a prediction is made from
+ALIGNED = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Ar
     places, values, slopes, last = [0.0], [z], [t / float(row @ t)], 0.0
     for earlier, tangent in before:
         sigma, slope = float(row @ (earlier - z)), float(row @ tangent)
-        if not (sigma < last and slope > 0.0):
+        if not (sigma < last and slope > ALIGNED):
             break
         places, values, slopes, last = [*places, sigma], [*values, earlier], [*slopes, tangent / slope], sigma
     return interpolant(np.array(places), np.array(values), np.array(slopes))

@@ -298,6 +298,17 @@ class PointSolver:
             return None
         return None if point is None else replace(point, walked=False)
 
+    def coarse_along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """As `along`, on the level of the second point whatever its error: crossing branches amplify rounding."""
+        correction, tangent = self.corrected_along(current, following, fraction)
+        if correction is None or tangent is None:
+            return None
+        try:
+            point = self._measured(following.problem, correction, tangent, None)[0]
+        except SingularError:
+            return None
+        return replace(point, walked=False, at_round_off=True)
+
     def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
         """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
         return self.corrected_along(current, following, fraction)[1]

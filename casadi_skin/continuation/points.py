@@ -56,6 +56,7 @@ class ContinuationSettings:
     parameter_min: float = 0.0  # of parameter_max: the walk ends where it comes back to this
     closing: bool = False  # from there it goes on as far to the other side, for what may close
     tiny_first: bool = True  # a point next to the start is among the first ones, where that has no amplitude
+    rounds_corners: bool = False  # whether a step across which the determinant changes sign is looked into
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
     aim_angle: float = 8.0

@@ -14,6 +14,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.arclength import START_FRACTION
+from casadi_skin.continuation.corners import CLOSE, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.continuation.taylor import Stretch
@@ -25,6 +26,7 @@ FAINT = 1e-7  # of the largest state: its square is round-off
 SPARSE = 2.0  # times the turn that a walk aims for which predicts each point from the last
 TOGETHER = 8  # points of a stretch, about as many as one has, that the corrector confirms at a time
 SHORT = 3.0  # times the precision of the series: the square of such a step is below what correctors leave
+NEARLY = 0.9  # of the way to a corner: a stretch to it, where the point before it is not found
 SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
 
 
@@ -79,6 +81,7 @@ class SeriesContinuation:
         self.rejected = 0
         self.missed: list[Target] = []
         self._recursion, self._precision = recursion, precision
+        self._most = np.inf  # length of the next stretch, in the metric, where its base is next to a corner
 
     def __iter__(self) -> Iterator[Point]:
         known = known_end(self.settings, (*self.history, *self._reported))
@@ -154,6 +157,7 @@ class SeriesContinuation:
     def _ahead(self, base: Point) -> Iterator[_Reached]:
         """Stops in arclength order from a base point on, one stretch after the other, up to the end of the walk."""
         last, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        self._most = np.inf
         while True:
             found = self._departure(base)
             if found is None:
@@ -165,13 +169,18 @@ class SeriesContinuation:
                 if reached.end is not None or (reached.point is None and reached.stop.target is None):
                     return
             if reached is None or reached.point is None or not reached.point.walked:
+                if (
+                    self._most < np.inf
+                ):  # nearer to a corner than to the next point: a shorter stretch from the same base
+                    last = last if reached is None else reached.stop.tau
+                    continue
                 yield _Reached(_Stop(0.0, None), None, End.NO_STEP, self._trouble)
                 return
             base, last = reached.point, 0.0
 
     # The series -----------------------------------------------------------------------------------------------------
 
-    def _departure(self, base: Point) -> tuple[Point, Stretch] | None:
+    def _departure(self, base: Point) -> tuple[Point, Stretch, Side] | None:
         """A base point, on a coarser level where that is expected to do, with its series; None where there is none."""
         lighter = self.point_solver.lighter(base)
         for problem in dict.fromkeys((lighter, base.problem)):
@@ -181,15 +190,18 @@ class SeriesContinuation:
             else:
                 tried = base
             try:
-                stretch = self._stretch(tried)
+                found = self._stretch(tried)
             except SingularError as error:
                 self._trouble = str(error)
                 continue
-            if stretch is not None:
-                return tried, stretch
+            if found is None:
+                continue
+            coarser = problem is not base.problem and self.settings.rounds_corners
+            if not (coarser and shifts(self.point_solver, base, found[1], base.step * found[0].length)):
+                return tried, *found
         return None
 
-    def _stretch(self, base: Point) -> Stretch | None:
+    def _stretch(self, base: Point) -> tuple[Stretch, Side] | None:
         """The series at a base point, as far as its end satisfies the equations; None where that is nowhere."""
         problem = base.problem
         precision = self._precision(problem)
@@ -204,24 +216,36 @@ class SeriesContinuation:
         sizes = np.sqrt(np.sum(self.point_solver.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
         orders = np.arange(coefficients.shape[0] - 2, coefficients.shape[0])
         stretch = Stretch(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
+        stretch, self._most = replace(stretch, length=min(stretch.length, self._most / base.step)), np.inf
         while stretch.length * base.step >= self.settings.min_step:
             end = stretch.at(stretch.length)
             allowed = precision * max(1.0, float(np.max(np.abs(end[: problem.states]))))
             if problem.frequency(end) > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
-                return stretch
+                return stretch, Side(problem, z, slope / base.step, solve.orientation)
             self.rejected += 1
             stretch = replace(stretch, length=SHRINK * stretch.length)
         return None
 
     # The points -----------------------------------------------------------------------------------------------------
 
-    def _points(self, base: Point, stretch: Stretch, last: float) -> Iterator[_Reached]:
-        """Stops of a stretch beyond the place `last`; the last point is the next base, unless the walk ends before."""
+    def _points(self, base: Point, stretch: Stretch, side: Side, last: float) -> Iterator[_Reached]:
+        """Stops of a stretch beyond the place `last`; the last point is the next base, unless the walk ends before.
+
+        The last one may be a point before a corner, which the series passes by; `side` is that of the base.
+        """
         problem, ends = base.problem, self.settings.ends
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
-            point, end = self._point(problem, stretch, stop, reach), End.REACHED if stop.target in ends else None
+            (point, there), end = (
+                self._point(problem, stretch, stop, reach),
+                End.REACHED if stop.target in ends else None,
+            )
+            corner = None if there is None else self._corner(side, there, point, reach)
+            if corner is not None:
+                yield from self._at_corner(base, corner, last)
+                return
+            side = there or side
             if point is None:
                 yield _Reached(stop, None, end, self._trouble)
                 continue
@@ -232,6 +256,29 @@ class SeriesContinuation:
             yield _Reached(stop, placed, end, self._trouble)
             if finished:
                 return
+
+    def _corner(self, side: Side, there: Side, point: Point | None, reach: float) -> Corner | None:
+        """The corner between two stops; None where there is none, or where none is sought."""
+        if not self.settings.rounds_corners:
+            return None
+        climbed = point is not None and point.problem is not there.problem
+        if point is not None and climbed and shifts(self.point_solver, there, point, reach):
+            there = side_of(self.point_solver, point.problem, point) or there
+        return turned(self.point_solver, side, there)
+
+    def _at_corner(self, base: Point, corner: Corner, last: float) -> Iterator[_Reached]:
+        """The point before a corner, from which another series goes on; none where the base is near it."""
+        before = corner.before
+        start = base.problem.prolong(base.z, before.problem)
+        passed, point = self.point_solver.distance(before.problem, start, before.z), None
+        try:
+            point = None if passed <= self.settings.min_step else point_before(self.point_solver, corner)
+        except SingularError as error:
+            self._trouble = str(error)
+        if point is None or passed <= corner.length:
+            self._most = NEARLY * passed if passed > corner.length else CLOSE * corner.length
+        if point is not None:
+            yield _Reached(_Stop(last, None), replace(point, walked=True, along=last), None, self._trouble)
 
     def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
         """Places of reported points: requested values, and often enough to draw and to see stability change."""
@@ -274,8 +321,8 @@ class SeriesContinuation:
         ]
         return max(1, int(np.ceil(max(most))))
 
-    def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> Point | None:
-        """The corrected point at a stop; None where the corrector does not find it near the series."""
+    def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> tuple[Point | None, Side | None]:
+        """The corrected point at a stop and its side; None where the corrector does not find it near the series."""
         guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
         weights = self.point_solver.metric(problem, guess)
         tangent = slope / np.sqrt(np.sum(weights * slope**2))
@@ -288,22 +335,23 @@ class SeriesContinuation:
             value = wanted * float(row[index])
         held = None if target is None else target.held
         try:
-            polished, tangent, converged = self._polished(problem, guess, row, value)
+            polished, tangent, orientation, converged = self._polished(problem, guess, row, value)
             correction: Correction | None = Correction(polished, Status.CONVERGED, 0)
             if not converged:
                 correction = self.point_solver.correct(problem, polished, row, value, reach)
             if correction is None:
                 self._trouble = f'{self.point_solver.failure}; try walker = "arclength"'
-                return None
+                return None, None
             if target is not None:
                 correction.z[index] = wanted  # equal but for round-off of the held row
-            return self.point_solver.unconfirmed(problem, correction, tangent, row, held)
+            there = Side(problem, correction.z, tangent, orientation)
+            return self.point_solver.unconfirmed(problem, correction, tangent, row, held), there
         except SingularError as error:
             self._trouble = str(error)
-            return None
+            return None, None
 
-    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array, bool]:
-        """A Newton step from a point of the series, the tangent, and whether the step is so short that one is enough.
+    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array, float, bool]:
+        """A Newton step from a point of the series, tangent, orientation, and whether it is so short that one suffices.
 
         What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
         the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
@@ -314,4 +362,5 @@ class SeriesContinuation:
         solve = self.point_solver.levels.solver(problem).factor(guess, nonzeros, row)
         polished = guess - solve(np.append(residual, row @ guess - value))
         step = self.point_solver.distance(problem, guess, polished)
-        return polished, self.point_solver.tangent(problem, guess, solve), step <= SHORT * self._precision(problem)
+        tangent, short = self.point_solver.tangent(problem, guess, solve), step <= SHORT * self._precision(problem)
+        return polished, tangent, solve.orientation, short

@@ -178,6 +178,7 @@ class FamilyRequest:
             tuple(dict.fromkeys(at)),
             None if targets.period_max is None else TWO_PI / targets.period_max,
             max_points=targets.max_points,
+            rounds_corners=self.coordinates.is_whole,
         )
         if self.tolerance < QUICK_LOOK:
             return settings

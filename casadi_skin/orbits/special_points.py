@@ -143,7 +143,7 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
         return float(tangent[after.problem.parameter_index])
 
     root = float(brentq(rate_at, 0.0, 1.0, xtol=FOLD_TOLERANCE))
-    point = point_solver.along(before, after, root)
+    point = point_solver.along(before, after, root) or point_solver.coarse_along(before, after, root)
     if point is None:
         raise _not_located(point_solver)
     return replace(point, special=FOLD)

@@ -12,12 +12,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError, Solve
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
 LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
@@ -79,6 +82,15 @@ class _BandFactors:
         self._schur, self._order, info = dgetrf(border - below @ spread)
         self.regular = info == 0
 
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant: the unknown and the row that pin the band do not change it."""
+        band, border = self._lu[2 * self._width], self._schur.diagonal()
+        negative = np.count_nonzero(band < 0.0) + np.count_nonzero(border < 0.0)
+        swaps = np.count_nonzero(self._pivots != np.arange(band.size))
+        swaps += np.count_nonzero(self._order != np.arange(border.size))
+        return -1.0 if (negative + swaps) % 2 else 1.0
+
     def completed(self, inner: Array, outer: Array) -> Array:
         """Solution, from that of the band alone for the first rows, shape (n, columns), and the remaining rows."""
         n, edge = inner.shape[0], self._schur.shape[0]
@@ -123,6 +135,26 @@ class _Places:
         closed = np.full(rows.size + size, size - 1)
         closed[opened] = rows[taken]
         return cls(order, closing, opened, taken, closed.astype(np.intc), bounds.astype(np.intc))  # as SuperLU has them
+
+
+class _SparseFactors:
+    """Solves with factors by SuperLU of a matrix whose columns are in another order and whose rows are scaled."""
+
+    def __init__(self, factors: SuperLU, order: Indices, scale: Array | None) -> None:
+        self._factors, self._columns, self._scale = factors, order, scale
+
+    def __call__(self, b: Array) -> Array:
+        if self._scale is None:
+            return np.asarray(self._factors.solve(b))
+        found = np.empty(b.shape)
+        found[self._columns] = self._factors.solve((self._scale * b.T).T)
+        return found
+
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant, 0 where it vanishes."""
+        factors, permutations = self._factors, [self._factors.perm_r, self._factors.perm_c, self._columns]
+        return float(np.prod([_parity(p) for p in permutations]) * np.prod(np.sign(factors.U.diagonal())))
 
 
 class BorderedSolver:
@@ -190,15 +222,10 @@ class BorderedSolver:
 
     def orientation(self, nonzeros: Array, row: Array) -> float:
         """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
-        from scipy.sparse.linalg import splu
-
-        self._close(nonzeros, row)
         try:
-            factors = splu(self._closed)
-        except RuntimeError:
+            return self._factor_sparse(nonzeros, row).orientation
+        except SingularError:
             return 0.0
-        sign = _parity(factors.perm_r) * _parity(factors.perm_c)
-        return float(sign * np.prod(np.sign(factors.U.diagonal())))
 
     def _accurate(self, probes: Array, nonzeros: Array, row: Array) -> bool:
         """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
@@ -249,19 +276,11 @@ class BorderedSolver:
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
-                return splu(self._closed).solve
+                return _SparseFactors(splu(self._closed), self._order, None)
             self._closed.data *= self._scale[self._closed.indices]
-            solve = splu(self._closed, permc_spec="NATURAL").solve
+            return _SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
-        order, scale = self._order, self._scale
-
-        def solved(b: Array) -> Array:
-            found = np.empty(b.shape)
-            found[order] = solve((scale * b.T).T)
-            return found
-
-        return solved
 
     def _close(self, nonzeros: Array, row: Array) -> None:
         """Fill the closed matrix."""
