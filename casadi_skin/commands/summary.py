@@ -12,7 +12,6 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.special_points import DOUBLING, HOPF, TORUS
 from casadi_skin.results.family_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.runs.writing import mode_of
@@ -123,7 +122,7 @@ def _diagram(run: Run, branches: list[Branch]) -> Table:
         first, last = branch.solutions[0], branch.solutions[-1]
         rows.append(("start", first.parameters, "", _stability(branch, 0)))
         for point in branch.special_points:
-            words = point.criticality if point.kind in (HOPF, DOUBLING, TORUS) else ""
+            words = point.criticality if point.has_criticality else ""
             rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
         if len(branch) > 1:
             rows.append(("end", last.parameters, "", _stability(branch, -1)))

@@ -50,7 +50,7 @@ def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[P
 
 def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
     """Kinds of the points that are passed, each with a function that changes its sign there."""
-    candidates = [(CUSP, quadratic_term(space, before))] if space.periodic is None else _of_orbits(space)
+    candidates = _of_solutions(space, before) if space.periodic is None else _of_orbits(space)
     for kind, test in candidates:
         try:
             if test(before) * test(after) < 0.0:
@@ -59,11 +59,20 @@ def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, 
             continue
 
 
+def _of_solutions(space: Followed, before: Point) -> list[tuple[str, Test]]:
+    """Kinds of points on curves of special solutions of a stated problem, with their functions."""
+    return [(CUSP, quadratic_term(space, before))] if space.kind == FOLD else _resonances(space)
+
+
+def _resonances(space: Followed) -> list[tuple[str, Test]]:
+    if space.kind != TORUS:
+        return []
+    return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
+
+
 def _of_orbits(space: Followed) -> list[tuple[str, Test]]:
     """Kinds of points on curves of special orbits, with their functions."""
-    candidates: list[tuple[str, Test]] = []
-    if space.kind == TORUS:
-        candidates += [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
+    candidates = _resonances(space)
     plus, minus, pair = ANOTHER[space.kind]
     candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
     return [*candidates, (DEGENERATE[space.kind], _coefficient(space))]

@@ -206,7 +206,11 @@ def curve_space(
         accepted = ", ".join(names) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
     settings = following_settings(solution, parameter, to, **options)
-    angle = abs(float(np.angle(on_circle(cast(Orbit, solution))))) if point.kind == TORUS else np.pi
+    angle = np.pi
+    if point.kind == TORUS:
+        if not isinstance(solution, Orbit) and solution.floquet().trivial:
+            raise ValueError("curve: given a torus of a stated problem without forcing; accepted: one of orbits")
+        angle = abs(float(np.angle(on_circle(solution))))
     orbits = cast(BoundarySpace, solution.space)
     located = locate(orbits, point.kind, solution.point, angle)
     if located is None:

@@ -85,14 +85,14 @@ class Linearised:
         rows = [*_leading(bottom, whole, n), *ranges[0], *ranges[1]]
         return matrix[rows]
 
-    def twisted(self, factor: complex) -> Any:
-        """The derivative of the equations of the state alone, for v(1) = factor v(0), sparse."""
-        from scipy.sparse import coo_matrix, vstack
+    def twisted(self, factor: complex, turn: Array | None = None) -> Any:
+        """The derivative of the equations of the state alone, for v(1) = factor v(0) or factor turn v(0), sparse."""
+        from scipy.sparse import csc_matrix, eye, hstack, vstack
 
         n = self.components
         number = factor.real if factor.imag == 0.0 else factor
-        places = (np.tile(np.arange(n), 2), np.concatenate([np.arange(n), self.states - n + np.arange(n)]))
-        closing = coo_matrix((np.repeat([-number, 1.0], n), places), shape=(n, self.states))
+        start = csc_matrix(-number * (np.eye(n) if turn is None or not turn.size else turn))
+        closing = hstack([start, csc_matrix((n, self.states - 2 * n)), eye(n)])
         return vstack([self.jacobian[: self.inner, : self.states], closing]).tocsc()
 
     def _at_stages(self, v: Vector) -> tuple[Vector, Vector]:

@@ -62,11 +62,13 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     assert isinstance(problem, BoundaryProblem)
     values = point.z[: problem.states].reshape(problem.columns, -1)
     sizes = component_sizes(values)
-    normal = np.zeros(values.shape[1])
+    normal, turn = np.zeros(values.shape[1]), np.zeros((0, 0))
+    if kind in (DOUBLING, TORUS) and space.closure is not None:
+        turn = space.closure.matrix
     if kind == TORUS:
-        normal = normal_of(critical_plane(problem, point.z, angle, sizes)[2], sizes)
+        normal = normal_of(critical_plane(problem, point.z, angle, sizes, turn)[2], sizes)
     push = seen_push(problem, point.z, space.statement, sizes) if kind == BRANCH_POINT else np.zeros((0, 0))
-    return Critical(kind, space.statement, first, sizes, normal, push)
+    return Critical(kind, space.statement, first, sizes, normal, turn, push)
 
 
 def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:

@@ -19,6 +19,7 @@ from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vect
 from casadi_skin.equilibria.normal_forms import DECIDED, Critical
 from casadi_skin.equilibria.normal_forms import critical as at_equilibrium
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
 
 UNKNOWN = "unknown: the model has no higher derivatives"
@@ -54,7 +55,7 @@ def critical(point: SpecialPoint) -> Critical:
     return Critical(vector, other, angle / solution.period, value, words)
 
 
-def on_circle(orbit: Orbit) -> complex:
+def on_circle(orbit: Solution) -> complex:
     """The complex multiplier nearest to the unit circle."""
     others = orbit.floquet().others
     upper = others[others.imag > 0.0]

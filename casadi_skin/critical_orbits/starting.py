@@ -23,7 +23,7 @@ def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float
     elif critical.kind == BRANCH_POINT:
         v, added, size = _of_branch_point(critical, linear)
     elif critical.kind == DOUBLING:
-        v, added = null_vectors(linear.twisted(-1.0 + 0.0j))[0].reshape(-1, n), np.zeros(0)
+        v, added = null_vectors(linear.twisted(-1.0 + 0.0j, critical.turn))[0].reshape(-1, n), np.zeros(0)
         size = np.sqrt(_mean(problem, v / critical.sizes))
     else:
         v, added, size = _of_torus(critical, problem, z, angle)
@@ -56,7 +56,7 @@ def _of_branch_point(critical: Critical, linear: Linearised) -> tuple[Array, Arr
 
 def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: float) -> tuple[Array, Array, float]:
     """v1 and v2 side by side; the cosine and the shift; the size of v1."""
-    q, shift, start = critical_plane(problem, z, angle, critical.sizes)
+    q, shift, start = critical_plane(problem, z, angle, critical.sizes, critical.turn)
     turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
     along = np.real(turn * shift) * velocities(problem, z) if critical.autonomous else 0.0
     v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
@@ -75,12 +75,14 @@ def component_sizes(values: Array) -> Array:
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))
 
 
-def critical_plane(problem: BoundaryProblem, z: Array, angle: float, sizes: Array) -> tuple[Vector, complex, Vector]:
-    """The function q with q(1) = exp(i angle) q(0), shape (columns, components), and how it starts.
+def critical_plane(
+    problem: BoundaryProblem, z: Array, angle: float, sizes: Array, turn: Array
+) -> tuple[Vector, complex, Vector]:
+    """The function q with q(1) = exp(i angle) turn q(0), shape (columns, components), and how it starts.
 
     Its start is a multiple of the velocity of an autonomous orbit, which is second; the part across it is third.
     """
-    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)))
+    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)), turn)
     q = null_vectors(twisted)[0].reshape(problem.columns, -1)
     if PERIOD not in problem.statement.free:
         return q, 0.0, q[0]

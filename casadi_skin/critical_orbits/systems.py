@@ -51,6 +51,7 @@ class Critical:
         first: name of the parameter that is found with the orbit.
         sizes: what components of v are measured by, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
+        turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
         push: of a branch point, shape (components, components): the field is pushed along this times v1, or v1 itself.
     """
 
@@ -59,6 +60,7 @@ class Critical:
     first: str
     sizes: Array
     normal: Array
+    turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
     push: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
@@ -154,9 +156,12 @@ class Critical:
                 at_ends = [ca.jtimes(rows, end, self._direction(end, copy)) for end in (first, last)]
                 conditions.append(sum(at_ends) + ca.jtimes(rows, p, self._change(p, copy)))
         elif self.kind == DOUBLING:
-            conditions.append(v1 + v0)
+            conditions.append(v1 + (ca.DM(self.turn) @ v0 if self.turn.size else v0))
         else:
             w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
+            if self.turn.size:
+                back = ca.DM(np.linalg.inv(self.turn))
+                v1, w1 = back @ v1, back @ w1
             closing = w1 - 2 * kappa * w0 + v0
             if self.autonomous:
                 closing = closing - p[count + 1] * self._field(0.0, first[:n], p[:count])

@@ -14,13 +14,12 @@ from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.equilibria.cycles import TOLERANCE, born_at
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.leaving_orbits import leaving_orbits
+from casadi_skin.equilibria.leaving_solutions import doubled_solutions, other_solutions
 from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
 from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
-from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.breaking import breaking_space, start_of
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.following import Following, run_following
@@ -58,7 +57,7 @@ def switch(
     Arguments:
         point: a Hopf point or a branch point of equilibria; of orbits a period doubling, or a branch point that the
             other branch leaves to both sides, as where a symmetry is lost; of a family too, whose amplitude is then a
-            parameter, "S".
+            parameter, "S"; of boundary-value problems a branch point or, where solutions close, a period doubling.
         parameter: name of the parameter to follow: at a branch point that in which it was found.
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
@@ -99,7 +98,7 @@ def leaving_space(
         both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
         return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
     of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
-    of_orbits = point.kind == DOUBLING and isinstance(solution, Orbit)
+    of_orbits = point.kind == DOUBLING and not isinstance(solution, Equilibrium)
     if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
         accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
@@ -116,26 +115,9 @@ def leaving_space(
         statics = Statics(space.model, solution.parameters)
         return born_at(statics, solution.positions, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
-        return _other_solutions(solution, parameter, float(to), values, both, side)
+        leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
+        return leaving(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
-
-
-def _other_solutions(
-    solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
-) -> BoundarySpace:
-    """The space of the other branch at a branch point of a boundary-value problem."""
-    old = cast(BoundarySpace, solution.space)
-    tangent = other_tangent(old.point_solver, solution.point)
-    space = old.following(solution, parameter, to, at, settings)
-    problem = space.levels.problem(solution.intervals).with_constants(solution.problem.constants)
-    z = solution.point.z.copy()
-    span, before = to - solution.parameters[parameter], old.to - old.statement.values[parameter]
-    z[-1], tangent[-1] = 0.0, tangent[-1] * before / span
-    tangent = tangent / np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
-    towards = np.sign(tangent[-1]) if abs(tangent[-1]) > SAME else 1.0
-    tangent = side * towards * tangent
-    first = replace(solution.point, problem=problem, z=z, tangent=tangent, special="")
-    return replace(space, first=first, leaves=True)
 
 
 def _kind_of(solution: Solution) -> str:

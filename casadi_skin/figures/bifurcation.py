@@ -27,6 +27,8 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("fold", False): ("folds", "-"),
     ("hopf", False): ("Hopf points", DASHED),
     ("branch point", False): ("branch points", DOTTED),
+    ("period doubling", False): ("period doublings", DASHED),
+    ("torus", False): ("tori", DOTTED),
     ("fold", True): ("folds of cycles", "-"),
     ("period doubling", True): ("period doublings", DASHED),
     ("torus", True): ("tori", DOTTED),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -11,21 +11,68 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.models.expressions import Expression
 from casadi_skin.stability.full_period import multipliers_of
 from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
 from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_at
 
 TRIALS, SAME = 3, 1e-12  # random points at which derivatives of conditions are compared, and their difference
+TURNED = 1e-9  # relative: a field that is the same after a turn
+STILL = 1e-6  # of the largest value: the variation of a solution that rests
 KEPT = 1e-5  # relative: what closes as the solution does
 
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """The matrix S of a statement whose solutions come back to S times their start: 1 where they are periodic."""
+    """How solutions of a statement come back to S times their start: S is 1 where they are periodic.
+
+    Attributes:
+        statement: the problem.
+        matrix: S, shape (n, n).
+        closing: the numbers of the n conditions that close them, all conditions counted one by one.
+        end: the derivative of these by the state at the end, shape (n, n).
+    """
 
     statement: Statement
     matrix: Array
+    closing: tuple[int, ...]
+    end: Array
+
+    def shift(self, parameters: Array) -> Array:
+        """What is added to S times the start, shape (n,)."""
+        model, n = self.statement.model, self.matrix.shape[0]
+        rows = ca.Function("rows", [*model.ends, model.parameters], [_rows(self.statement)])
+        at_rest = np.array(rows(np.zeros(n), np.zeros(n), parameters)).ravel()[list(self.closing)]
+        return np.asarray(-np.linalg.solve(self.end, at_rest))
+
+    def twice(self) -> Statement:
+        """The problem of solutions that close after two turns; its other conditions are those of the first one."""
+        model, n = self.statement.model, self.matrix.shape[0]
+        rows, (start, end) = _rows(self.statement), model.ends
+        known = ca.Function("rows", [start, end, model.parameters], [rows])
+        zeros = type(start).zeros(n)
+        middle = ca.DM(self.matrix) @ start - ca.solve(
+            ca.DM(self.end), known(zeros, zeros, model.parameters)[list(self.closing)]
+        )
+        closed = known(middle, end, model.parameters)[list(self.closing)]
+        others = [rows[k] for k in range(int(rows.numel())) if k not in self.closing]
+        first, last = self.statement.interval
+        return replace(self.statement, conditions=[closed, *others], interval=(first, 2 * last - first))
+
+    def goes_on(self, problem: BoundaryProblem, z: Array) -> bool:
+        """Whether the field is the same after a turn, f(t + T, S x + c) = S f(t, x), at places near a solution."""
+        model, p = self.statement.model, problem.parameters(z)
+        start, end = self.statement.span(p)
+        generator, places = np.random.default_rng(0), np.linspace(0.0, 1.0, TRIALS + 1)[:-1]
+        field = model.function("field", ca.densify(model.full_rhs))
+        for t, x in zip(start + places * (end - start), problem.sample(z, places), strict=True):
+            near = x + 0.1 * (1.0 + np.abs(x)) * generator.normal(size=x.size)
+            here = self.matrix @ np.array(field(t, near, p)).ravel()
+            after = np.array(field(t + end - start, self.matrix @ near + self.shift(p), p)).ravel()
+            if not np.max(np.abs(after - here)) <= TURNED * (1.0 + np.max(np.abs(here))):
+                return False
+        return True
 
     def multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> FullPeriodFloquet:
         """Multipliers of a solution: those of S^-1 times the flow over the interval."""
@@ -41,13 +88,14 @@ class Closure:
 
     def _trivial(self, values: Array, parameters: Array) -> Trivial:
         """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
-        model = self.statement.model
+        model, n = self.statement.model, self.matrix.shape[0]
+        if np.max(np.ptp(values, axis=0)) <= STILL * np.max(np.abs(values)):  # at rest
+            return Trivial(0, np.empty((0, n)), np.empty((0, n)))
         first, last = (trivial_at(model, SymmetryClass.FULL, x, parameters) for x in (values[0], values[-1]))
         if first.count == 0 or len(first.right) != len(last.right) or len(first.left) != len(last.left):
             return Trivial(0, first.right[:0], first.left[:0])
         right = [a for a, b in zip(first.right, last.right, strict=True) if _same(self.matrix @ a, b)]
         left = [a for a, b in zip(first.left, last.left, strict=True) if _same(self.matrix.T @ b, a)]
-        n = self.matrix.shape[0]
         return Trivial(len(right) + len(left), np.array(right).reshape(-1, n), np.array(left).reshape(-1, n))
 
 
@@ -59,8 +107,7 @@ def closure_of(statement: Statement) -> Closure | None:
     model, n = statement.model, statement.model.full_size
     if not statement.conditions:
         return None
-    rows = ca.vertcat(*(ca.vec(condition) for condition in statement.conditions))
-    start, end = model.ends
+    rows, (start, end) = _rows(statement), model.ends
     slopes = ca.Function(
         "slopes", [start, end, model.parameters],
         [ca.densify(ca.jacobian(rows, start)), ca.densify(ca.jacobian(rows, end))],
@@ -75,7 +122,12 @@ def closure_of(statement: Statement) -> Closure | None:
     A, B = first[both, :n], first[both, n:]
     if A.shape[0] != n or np.linalg.matrix_rank(A) < n or np.linalg.matrix_rank(B) < n:
         return None
-    return Closure(statement, -np.linalg.solve(B, A))
+    return Closure(statement, -np.linalg.solve(B, A), tuple(np.flatnonzero(both).tolist()), B)
+
+
+def _rows(statement: Statement) -> Expression:
+    """The conditions at the ends, one below the other."""
+    return ca.vertcat(*(ca.vec(condition) for condition in statement.conditions))
 
 
 def _same(one: Array, other: Array) -> bool:

@@ -51,9 +51,7 @@ class SpecialPoint(Result):
     mu: float | None = None
 
     def __repr__(self) -> str:
-        stated = getattr(self.solution.space, "periodic", self) is None  # without a known normal form
-        with_form = self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None and not stated
-        words = f", {self.criticality}" if with_form else ""
+        words = f", {self.criticality}" if self.has_criticality else ""
         words += "".join(f", loses its {what}" for what in self.lost)
         name = self.parameter
         return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
@@ -61,6 +59,12 @@ class SpecialPoint(Result):
     def __str__(self) -> str:
         """One line, as `repr`, also within other words."""
         return repr(self)
+
+    @property
+    def has_criticality(self) -> bool:
+        """Whether the normal form is one that decides which side what is born here is on, and is known."""
+        stated = getattr(self.solution.space, "periodic", self) is None
+        return self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None and not stated
 
     @cached_property
     def _critical(self) -> Any:

@@ -112,8 +112,8 @@ def multipliers_of(
     if lost and parts is not None and (finer := parts.maps()) is not None:
         balanced, lost = finer[0] * units / units[:, None], False
         near, others = _parted(balanced, units, trivial, None if along is None else finer[1])
-    if contraction is not None and count == near.logs.size:
-        others = by_liouville(others, balanced, contraction)
+    if contraction is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far from it
+        others = by_liouville(others, balanced, contraction - (float(np.sum(near.logs)) if along is None else 0.0))
     deviation = float(np.prod(np.abs(near.values - 1.0)) ** (1.0 / max(count, 1))) if count else 0.0
     logs = np.concatenate([near.logs, others.logs])
     allowed = DRIFT * tolerance * _largest(matrix * units / units[:, None], size, others)

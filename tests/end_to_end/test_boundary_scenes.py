@@ -23,6 +23,10 @@ column = BoundaryValueProblem(bent, [bent.start(u), bent.end(u)], parameters={"l
 rhs = ca.vertcat(a * x - 2 * y + ca.cos(t), 2 * x + a * y) - (x**2 + y**2) * ca.vertcat(x, y)
 driven = OdeModel("driven", ca.vertcat(x, y), rhs, a, time=t, forcing_period=6.283185307179586)
 ends = [driven.start(x) - driven.end(x), driven.start(y) - driven.end(y)]
+pull = ca.vertcat(a * x, (a - 2) * y) - (x**2 + y**2) * ca.vertcat(x, y)
+odd = OdeModel("odd", ca.vertcat(x, y), pull, a)
+alternates = [odd.end(x) + odd.start(x), odd.end(y) + odd.start(y)]
+flip = BoundaryValueProblem(odd, alternates, parameters={"a": -0.3})
 loop = BoundaryValueProblem(driven, ends, interval=(0, 6.283185307179586), parameters={"a": 0.4})
 """
 
@@ -69,6 +73,19 @@ def test_bent_columns_and_the_load_at_which_they_bend(tmp_path: Path) -> None:
     assert float(bent["lam"]) == 15.0
     largest = max(float(bent["u_max"]), -float(bent["u_min"]))  # of a pendulum, which takes 2 K / sqrt(lam) for half
     assert 2.0 * ellipk(np.sin(0.5 * largest) ** 2) / np.sqrt(15.0) == pytest.approx(1.0, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_solutions_of_two_turns_are_a_branch_of_the_diagram(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """x' = a x - x^3 with x(1) = -x(0): x = 0, and x = sqrt(a) after two turns."""
+    rest = '[continuation]\nparameter = "a"\nto = 0.4\nswitch = ["period doubling"]\n[stability]\n'
+    assert main(["run", scene(tmp_path, "flip", rest), "--out", str(tmp_path / "out")]) == 0
+    (point,) = rows(tmp_path / "out" / "special_points.csv")
+    assert point["kind"] == "period doubling"
+    assert abs(float(point["a"])) < 1e-12
+    last = rows(tmp_path / "out" / "other_1.csv")[-1]
+    assert float(last["x_max"]) == pytest.approx(np.sqrt(0.4), rel=1e-7)
+    assert "period doubling" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -1,0 +1,103 @@
+"""Solutions that close after two turns, and doublings and tori of problems that close in two parameters."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import symbols
+from scipy.integrate import solve_ivp
+
+from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
+from casadi_skin.continuation.points import End
+from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.special_points import SpecialPoint
+
+
+def first_point(turn: float, sign: float, even: float = 0.0) -> SpecialPoint:
+    """z' = (a - k - i q turn) z - |z|^2 z with z(1) = sign z(0), at z = 0; Im z is damped where turn = 0."""
+    x, y, a, k, q, b = symbols("x y a k q b")
+    damping = 0.0 if turn else 2.0
+    rate = ca.vertcat((a - k) * x - q * turn * y, q * turn * x + (a - k - damping) * y)
+    rate = rate - (x**2 + y**2) * ca.vertcat(x, y) + b * ca.vertcat(x**2, 0)
+    model = OdeModel("closed", ca.vertcat(x, y), rate, ca.vertcat(a, k, q, b))
+    ends = [model.end(x) - sign * model.start(x), model.end(y) - sign * model.start(y)]
+    problem = BoundaryValueProblem(model, ends, parameters={"a": -0.3, "k": 0.0, "q": 1.0, "b": even})
+    (point,) = problem.solve([0.0, 0.0]).follow("a", 0.4, stability=True).special_points
+    assert isinstance(point, SpecialPoint)
+    return point
+
+
+def test_solutions_of_two_turns_leave_where_signs_alternate() -> None:
+    """x(1) = -x(0) has x = 0 alone; after two turns x(2) = x(0), which the equilibria x = +- sqrt(a) solve."""
+    point = first_point(0.0, -1.0)
+    assert point.kind == "period doubling"
+    assert abs(point.parameters["a"]) <= point.error < 1e-13
+    for side in (1, -1):
+        branch = point.follow("a", 0.4, side=side, stability=True)
+        last = branch.solutions[-1]
+        assert last.interval == (0.0, 2.0)
+        t = np.linspace(0.0, 2.0, 9)
+        np.testing.assert_allclose(last.evaluate(t)[:, 0], side * np.sqrt(0.4), rtol=1e-8)
+        assert last.stable
+        # x' = -2 a x and y' = -2 y beside it, for two turns
+        np.testing.assert_allclose(last.floquet().multipliers, np.exp([-4.0 * 0.4, -4.0]), rtol=1e-7)
+    found = point.curve("k", 1.0)
+    assert found.complete
+    np.testing.assert_allclose(found["a"], found["k"], rtol=0, atol=1e-10)
+
+
+def test_a_field_that_is_another_one_after_a_turn_is_refused() -> None:
+    with pytest.raises(BoundaryError, match=r"no solutions of two turns leave .* the field does not repeat itself"):
+        first_point(0.0, -1.0, even=0.3).follow("a", 0.4)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_tori_of_a_problem_that_closes_pass_the_resonances_of_their_angle(sign: float) -> None:
+    """Multipliers sign exp(a - k +- i q): on the circle along a = k, whose angle is that of the resonances."""
+    point = first_point(1.0, sign)
+    assert point.kind == "torus"
+    assert abs(point.parameters["a"]) <= point.error < 1e-13
+    found = point.curve("q", 2.5)
+    np.testing.assert_allclose(found["a"], 0.0, rtol=0, atol=1e-10)
+    shift = 0.0 if sign > 0.0 else np.pi
+    angles = {"1:4 resonance": 0.5 * np.pi, "1:3 resonance": 2.0 * np.pi / 3.0 if sign > 0.0 else np.pi / 3.0}
+    for special in found.special_points:
+        assert special.parameters["q"] == pytest.approx(angles.pop(special.kind), abs=1e-9)
+    assert set(angles) <= ({"1:3 resonance"} if shift else set())
+
+
+@pytest.mark.slow
+def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
+    """Roessler's cycle: places, periods, multipliers and the curve in two parameters are those of `find_orbit`."""
+    x, y, z, a, c, T = symbols("x y z a c T")
+    rhs = ca.vertcat(-y - z, x + a * y, 0.2 + z * (x - c))
+
+    def crosses(t: float, s: list[float]) -> float:
+        return s[1]
+
+    crosses.direction = 1.0  # type: ignore[attr-defined]
+    known = solve_ivp(
+        lambda t, s: [-s[1] - s[2], s[0] + 0.2 * s[1], 0.2 + s[2] * (s[0] - 2.0)],
+        (0.0, 300.0), [3.0, 0.0, 0.0], rtol=1e-9, atol=1e-11, events=crosses, dense_output=True,
+    )  # fmt: skip
+    first, last = known.t_events[0][-2:]
+    guess = lambda t: known.sol(first + t)  # noqa: E731
+    stated = OdeModel("stated", ca.vertcat(x, y, z), rhs, ca.vertcat(a, c, T))
+    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(y)]
+    values = {"a": 0.2, "c": 2.0, "T": last - first}
+    cycle = BoundaryValueProblem(stated, ends, interval=(0.0, T), parameters=values, free=["T"]).solve(guess)
+    model = OdeModel("cycle", ca.vertcat(x, y, z), rhs, ca.vertcat(a, c))
+    orbit = find_orbit(model, guess, last - first, parameters={"a": 0.2, "c": 2.0})
+    (mine,), (known_point,) = (s.follow("c", 3.0, stability=True).special_points for s in (cycle, orbit))
+    assert mine.kind == known_point.kind == "period doubling"
+    assert abs(mine.parameters["c"] - known_point.parameters["c"]) <= mine.error + known_point.error < 1e-10
+    doubled, known_doubled = (point.follow("c", 3.0, stability=True) for point in (mine, known_point))
+    assert isinstance(doubled, Branch)
+    assert 2.0 * doubled["T"][-1] == pytest.approx(known_doubled.period[-1], rel=1e-10)
+    np.testing.assert_allclose(
+        doubled.solutions[-1].floquet().others, known_doubled.solutions[-1].floquet().others, rtol=0, atol=1e-7
+    )
+    curves = [point.curve("a", 0.22) for point in (mine, known_point)]
+    assert curves[0].end is End.REACHED
+    assert curves[0]["c"][-1] == pytest.approx(curves[1]["c"][-1], abs=1e-9)
