@@ -79,7 +79,6 @@ def test_run_writes_tables_pictures_and_netcdf(tmp_path: Path, capsys: pytest.Ca
     assert "results in" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("pictures")
 def test_a_film_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
     scene = tmp_path / "film.toml"
     text = CHAIN.format(sites=3, g=1.0) + FAMILY.format(mode="[1, 3]", end=0.5, at="[0.2]") + "film = true\n"

@@ -72,7 +72,7 @@ def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("pictures")
+@pytest.mark.usefixtures("blank")
 @pytest.mark.parametrize(
     ("modes", "methods", "flows"), [("2", 2, 1), pytest.param("[1, 2]", 8, 4, marks=pytest.mark.slow)]
 )
