@@ -19,15 +19,28 @@ Change = Callable[[bytes], bytes]
 
 
 def casadi_van_der_pol(folder: Path) -> Path:
-    """x' = v, v' = mu (1 - x^2) v - x as an FMU of FMI 3.0 by CasADi's exporter, compiled and packed by hand."""
-    dae = ca.DaeBuilder("vdp")
+    """x' = v, v' = mu (1 - x^2) v - x."""
+
+    def rates(x: ca.MX, v: ca.MX, mu: ca.MX) -> tuple[ca.MX, ca.MX]:
+        return v, mu * (1 - x**2) * v - x
+
+    return casadi_fmu(folder, "vdp", rates, {"x": 2.0, "v": 0.0}, {"mu": 1.0})
+
+
+def casadi_fmu(
+    folder: Path, model: str, rates: Callable[..., tuple[ca.MX, ...]], states: Mapping[str, float],
+    parameters: Mapping[str, float],
+) -> Path:  # fmt: skip
+    """An FMU of FMI 3.0 by CasADi's exporter, compiled and packed by hand; values are those at the start."""
+    dae = ca.DaeBuilder(model)
     dae.add("time", "independent")
-    x, v, mu = dae.add("x"), dae.add("v"), dae.add("mu", "parameter", "tunable")
-    dae.eq(dae.der(x), v)
-    dae.eq(dae.der(v), mu * (1 - x**2) * v - x)
-    for name, start in (("x", 2.0), ("v", 0.0), ("mu", 1.0)):
+    x = [dae.add(name) for name in states]
+    p = [dae.add(name, "parameter", "tunable") for name in parameters]
+    for state, rate in zip(x, rates(*x, *p), strict=True):
+        dae.eq(dae.der(state), rate)
+    for name, start in {**states, **parameters}.items():
         dae.set_start(name, start)
-    for name in "xv":
+    for name in states:
         dae.set_initial(name, "exact")
     before = Path.cwd()
     os.chdir(folder)  # the exporter writes into the current directory
@@ -36,14 +49,14 @@ def casadi_van_der_pol(folder: Path) -> Path:
             files = dae.export_fmu()
     finally:
         os.chdir(before)
-    library = folder / f"vdp.{library_ending()}"
+    library = folder / f"{model}.{library_ending()}"
     sources = [str(folder / name) for name in files if name.endswith(".c")]
     command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
-    with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
+    with zipfile.ZipFile(folder / f"{model}.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")
         archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
-    return folder / "vdp.fmu"
+    return folder / f"{model}.fmu"
 
 
 def changed(path: Path, target: Path, changes: Mapping[str, Change | None]) -> Path:

@@ -62,7 +62,7 @@ def _print_offshoots(run: Run) -> None:
         points = _counted([branch for _, branch in found.leaving])
         print(f"branches that leave: {len(found.leaving)}, with {points}")
     if found.edges:
-        print(f"edges of tongues: {len(found.edges)}, with {sum(len(curve) for _, _, curve in found.edges)} points")
+        print(f"edges of tongues: {len(found.edges)}, with {sum(len(curve) for *_, curve in found.edges)} points")
 
 
 def _counted(branches: list[Branch]) -> str:

@@ -173,20 +173,23 @@ def curve(
         EquilibriumError, BoundaryError: the curve cannot be started.
     """
     if point.kind == EDGE:
-        return _curve_of_edges(point, parameter, to, at, max_points, max_step, until, progress)
+        return _curve_of_edges(point, parameter, to, at, max_points, max_step, back_to, until, progress)
     space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     return run_following(Following(space, until=until), progress)
 
 
 def _curve_of_edges(
     point: SpecialPoint, parameter: str, to: float, at: Sequence[float], max_points: int, max_step: float,
-    until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
+    back_to: float | None, until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
 ) -> EdgeCurve:  # fmt: skip
     """The edge of a tongue of a family in a parameter of the model; raises ValueError as `curve` does."""
     orbit = cast(Orbit, point.solution)
     check_name("parameter", parameter, parameters_of(cast(Family, orbit.space)))
-    settings = following_settings(orbit, parameter, to, at=at, max_points=max_points, max_step=max_step)
-    return edge_curve(orbit, point.parameters[point.parameter], parameter, to, at, settings, until, progress)
+    settings = following_settings(
+        orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
+    S = point.parameters[point.parameter]
+    return edge_curve(orbit, S, parameter, to, at, settings, until, progress, back_to)
 
 
 def curve_space(

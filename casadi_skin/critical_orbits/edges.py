@@ -22,11 +22,13 @@ class EdgePoint:
         orbit: of the family, at the edge.
         edge: its kind and place, with the error of S.
         parameters: of the model by name, and S.
+        parameter_error: estimated error of the parameter that is followed, where that folds; 0 elsewhere.
     """
 
     orbit: Orbit
     edge: StabilityEdge
     parameters: Mapping[str, float]
+    parameter_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +40,14 @@ class EdgeCurve(Result):
         points: in order.
         end: reason for its end; None where it was stopped.
         detail: details of the reason.
+        folded: numbers of the points at which the parameter folds, from 0.
     """
 
     parameter: str
     points: tuple[EdgePoint, ...]
     end: End | None
     detail: str = ""
+    folded: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
@@ -72,6 +76,11 @@ class EdgeCurve(Result):
         return tuple(point.orbit for point in self.points)
 
     @property
+    def folds(self) -> tuple[EdgePoint, ...]:
+        """Points at which the parameter folds: there both edges of a tongue, or of a window between two, meet."""
+        return tuple(self.points[number] for number in self.folded)
+
+    @property
     def S(self) -> Array:
         """Amplitudes, shape (points,)."""
         return self["S"]
@@ -83,8 +92,8 @@ class EdgeCurve(Result):
 
     @property
     def complete(self) -> bool:
-        """Whether the curve reached its requested end, or was stopped."""
-        return self.end in (None, End.REACHED)
+        """Whether the curve reached its requested end, came back beyond a fold or closed, or was stopped."""
+        return self.end in (None, End.REACHED, End.AWAY, End.CLOSED)
 
     @property
     def reason(self) -> str:

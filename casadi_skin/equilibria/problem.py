@@ -111,11 +111,15 @@ class AlgebraicProblem(Problem):
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         kind, n = type(self.statics.model.state), self.statics.size
-        z, c = kind.sym("z", self.size), kind.sym("c", self.constants.size)
-        R = ca.densify(self._residual(z[:n], z[n : self.states], z[self.states :], c))
-        function = ca.Function("algebraic", [z, c], [R, ca.jacobian(R, z)])
+        sizes = (n, self.states - n, self.size - self.states)
+        y, others, scalars = (kind.sym(name, size) for name, size in zip("yop", sizes, strict=True))
+        c = kind.sym("c", self.constants.size)
+        R = ca.densify(self._residual(y, others, scalars, c))
+        by_parts = [ca.jacobian(R, part) for part in (y, others, scalars)]
+        function = ca.Function("algebraic", [y, others, scalars, c], [R, ca.horzcat(*by_parts)])
         symbol = ca.MX.sym("z", self.size)
-        residual, jacobian = function(symbol, self.constants_symbol)
+        parts = ca.vertsplit(symbol, np.cumsum([0, *sizes]).tolist())
+        residual, jacobian = function(*parts, self.constants_symbol)
         return symbol, residual, jacobian
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
@@ -211,7 +215,7 @@ class AlgebraicProblem(Problem):
 class ExactLevels(Levels):
     """The one level of equations that are not discretised: what is left of errors is the corrector's, and rounding."""
 
-    def __init__(self, problem: AlgebraicProblem, correct_with: Callable[[Problem], Corrector]) -> None:
+    def __init__(self, problem: Problem, correct_with: Callable[[Problem], Corrector]) -> None:
         super().__init__(lambda _: problem, correct_with, (1,))
 
     def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:

@@ -14,9 +14,11 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.models.saved import programs_in
 from casadi_skin.result import Result
 
 ComplexArray = NDArray[np.complex128]
+SECOND, THIRD = 3e-4, 1e-3  # of the size of x: steps of second and third derivatives of a program
 SAFETY = 4.0  # of the estimated errors of eigenvalues
 
 
@@ -121,11 +123,19 @@ class Statics:
         """df/dp, shape (n, parameters)."""
         return np.array(self._jacobian(x, p)[1])
 
+    @cached_property
+    def exact(self) -> bool:
+        """Whether higher derivatives are exact; those of a program, as an FMU, are differences of its Jacobian."""
+        return not programs_in(self.function)
+
     def second(self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array) -> ComplexArray:
         """f_xx u v for complex directions, shape (n,)."""
 
         def real(a: Array, b: Array) -> Array:
-            return np.array(self._second(x, p, a, b)).ravel()
+            if self.exact:
+                return np.array(self._second(x, p, a, b)).ravel()
+            h = SECOND * self._scale(x, a)
+            return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
 
         return real(u.real, v.real) - real(u.imag, v.imag) + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
 
@@ -138,8 +148,20 @@ class Statics:
             for b, by_v in ((v.real, 1.0), (v.imag, 1j)):
                 for c, by_w in ((w.real, 1.0), (w.imag, 1j)):
                     if np.any(a) and np.any(b) and np.any(c):
-                        total += by_u * by_v * by_w * np.array(self._third(x, p, a, b, c)).ravel()
+                        total += by_u * by_v * by_w * self._real_third(x, p, a, b, c)
         return total
+
+    def _real_third(self, x: Array, p: Array, a: Array, b: Array, c: Array) -> Array:
+        """f_xxx a b c, shape (n,)."""
+        if self.exact:
+            return np.array(self._third(x, p, a, b, c)).ravel()
+        h, k = THIRD * self._scale(x, a), THIRD * self._scale(x, b)
+        ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
+        return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
+
+    def _scale(self, x: Array, along: Array) -> float:
+        """A step along a direction that is the size of x, 1 at least."""
+        return max(1.0, float(np.max(np.abs(x)))) / max(float(np.max(np.abs(along))), 1e-300)
 
     # Eigenvalues ----------------------------------------------------------------------------------------------------
 

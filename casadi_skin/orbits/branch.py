@@ -187,30 +187,32 @@ class Branch(Result):
         tongue = self.stability_diagram.first_instability(growth)
         return None if tongue is None else tongue.start
 
-    def edge(self, number: int = 0) -> SpecialPoint:
+    def edge(self, number: int = 0, further: bool = False) -> SpecialPoint:
         """The edge of a tongue of a family as a special point, to be followed in a second parameter.
 
         Arguments:
             number: place of the edge among `changes`, from 0.
+            further: whether it is the place in `stability_diagram.further`, where orbits are unstable on both sides.
 
         Returns:
             The point; its `curve` follows the edge with S free.
 
         Raises:
-            ValueError: the branch is not a family, or has no such change.
+            ValueError: the branch is not a family, or has no such edge.
         """
-        count = sum(isinstance(change, StabilityEdge) for change in self.changes)
-        if str(number) not in map(str, range(count)):
-            accepted = (
-                f"0 to {count - 1}, the places in changes" if count else "none: no change of stability of a family"
-            )
+        listed = self.changes
+        if further:
+            listed = () if self.stability_diagram is None else self.stability_diagram.further
+        edges = [edge for edge in listed if isinstance(edge, StabilityEdge)]
+        if str(number) not in map(str, range(len(edges))):
+            where = "further edges" if further else "changes"
+            accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
             raise ValueError(f"number: given {number!r}; accepted: {accepted}")
-        change = self.changes[number]
-        orbit = orbit_at_edge(self, change) if isinstance(change, StabilityEdge) else None
+        orbit = orbit_at_edge(self, edges[number])
         if orbit is None:
-            raise ArithmeticError(f"no orbit is found at the change of stability at S = {change.value:.10g}")
-        values = {**orbit.parameters, self.parameter: change.value}
-        return SpecialPoint(EDGE, self.parameter, values, change.error, orbit)
+            raise ArithmeticError(f"no orbit is found at the edge at S = {edges[number].value:.10g}")
+        values = {**orbit.parameters, self.parameter: edges[number].value}
+        return SpecialPoint(EDGE, self.parameter, values, edges[number].error, orbit)
 
     # Special points ---------------------------------------------------------------------------------------------------
 

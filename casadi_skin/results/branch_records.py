@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -122,7 +124,24 @@ class CycleRecord(msgspec.Struct, frozen=True, tag="cycle"):
     period: float
 
 
-BranchRecord = PointRecord | StabilityRecord | EndRecord | CutRecord | CycleRecord
+class EdgeRecord(msgspec.Struct, frozen=True, tag="edge"):
+    """A curve of edges that has ended, as `saving.saved` has it."""
+
+    branch: str
+    curve: bytes
+
+
+BranchRecord = PointRecord | StabilityRecord | EndRecord | CutRecord | CycleRecord | EdgeRecord
+
+
+class Records(Protocol):
+    """Records of branches, kept or not: a journal has these."""
+
+    path: Path
+    records: list[BranchRecord]
+
+    def append(self, record: BranchRecord) -> None:
+        """Keep one more."""
 
 
 def doubles_of(data: bytes, kind: str = "<f8") -> np.ndarray:
@@ -250,7 +269,7 @@ def _holding(records: Sequence[BranchRecord], branch: str) -> list[PointRecord |
     for record in records:
         if record.branch != branch:
             continue
-        if isinstance(record, CycleRecord):
+        if isinstance(record, CycleRecord | EdgeRecord):
             continue
         if isinstance(record, CutRecord):
             del mine[record.kept :]

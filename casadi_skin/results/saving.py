@@ -51,8 +51,8 @@ def save_result(result: Any, path: str | Path) -> Path:
 
     Arguments:
         result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
-            certificate, a time evolution, a search, or the smallest kick. A map is in its directory: see `read_map`.
-            Of the model of an FMU the token, a hash and the choices of its import are written.
+            certificate, a curve of edges, a time evolution, a search, or the smallest kick. A map is in its directory:
+            see `read_map`. Of the model of an FMU the token, a hash and the choices of its import are written.
         path: the file; an existing one is replaced.
 
     Returns:
@@ -69,6 +69,14 @@ def save_result(result: Any, path: str | Path) -> Path:
         raise ValueError(f"path: given {target}, which is a directory; accepted: the path of a file")
     if not target.parent.is_dir():
         raise ValueError(f"path: given {target}, in no directory; accepted: a file in a directory that is there")
+    payload = msgspec.msgpack.encode(saved(result))
+    with replacing(target) as temporary:
+        temporary.write_bytes(framed(payload))
+    return target
+
+
+def saved(result: Any) -> SavedResult:
+    """A result as data; raises ValueError as `save_result` does."""
     writer = Writer(_write_shared)
     try:
         data = writer.value(result)
@@ -76,10 +84,14 @@ def save_result(result: Any, path: str | Path) -> Path:
         raise ValueError(f"result: given {short_repr(result)}; accepted: a result of this package") from None
     if not (isinstance(data, list) and data[0] == "object"):
         raise ValueError(f"result: given {short_repr(result)}; accepted: a result of this package")
-    payload = msgspec.msgpack.encode(SavedResult(FORMAT, __version__, writer.shared, data))
-    with replacing(target) as temporary:
-        temporary.write_bytes(framed(payload))
-    return target
+    return SavedResult(FORMAT, __version__, writer.shared, data)
+
+
+def restored(data: SavedResult) -> Any:
+    """The result of data; raises one of `DAMAGED` where they are none."""
+    if data.format != FORMAT:
+        raise ValueError(f"format {short_repr(data.format)}")
+    return Reader(data.shared, _read_shared).value(data.result)
 
 
 def read_result(path: str | Path, *, model: Any = None) -> Any:

@@ -27,6 +27,7 @@ from casadi_skin.results.branch_records import (
     BranchRecord,
     CutRecord,
     EndRecord,
+    Records,
     known_of,
     point_record,
     stability_record,
@@ -38,16 +39,6 @@ from casadi_skin.solvers.watch import watched
 from casadi_skin.stability.flow import FlowError
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
-
-
-class Records(Protocol):
-    """Records of branches, kept or not: a journal has these."""
-
-    path: Path
-    records: list[BranchRecord]
-
-    def append(self, record: BranchRecord) -> None:
-        """Keep one more."""
 
 
 class Rows(Protocol):
@@ -125,7 +116,7 @@ class Branches:
             finally:  # beside the families, also where it is interrupted
                 self.offshoots.leaving += [(name, branch) for branch in self.branches[before:]]
                 del self.branches[before:]
-        follow_edges(families, table, self.offshoots, self.failures, self.progress)
+        follow_edges(families, table, self.offshoots, self.failures, self.progress, journal)
 
     @contextmanager
     def _named(self, where: str) -> Iterator[None]:

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+
 import casadi_skin.figures as figures
 from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.equilibria.switch import leaving_space
@@ -13,9 +15,11 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.progress import Progress
+from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
+from casadi_skin.results.saving import SavedResult, restored, saved
 from casadi_skin.runs.diagram import ended_well
 from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.pictures import picture
@@ -23,6 +27,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of
 from casadi_skin.scene.model_tables import ContinuationTable
 
+EVENTS, FURTHER = "events.csv", "further_events.csv"  # where edges are listed
 POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
 
 
@@ -31,9 +36,9 @@ def reasons(found: Offshoots) -> Iterator[str]:
     for name, branch in found.leaving:
         if not ended_well(branch):
             yield f"[continuation] switch: {name}: {branch.reason}"
-    for mode, number, curve in found.edges:
+    for mode, listed, number, curve in found.edges:
         if not curve.complete:
-            yield f"[continuation] curve: mode {mode}, edge {number}: {curve.reason}"
+            yield f"[continuation] curve: mode {mode}, edge {number} of {listed}: {curve.reason}"
 
 
 def leaving_spaces(
@@ -55,22 +60,52 @@ def leaving_spaces(
 
 
 def follow_edges(
-    families: Sequence[Branch], table: ContinuationTable, found: Offshoots, failures: list[str], progress: Progress
-) -> None:
-    """Follow the edge at every change of stability of families in the second parameter."""
-    if table.curve is None:
+    families: Sequence[Branch], table: ContinuationTable, found: Offshoots, failures: list[str], progress: Progress,
+    journal: Records,
+) -> None:  # fmt: skip
+    """Follow edges of tongues of families in the second parameter; those that the journal holds are not followed again.
+
+    They are those of every change of stability, and where the scene requests it those between unstable orbits.
+    """
+    asked = table.curve
+    if asked is None:
         return
+    known = {record.branch: record for record in journal.records if isinstance(record, EdgeRecord)}
     for family in families:
-        for number in range(1, len(family.changes) + 1):
-            progress.say(f"j = {mode_of(family)}: edge {number} of {len(family.changes)} in {table.curve.parameter}")
+        diagram = family.stability_diagram
+        counts = {EVENTS: len(family.changes), FURTHER: len(diagram.further) if diagram and asked.further else 0}
+        for listed, number in ((listed, k) for listed, count in counts.items() for k in range(1, count + 1)):
+            mode, name = mode_of(family), f"{listed} {mode_of(family)} {number}"
+            progress.say(f"j = {mode}: edge {number} of {counts[listed]} in {asked.parameter}")
             try:
-                point = family.edge(number - 1)
-                options = {"max_points": table.max_points, "max_step": table.max_step}
-                curve = point.curve(table.curve.parameter, table.curve.to, **options)
+                curve = _kept(known.get(name))
+                if curve is None:
+                    point = family.edge(number - 1, further=listed == FURTHER)
+                    options = {"max_points": table.max_points, "max_step": table.max_step}
+                    curve = point.curve(asked.parameter, asked.to, **options)
+                    _keep(name, curve, journal, progress)
             except (ValueError, ArithmeticError) as error:
-                failures.append(f"[continuation] curve: mode {mode_of(family)}, edge {number}: {error}")
+                failures.append(f"[continuation] curve: mode {mode}, edge {number} of {listed}: {error}")
             else:
-                found.edges.append((mode_of(family), number, curve))
+                found.edges.append((mode, listed, number, curve))
+
+
+def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> None:
+    """Append a curve to the journal, where its model can be saved."""
+    try:
+        data = saved(curve)
+    except ValueError as error:
+        progress.report(f"{journal.path}: {error}; the edge is followed again by --resume")
+    else:
+        journal.append(EdgeRecord(name, msgspec.msgpack.encode(data)))
+
+
+def _kept(record: EdgeRecord | None) -> EdgeCurve | None:
+    """The curve of a record; None without one."""
+    if record is None:
+        return None
+    curve = restored(msgspec.msgpack.decode(record.curve, type=SavedResult))
+    return curve if isinstance(curve, EdgeCurve) else None
 
 
 def write_offshoots(
@@ -84,9 +119,9 @@ def write_offshoots(
         if len(branch):
             write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
     if found.edges:
-        table = [row for mode, number, curve in found.edges for row in _edge_rows(mode, number, curve)]
+        table = [row for mode, listed, number, curve in found.edges for row in _edge_rows(mode, listed, number, curve)]
         write_csv(directory / "edges.csv", list(table[0]), table)
-        curves = [curve for _, _, curve in found.edges]
+        curves = [curve for *_, curve in found.edges]
         picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
 
 
@@ -102,9 +137,9 @@ def _lost(point: SpecialPoint) -> str:
     return ", ".join(point.lost) if point.mu is not None else ""
 
 
-def _edge_rows(mode: int, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
+def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
     """A row for each point of an edge."""
     columns = edge_columns(curve)
     for k in range(len(curve)):
         values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
-        yield {"mode": mode, "edge": number, "kind": curve.kind, **values}
+        yield {"mode": mode, "edge": number, "kind": curve.kind, "table": listed, **values}

@@ -17,8 +17,8 @@ class Offshoots:
 
     Attributes:
         leaving: branches that leave families, with their names.
-        edges: edges of tongues with the number of the mode, and their places in `changes` from 1.
+        edges: edges of tongues with the number of the mode, the table that they are in, and their places there from 1.
     """
 
     leaving: list[tuple[str, Branch]] = field(default_factory=list)
-    edges: list[tuple[int, int, EdgeCurve]] = field(default_factory=list)
+    edges: list[tuple[int, str, int, EdgeCurve]] = field(default_factory=list)

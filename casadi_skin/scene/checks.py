@@ -155,6 +155,8 @@ def _check_continuation(scene: Scene) -> None:
     if "hopf" in table.switch and scene.equilibrium is None:
         beside = next(name for name in ("family", "orbit", "solution") if getattr(scene, name) is not None)
         raise refusal("[continuation] switch", f'"hopf" beside [{beside}]', '"branch point" and "period doubling"')
+    if table.curve is not None and table.curve.further and scene.family is None:
+        raise refusal("[continuation] curve", "further = true without [family]", "beside [family]")
     for item, kind in enumerate(table.switch, start=1):
         if kind in table.switch[: item - 1]:
             raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")

@@ -127,6 +127,13 @@ class CurveTable(Table, frozen=True):
 
     parameter: Annotated[_Text, Meta(title="Second parameter", description="the name of a parameter")]
     to: Annotated[Finite, Meta(title="Value at which curves end", description="a finite number")]
+    further: Annotated[
+        bool,
+        Meta(
+            title="Whether edges with unstable orbits on both sides are followed too, those in further_events.csv",
+            description="true or false; beside [family] alone (left out: false)",
+        ),
+    ] = False
 
 
 class SolutionTable(Table, frozen=True):

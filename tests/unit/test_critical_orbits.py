@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from critical_models import across_circle, cycles_with_fold
 from equilibrium_models import lorenz, symbols
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, minimize_scalar
 from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
@@ -280,6 +282,52 @@ def test_edges_of_lames_equation_are_followed_in_the_coupling() -> None:
         assert min(np.max(np.abs(curve["c"] - exact)) for exact in known) < 1e-9
     with pytest.raises(ValueError, match="parameter: given 'd'; accepted: c"):
         branch.edge(0).curve("d", 2.0)
+
+
+@pytest.mark.slow
+def test_the_edge_of_a_tongue_is_followed_around_a_fold_in_the_coupling(tmp_path: Path) -> None:
+    """Two oscillators in phase, y'' = -y - y^3 + y^5/2: Hill's equation by Dormand-Prince is zero along the whole edge.
+
+    The coupling of the edge, as a function of S, is largest at the fold; the curve goes on to where it started from.
+    """
+
+    def coefficient(S: float, coupling: float) -> float:
+        def field(_: float, x: np.ndarray) -> list[float]:
+            rate = 1.0 + 3.0 * x[0] ** 2 - 2.5 * x[0] ** 4 + 2.0 * coupling
+            return [x[1], -x[0] - x[0] ** 3 + 0.5 * x[0] ** 5, x[3], -rate * x[2]]
+
+        def at_rest(_: float, x: np.ndarray) -> float:
+            return float(x[0])
+
+        at_rest.terminal = True  # type: ignore[attr-defined]  # a quarter of the period
+        start = [np.sqrt(S / 2.0), 0.0, 0.0, 1.0]
+        return float(solve_ivp(field, (0.0, 9.0), start, "DOP853", rtol=1e-12, atol=1e-13, events=at_rest).y[2, -1])
+
+    def edge(S: float) -> float:
+        return float(brentq(lambda coupling: coefficient(S, coupling), 1.8, 2.4, xtol=1e-13))
+
+    y, v, c = ca.SX.sym("y", 2), ca.SX.sym("v", 2), ca.SX.sym("c")
+    rhs = -y - y**3 + 0.5 * y**5 + c * (y[::-1] - y)
+    model = OdeModel(
+        "two oscillators", y, rhs, c, order=2, velocity=v, nominal=(2.09,), reversal=[1, 1, -1, -1],
+        half_period=[-1, -1, -1, -1],
+    )  # fmt: skip
+    branch = follow_family(model, 1, 2.9, stability=True)
+    number = int(np.argmin([abs(coefficient(change.S, 2.09)) for change in branch.changes]))
+    curve = branch.edge(number).curve("c", 2.5)
+    assert curve.end is End.AWAY
+    assert curve["c"][0] == curve["c"][-1] == 2.09
+    (fold,) = curve.folds
+    known = minimize_scalar(lambda S: -edge(S), bounds=(3.0, 3.4), method="bounded", options={"xatol": 1e-7})
+    assert fold.parameters["c"] == pytest.approx(-known.fun, abs=fold.parameter_error + 1e-12)
+    assert 0.0 < fold.parameter_error < 1e-8
+    assert fold.parameters["S"] == pytest.approx(known.x, abs=fold.edge.error + 1e-6)
+    assert np.all(np.diff(curve.S) > 0.0)
+    assert max(abs(coefficient(S, c)) for S, c in zip(curve.S, curve["c"], strict=True)) < 1e-8
+    read = read_result(curve.save(tmp_path / "edge.result"))
+    assert (read["S"] == curve["S"]).all()
+    assert read.reason == curve.reason
+    assert read.folds[0].orbit.Omega == fold.orbit.Omega
 
 
 def test_a_curve_of_orbits_tells_what_it_accepts() -> None:

@@ -1,0 +1,94 @@
+"""Special points of programs, such as FMUs, followed in two parameters: those of the same equations as expressions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import ab
+from foreign_fmus import casadi_fmu
+
+from casadi_skin import OdeModel, find_equilibrium, find_orbit, import_fmu
+from casadi_skin.equilibria.space import EquilibriumError
+
+
+def reaction(x: ca.MX, y: ca.MX, p: ca.MX, p2: ca.MX, p3: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """The A to B reaction of AUTO-07p's demo `ab`."""
+    rate = p * (1 - x) * ca.exp(y)
+    return -x + rate, -y + p2 * rate - p3 * y
+
+
+@pytest.mark.slow
+def test_folds_and_hopf_points_of_an_fmu_are_those_of_its_equations(tmp_path: Path) -> None:
+    path = casadi_fmu(tmp_path, "ab", reaction, {"x": 0.0, "y": 0.0}, {"p": 0.0, "p2": 14.0, "p3": 2.0})
+    models = import_fmu(path, parameters=["p", "p2", "p3"]), ab()
+    points, known = (find_equilibrium(model, [0, 0]).follow("p", 0.2).special_points for model in models)
+    assert [point.kind for point in points] == ["fold", "fold", "hopf"]
+    for point, exact, to in zip(points, known, (13.4, 13.9, 13.9), strict=True):
+        assert point.parameters["p"] == pytest.approx(exact.parameters["p"], abs=1e-14)
+        assert point.coefficient == pytest.approx(exact.coefficient, rel=1e-4)
+        curve, other = point.curve("p2", to), exact.curve("p2", to)
+        assert curve.complete
+        assert curve["p"][-1] == pytest.approx(other["p"][-1], abs=1e-13)
+        found, there = ([(q.kind, q.parameters["p2"]) for q in c.special_points] for c in (curve, other))
+        assert [kind for kind, _ in found] == [kind for kind, _ in there]
+        assert [place for _, place in found] == pytest.approx([place for _, place in there], abs=1e-10)
+
+
+@pytest.mark.slow
+def test_a_fold_of_cycles_of_an_fmu_is_followed(tmp_path: Path) -> None:
+    """r' = r (mu + a r^2 - r^4): the fold is along mu = -a^2/4."""
+
+    def rates(x: ca.MX, y: ca.MX, mu: ca.MX, a: ca.MX) -> tuple[ca.MX, ca.MX]:
+        s = x**2 + y**2
+        return (mu + a * s - s**2) * x - y, (mu + a * s - s**2) * y + x
+
+    path = casadi_fmu(tmp_path, "cycles", rates, {"x": 1.0, "y": 0.0}, {"mu": 0.1, "a": 1.0})
+    orbit = find_orbit(
+        import_fmu(path, parameters=["mu", "a"]), lambda t: [np.cos(t), np.sin(t)], 6.28, tolerance=1e-5,
+        corrector="newton",
+    )  # fmt: skip
+    branch = orbit.follow("mu", -0.26, until=lambda solution: solution.point.special == "fold")
+    curve = branch.special_points[0].curve("a", 1.01, max_points=2)
+    assert len(curve) > 1
+    assert np.max(np.abs(curve["mu"] + curve["a"] ** 2 / 4.0)) < 1e-9
+
+
+class Program(ca.Callback):  # type: ignore[misc]
+    """x, p -> p - x^2, or its derivatives: no more than the first."""
+
+    def __init__(self, name: str, derivative: bool = False) -> None:
+        ca.Callback.__init__(self)
+        self._derivative = derivative
+        self._jacobian = None if derivative else Program(f"{name}_jacobian", True)
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return 3 if self._derivative else 2
+
+    def get_n_out(self) -> int:
+        return 2 if self._derivative else 1
+
+    def eval(self, arguments: Any) -> list[ca.DM]:
+        x, p = arguments[:2]
+        return [-2 * x, ca.DM(1.0)] if self._derivative else [p - x**2]
+
+    def has_jacobian(self) -> bool:
+        return not self._derivative
+
+    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
+        return self._jacobian
+
+
+def test_a_program_without_second_derivatives_has_no_curves_which_one_line_says() -> None:
+    program, x, p = Program("square"), ca.MX.sym("x"), ca.MX.sym("p", 2)
+    model = OdeModel("square", x, program(x, p[0]) + p[1], p, nominal=(1.0, 0.0), parameter_labels=("p", "q"))
+    (fold,) = find_equilibrium(model, [1.0]).follow("p", -0.5).special_points
+    assert fold.parameters["p"] == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(EquilibriumError) as caught:
+        fold.curve("q", 0.5)
+    words = "square: the model has no second derivatives, which a curve in two parameters needs"
+    assert str(caught.value) == words
