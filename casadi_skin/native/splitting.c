@@ -102,12 +102,13 @@ static void one_orbit(int64_t n, int64_t reach, int64_t farthest, const int32_t 
 }
 
 /* Transition matrices phi of several orbits, (points, 2n, 2n), each with steps of its own length, in `kicks` kicks with
-   `drifts` between them. `jacobians` has the non-zeros of J at the kicks, (points, kicks, indptr[n]), ordered by rows;
+   `drifts` between them. `jacobians` has the non-zeros of J at the kicks, (kicks, indptr[n]), ordered by rows, of one
+   point `stride` numbers after that before;
    none is farther than `reach` from the diagonal. Of phi, which is zero before, what is farther than `farthest` from the
    diagonals of its blocks stays zero. Returns 0, or 1 where there is no memory. */
 EXPORTED int casadi_skin_splitting(int64_t points, int64_t n, int64_t reach, int64_t farthest, const int32_t *indptr,
                                    const int32_t *indices, int64_t kicks, const double *weights, const double *drifts,
-                                   const double *steps, const double *jacobians, double *phi)
+                                   const double *steps, const double *jacobians, int64_t stride, double *phi)
 {
     const int64_t nonzeros = indptr[n];
     char *memory = malloc((size_t)n * 2 * sizeof(columns) + (size_t)nonzeros * sizeof(double) + ALIGNED);
@@ -116,7 +117,7 @@ EXPORTED int casadi_skin_splitting(int64_t points, int64_t n, int64_t reach, int
     columns *x = (columns *)(((uintptr_t)memory + ALIGNED - 1) / ALIGNED * ALIGNED), *v = x + n;
     for (int64_t p = 0; p < points; p++)
         one_orbit(n, reach, farthest, indptr, indices, kicks, weights, drifts, steps[p],
-                  jacobians + p * kicks * nonzeros, phi + p * 4 * n * n, x, v, (double *)(v + n));
+                  jacobians + p * stride, phi + p * 4 * n * n, x, v, (double *)(v + n));
     free(memory);
     return 0;
 }

@@ -28,7 +28,7 @@ def splitting_kernel() -> Kernel | None:
     if found is None:
         return None
     function, integer, pointer = found.casadi_skin_splitting, ctypes.c_int64, ctypes.c_void_p
-    function.argtypes = [integer] * 4 + [pointer] * 2 + [integer] + [pointer] * 5
+    function.argtypes = [integer] * 4 + [pointer] * 2 + [integer] + [pointer] * 4 + [integer, pointer]
     function.restype = ctypes.c_int
 
     def transitions(
@@ -36,14 +36,21 @@ def splitting_kernel() -> Kernel | None:
     ) -> Array:
         (indptr, indices), (kicks, drifts) = pattern, sequence
         (points, count, nonzeros), size = jacobians.shape, indptr.size - 1
-        steps, jacobians = np.ascontiguousarray(steps), np.ascontiguousarray(jacobians)
-        held: list[NDArray[Any]] = [indptr, indices, kicks, drifts, steps, jacobians]
+        if points and not jacobians[0].flags.c_contiguous:
+            jacobians = np.ascontiguousarray(jacobians)
+        held: list[NDArray[Any]] = [indptr, indices, kicks, drifts, np.ascontiguousarray(steps)]
         assert (kicks.size, drifts.size, nonzeros) == (count, count - 1, indices.size)
         assert all(array.flags.c_contiguous for array in held)
         result = np.zeros((points, 2 * size, 2 * size))
-        at = [array.ctypes.data for array in (*held, result)]
-        if function(points, size, *reaches, *at[:2], count, *at[2:]):
+        at = [_address(array) for array in (*held, jacobians, result)]
+        stride = jacobians.strides[0] // jacobians.itemsize
+        if function(points, size, *reaches, *at[:2], count, *at[2:-1], stride, at[-1]):
             raise MemoryError(f"the variational flow of {size} components")
         return result
 
     return transitions
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Where the numbers of an array begin; faster than `ctypes.data`."""
+    return int(array.__array_interface__["data"][0])
