@@ -161,7 +161,10 @@ class Branch(Result):
 
     @property
     def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
-        """Changes of stability in order: every one of a family, of other branches those between two solutions."""
+        """Changes of stability in order: every one of a family, of other branches those between two solutions.
+
+        Empty where stability was not computed: `with_stability` says whether it was.
+        """
         return self.located if self.stability_diagram is None else self.stability_diagram.changes
 
     @property
