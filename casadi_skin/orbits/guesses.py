@@ -70,7 +70,10 @@ def over_its_own_period(guess: Guess, names: Sequence[str], period: float, rotat
         ratio = _closing_time(at, period, rotation) / period
     except Exception:  # of the user's function, beyond the period for one: reported where it is sampled
         return guess
-    return guess if ratio == 1.0 else lambda t: at(ratio * t)
+    if ratio == 1.0:
+        return guess
+    direct = guess if callable(guess) else at
+    return lambda t: direct(ratio * t)
 
 
 def _function(guess: Guess, names: Sequence[str]) -> Callable[[float], Array] | None:

@@ -8,6 +8,7 @@ exact derivatives. Run with `pytest -m benchmark -s tests/benchmarks/test_bounda
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 import time
 from collections.abc import Callable
@@ -125,6 +126,9 @@ def test_bratu_and_its_branch(record: Record) -> None:
     problem = stated()
     record("BVP Bratu, built and solved", seconds(lambda: stated().solve([0.0, 0.0], tolerance=1e-8), 5), 1)
     record("BVP Bratu, solved", seconds(lambda: problem.solve([0.0, 0.0], tolerance=1e-8), 5), 1)
+    values = itertools.count(0.5, 0.01)
+    other = lambda: problem.with_parameters(**{"lambda": next(values)}).solve([0.0, 0.0], tolerance=1e-8)  # noqa: E731
+    record("BVP Bratu, another value of its parameter", seconds(other, 5), 1)
     x = np.linspace(0.0, 1.0, 11)
     theirs = lambda: solve_bvp(  # noqa: E731
         lambda x, y: np.stack([y[1], -np.exp(y[0])]),
@@ -140,7 +144,7 @@ def test_bratu_and_its_branch(record: Record) -> None:
     record("BVP Bratu's branch through its fold", seconds(lambda: start.follow("lambda", 4.0), 3), len(branch))
 
 
-@pytest.mark.parametrize("units", [3, 10, 25, 50])
+@pytest.mark.parametrize("units", [3, 10, 25, 50, 100])
 def test_rings_of_van_der_pol_oscillators(record: Record, units: int) -> None:
     """The rotating wave, whose period is that of one oscillator with the coupling's share of its neighbours."""
     x, y = ca.SX.sym("x", units), ca.SX.sym("y", units)

@@ -33,7 +33,7 @@ def test_what_rotates_closes_but_for_its_rotation() -> None:
     taken: Any = over_its_own_period(
         lambda t: [t + 0.1 * np.sin(t), 2.0 * np.cos(t)], NAMES, 6.0, np.array([TWO_PI, 0.0])
     )
-    np.testing.assert_allclose(taken(6.0) - taken(0.0), [TWO_PI, 0.0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.subtract(taken(6.0), taken(0.0)), [TWO_PI, 0.0], rtol=0, atol=1e-8)
 
 
 def line(t: float) -> list[float]:
