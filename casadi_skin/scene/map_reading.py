@@ -104,6 +104,10 @@ def check_map(scene: Scene) -> None:
         raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
     if table.growth and scene.stability is None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
+    if scene.sites == math.inf and (table.growth or table.boundary):
+        name = "growth" if table.growth else "boundary"
+        accepted = "with a whole number of sites: changes of stability of an infinite chain are not sought"
+        raise refusal(f"[map] {name}", "with sites = inf", accepted)
 
 
 def _check_range(name: str, axis: RangeTable) -> None:

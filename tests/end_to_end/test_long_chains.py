@@ -145,3 +145,12 @@ def test_what_an_infinite_chain_does_not_have_is_refused_in_a_line(
         assert told.count("\n") == 1
         assert words in told
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("key", ["growth = 0.1", "boundary = true"])
+def test_maps_of_infinite_chains_have_no_changes_of_stability(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str
+) -> None:
+    scene = written(tmp_path / "map.toml", rest=f"[stability]\n[map]\ngamma = [0.5, 0.6]\n{key}")
+    assert main(["map", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert f"[map] {key.split()[0]}: given with sites = inf" in capsys.readouterr().err
