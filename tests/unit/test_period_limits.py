@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import symbols
+from equilibrium_models import lorenz, symbols
 from test_rotating_orbits import ENERGY, E, current, pendulum, q, turn_time
 
 from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit
@@ -71,3 +71,19 @@ def test_cycles_end_at_an_exact_homoclinic_orbit(a: float) -> None:
     ends_at(branch, "homoclinic", 0.0)
     at = branch.special_points[0].solution.evaluate(np.linspace(0.0, branch.period[-1], 500))
     assert np.max(np.abs(at[:, 0] ** 2 * (1.0 - at[:, 0]) - at[:, 1] ** 2)) < 1e-5
+
+
+@pytest.mark.slow
+def test_mirror_images_of_lorenz_cycles_end_at_one_homoclinic_orbit() -> None:
+    """From both Hopf points down to r = 13.926557 (Sparrow 1982), in as many points."""
+    (pitchfork,) = find_equilibrium(lorenz(), [0, 0, 0], parameters={"r": 0.5}).follow("r", 2.0).special_points
+    branches = []
+    for side in (1, -1):
+        (hopf,) = (p for p in pitchfork.follow("r", 30.0, side=side).special_points if p.kind == "hopf")
+        branches.append(hopf.follow("r", 13.0))
+    ends = [branch.special_points[-1] for branch in branches]
+    for branch, end in zip(branches, ends, strict=True):
+        assert branch.end is End.UNBOUNDED
+        assert end.kind == "homoclinic"
+        assert abs(end.parameters["r"] - 13.926557) <= end.error + 1e-6
+    assert abs(len(branches[0]) - len(branches[1])) <= 2  # the ends are where rounding is
