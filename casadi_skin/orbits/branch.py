@@ -18,6 +18,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.at_edges import between, orbit_at_edge, separate
 from casadi_skin.orbits.certificate import ProvedStretch
+from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
@@ -160,10 +161,16 @@ class Branch(Result):
         return family_tongues(self.space, (self.start, *(solution.point for solution in self.solutions)))
 
     @property
+    def changes_not_sought(self) -> str:
+        """Why changes of stability of a family are not sought though its stability is; empty where they are."""
+        localised = self.with_stability and isinstance(self.space, Family) and self.space.coordinates.localised
+        return NO_CHANGES if localised else ""
+
+    @property
     def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
         """Changes of stability in order: every one of a family, of other branches those between two solutions.
 
-        Empty where stability was not computed: `with_stability` says whether it was.
+        Empty where stability was not computed: `with_stability` says whether it was; and where they are not sought.
         """
         return self.located if self.stability_diagram is None else self.stability_diagram.changes
 
@@ -185,6 +192,8 @@ class Branch(Result):
         Raises:
             ValueError: changes of stability were not sought, or the branch is not a family.
         """
+        if self.changes_not_sought:
+            raise ValueError(f"first_instability: changes of stability are not sought: {self.changes_not_sought}")
         if self.stability_diagram is None:
             raise ValueError("first_instability: accepted: a family followed with stability=True, events=True")
         tongue = self.stability_diagram.first_instability(growth)

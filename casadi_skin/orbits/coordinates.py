@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from casadi_skin.stability.result import ReversibleFloquet
 
 LOG10 = float(np.log(10.0))
+NO_CHANGES = "weak instabilities in the tail depend on its length"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.request import Request
@@ -134,7 +135,7 @@ def _family_lines(request: Request) -> Lines:
         if first.coordinates.localised is not None:
             first_cut = first.coordinates.localised.sites[0]
             what = f"localised multipliers, on {first_cut} sites at the edge or more; waves have theirs in closed form"
-            lines.append(("not sought", "changes of stability: weak instabilities in the tail depend on its length"))
+            lines.append(("not sought", f"changes of stability: {NO_CHANGES}"))
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]

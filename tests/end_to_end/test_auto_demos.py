@@ -17,9 +17,9 @@ COARSE = {("lin", 4.00023): 6e-5, ("cusp", 3.02839e-08): 1.0}
 
 
 def page_rows() -> Iterator[tuple[str, str, float, float]]:
-    """Demo, what, AUTO's number and the one here of each row of the page."""
-    demo = ""
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
+    """Demo, what, AUTO's number and the one here of each row of the page's first table."""
+    demo, (points, _) = "", PAGE.read_text(encoding="utf-8").split("## Curves in two parameters")
+    for line in points.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("|") and len(cells) == 6 and cells[4] != "---" and cells[3] != "here":
             demo = cells[0].strip("`") or demo

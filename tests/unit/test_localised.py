@@ -218,3 +218,13 @@ def test_vectors_and_growth_of_infinite_chains_are_refused() -> None:
     for act in (orbit.floquet_vectors, orbit.transient_growth):
         with pytest.raises(ValueError, match="accepted: "):
             act()
+
+
+def test_a_family_of_an_infinite_chain_says_that_its_changes_are_not_sought() -> None:
+    branch = follow_family(SOFT, 1, 0.1, tolerance=1e-6, stability=True)
+    assert branch.changes == ()
+    assert "the tail depend on its length" in branch.changes_not_sought
+    assert "not sought" in str(branch)
+    with pytest.raises(ValueError, match="first_instability: changes of stability are not sought"):
+        branch.first_instability()
+    assert follow_family(SOFT, 1, 0.1, tolerance=1e-6).changes_not_sought == ""
