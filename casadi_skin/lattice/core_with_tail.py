@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.orbits.coordinates import Localised, normalised
 from casadi_skin.theory import multiple_scales
-
-if TYPE_CHECKING:
-    from casadi_skin.orbits.request import FamilyRequest
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
 LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
@@ -72,11 +68,8 @@ class CoreWithTail(ChainCoordinates):
         first = self.core.sites + BESIDE_CORE
         return tuple(int(min(first * 2**k, self.chain.sites)) for k in range(DOUBLINGS + 1))
 
-    def cut(self, request: FamilyRequest, sites: int) -> FamilyRequest:
-        method = replace(request.method, tail="full", walker=None, stability_sites=None)
-        mode = LAST if self.chain.g > 0 else FIRST
-        chain = replace(self.chain, sites=sites)
-        return replace(request, model=chain, mode=mode, method=method, parameters=None, certify=False)
+    def cut(self, sites: int) -> tuple[Chain, str]:
+        return replace(self.chain, sites=sites), LAST if self.chain.g > 0 else FIRST
 
     def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
         m = np.arange(sites)

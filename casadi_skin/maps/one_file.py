@@ -5,7 +5,6 @@ from __future__ import annotations
 import zipfile
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from casadi_skin.arguments import file_path
 from casadi_skin.files import TemporaryFolder, replacing
@@ -14,19 +13,16 @@ from casadi_skin.maps.store import JOURNALS
 from casadi_skin.models.unzip import Archive
 from casadi_skin.runs.directory import SCENE
 
-if TYPE_CHECKING:
-    from casadi_skin.maps.result import Map
-
 PARTS = (SCENE, JOURNALS, BOUNDARY)
 EPOCH = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
 
 
-def save_map(found: Map, path: str | Path) -> Path:
-    """Write a map to one file, from which `read_map` reads it; see `Map.save`."""
+def save_map(directory: Path, path: str | Path) -> Path:
+    """Write the map of a directory to one file, from which `read_map` reads it; see `Map.save`."""
     target = file_path("path", path)
     if target.is_dir() or not target.parent.is_dir():
         raise ValueError(f"path: given {target}; accepted: the path of a file, in a directory that is there")
-    parts = sorted(p for p in found.directory.iterdir() if _is_part(p.name))
+    parts = sorted(p for p in directory.iterdir() if _is_part(p.name))
     with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for part in parts:
             entry = zipfile.ZipInfo(part.name, EPOCH)

@@ -107,7 +107,7 @@ class Map:
 
         Raises ValueError for the path of a directory or in none, OSError where the file cannot be written.
         """
-        return save_map(self, path)
+        return save_map(self.directory, path)
 
     def _repr_html_(self) -> str:
         """A small table with the picture of a quantity, for notebooks."""

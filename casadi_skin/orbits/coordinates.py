@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,6 @@ from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
     from casadi_skin.continuation.points import Point
-    from casadi_skin.orbits.request import FamilyRequest
     from casadi_skin.stability.result import ReversibleFloquet
 
 LOG10 = float(np.log(10.0))
@@ -119,8 +118,8 @@ class Coordinates(ABC):
         """Where stability is that of localised perturbations alone, their sites; None where it is that of all."""
         return None
 
-    def cut(self, request: FamilyRequest, sites: int) -> FamilyRequest:
-        """The same family on so many sites at the edge alone."""
+    def cut(self, sites: int) -> tuple[Any, str]:
+        """The model of so many sites at the edge alone, and the mode of the same family there."""
         raise NotImplementedError
 
     def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:

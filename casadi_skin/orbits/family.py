@@ -346,7 +346,10 @@ class Family:
     def _cut(self, sites: int) -> Family:
         """The same family on so many sites at the edge alone."""
         if sites not in self._cuts:
-            self._cuts[sites] = Family(self.coordinates.cut(self.request, sites))
+            model, mode = self.coordinates.cut(sites)
+            method = replace(self.request.method, tail="full", walker=None, stability_sites=None)
+            changed = {"model": model, "mode": mode, "method": method, "parameters": None, "certify": False}
+            self._cuts[sites] = Family(replace(self.request, **changed))
         return self._cuts[sites]
 
     def _on_cut_sites(self, state: OrbitState, cut: Family, sites: int) -> OrbitState:
