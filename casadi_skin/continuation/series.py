@@ -6,7 +6,7 @@ evaluation. The corrector has the last word on every point that is reported, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -28,6 +28,8 @@ TOGETHER = 8  # points of a stretch, about as many as one has, that the correcto
 SHORT = 3.0  # times the precision of the series: the square of such a step is below what correctors leave
 NEARLY = 0.9  # of the way to a corner: a stretch to it, where the point before it is not found
 SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
+BESIDE = (1.0, 0.9, 0.7, 0.5)  # of the way to a stop: where rounding is amplified in one place, it is less beside it
+BEYOND = 1.2  # of the way to the last stop, beyond which the series loses digits fast
 
 
 class Recursion(Protocol):
@@ -237,10 +239,9 @@ class SeriesContinuation:
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
-            (point, there), end = (
-                self._point(problem, stretch, stop, reach),
-                End.REACHED if stop.target in ends else None,
-            )
+            is_last, end = stop is stops[-1], End.REACHED if stop.target in ends else None
+            fractions = (*BESIDE, BEYOND) if is_last else BESIDE
+            stop, point, there = self._found(problem, stretch, stop, last, reach, fractions)
             corner = None if there is None else self._corner(side, there, point, reach)
             if corner is not None:
                 yield from self._at_corner(base, corner, last)
@@ -250,7 +251,7 @@ class SeriesContinuation:
                 yield _Reached(stop, None, end, self._trouble)
                 continue
             last = stop.tau
-            finished = end is None and (stop is stops[-1] or point.problem is not problem)
+            finished = end is None and (is_last or point.problem is not problem)
             step = base.step * stretch.length
             placed = replace(point, requested=stop.requested, walked=finished, step=step, along=stop.tau)
             yield _Reached(stop, placed, end, self._trouble)
@@ -320,6 +321,17 @@ class SeriesContinuation:
             np.sum(lengths) / settings.max_step,
         ]
         return max(1, int(np.ceil(max(most))))
+
+    def _found(
+        self, problem: Problem, stretch: Stretch, stop: _Stop, last: float, reach: float, fractions: Sequence[float]
+    ) -> tuple[_Stop, Point | None, Side | None]:
+        """A stop with its point and side, or the first beside it that has one, at fractions of the way from `last`."""
+        for fraction in fractions if stop.target is None else BESIDE[:1]:
+            here = stop if fraction == 1.0 else replace(stop, tau=last + fraction * (stop.tau - last))
+            point, there = self._point(problem, stretch, here, reach)
+            if point is not None:
+                return here, point, there
+        return stop, None, there
 
     def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> tuple[Point | None, Side | None]:
         """The corrected point at a stop and its side; None where the corrector does not find it near the series."""

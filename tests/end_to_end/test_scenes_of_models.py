@@ -293,8 +293,8 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
 # Kills and interruptions ------------------------------------------------------------------------------------------
 
 KINDS = {
-    "families of a lattice": ("fput", FPUT, 14, "family.csv"),
-    "a family of pendula": ("pendula", PENDULA, 12, "family.csv"),
+    "families of a lattice": ("fput", FPUT, 22, "family.csv"),
+    "a family of pendula": ("pendula", PENDULA, 22, "family.csv"),
     "cycles": ("van_der_pol", CYCLES, 6, "branch.csv"),
     "orbits of a chain": ("", CHAIN_ORBIT, 4, "branch.csv"),
 }
