@@ -236,7 +236,7 @@ def interrupted_from_outside(number: signal.Signals, scene: Path, out: Path) -> 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
     ("chain", "interrupt"),
-    [(SHORT, partial(ended, records=12)), pytest.param(LONG, interrupted_from_outside, marks=pytest.mark.slow)],
+    [(SHORT, partial(ended, records=20)), pytest.param(LONG, interrupted_from_outside, marks=pytest.mark.slow)],
     ids=["short", "long"],
 )
 def test_an_interrupted_run_writes_what_it_has(

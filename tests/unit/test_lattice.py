@@ -115,8 +115,10 @@ def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: fl
 def test_the_pi_mode_of_fput_loses_stability_at_the_published_energy(sites: int, energy: float) -> None:
     S = 0.3 if sites == 8 else 0.06
     branch = follow_family(fput(sites, "periodic"), mode="last", amplitude_max=S, tolerance=1e-9, stability=True)
-    found = branch.changes[0].S
-    assert 2.0 * found + 4.0 * found**2 / sites == pytest.approx(energy, abs=2e-10)  # of y_n = (-1)^n sqrt(S/N)
+    place = branch.changes[0].place
+    found, slope = 2.0 * place.S + 4.0 * place.S**2 / sites, 2.0 + 8.0 * place.S / sites  # of y_n = (-1)^n sqrt(S/N)
+    # Two equal multipliers leave the circle: rounding of the flow, which the compiler chooses, moves them by its root.
+    assert abs(found - energy) < min(slope * place.S_error, 5e-9)
 
 
 def test_the_pi_mode_of_fput_has_its_exact_period() -> None:
