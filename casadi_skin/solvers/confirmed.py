@@ -9,12 +9,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.solvers.corrector import Correction, HeldState, Status
-from casadi_skin.solvers.ipopt import STATUS, Attached, IpoptCorrector, square_solver
+from casadi_skin.solvers.ipopt import STATUS, IpoptCorrector, SquareSolver, residual_scale
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.solvers.watch import heed
 
@@ -22,43 +21,6 @@ STEPS = 10  # of Newton's method, before Ipopt is called
 SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
 AGREED = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
 ITERATIONS = 20
-
-
-class _Blocks:
-    """Ipopt on the equations of several orbits, each closed by a row of its own, as one nonlinear programme."""
-
-    def __init__(self, problem: Problem, tolerance: float, count: int) -> None:
-        self._problem, self._count, size = problem, count, problem.size
-        z = ca.MX.sym("z", size, count)
-        held = ca.MX.sym("held", size + 2, count)  # of each a row, its value, and the scale of the residuals
-        numbers = ca.MX.sym("numbers", problem.numbers.size)
-        rows, values, scales = held[:size, :], held[size, :], held[size + 1, :]
-        residual, jacobian = problem.compiled.map(count)(z, ca.repmat(numbers, 1, count))
-        nonzeros = problem.compiled.sparsity_out(1)
-        entries = ca.reshape(jacobian.nz[:], nonzeros.nnz(), count) / ca.repmat(scales, nonzeros.nnz(), 1)
-        closing = ca.MX(ca.diagcat(*[ca.Sparsity.dense(1, size)] * count), ca.vec(rows))
-        jacobians = ca.vertcat(ca.MX(ca.diagcat(*[nonzeros] * count), ca.vec(entries)), closing)
-        constraints = ca.vertcat(ca.vec(residual / ca.repmat(scales, size - 1, 1)), ca.vec(ca.sum1(rows * z) - values))
-        x, p = ca.MX.sym("x", size * count), ca.MX.sym("p", (size + 2) * count + problem.numbers.size)
-        blocks = ca.Function("blocks", [z, held, numbers], [constraints, jacobians])
-        parts = ca.vertsplit(p, [0, (size + 2) * count, p.numel()])
-        arguments = ca.reshape(x, size, count), ca.reshape(parts[0], size + 2, count), parts[1]
-        jac_g = ca.Function("jac_g", [x, p], blocks(*arguments), ["x", "p"], ["g", "jac_g_x"])
-        constraints = blocks.call(arguments, True, False)[0]  # inlined: without the Jacobian, which is not computed
-        self._attached = Attached(square_solver(x, p, constraints, jac_g, tolerance, ITERATIONS))
-
-    def __call__(self, points: Sequence[HeldState], numbers: Array) -> tuple[Array, str, int]:
-        """Ipopt's solutions for up to `count` points, its words, and its iterations; the last point fills the rest."""
-        size, count = self._problem.size, self._count
-        guess = self._attached.guess.reshape(count, size)
-        held = self._attached.held[: (size + 2) * count].reshape(count, size + 2)
-        for k in range(count):
-            z, row, value = points[min(k, len(points) - 1)]
-            guess[k], held[k, :size], held[k, size] = z, row, value
-            held[k, size + 1] = max(1.0, float(np.max(np.abs(z[: self._problem.states]))))
-        self._attached.held[(size + 2) * count :] = numbers
-        found, words, iterations = self._attached.solve()
-        return found.reshape(count, size)[: len(points)], words, iterations
 
 
 class ConfirmedCorrector:
@@ -84,13 +46,24 @@ class ConfirmedCorrector:
             self._one.append(IpoptCorrector(self.problem, self.tolerance, ITERATIONS))
         return self._one[0].on(self.problem)
 
-    def _blocks(self) -> _Blocks:
+    def _several(self) -> SquareSolver:
         """Ipopt on several orbits, built when it is first needed."""
         shared, key = self.problem.shared, ("several", self.tolerance, self.together)
         if key not in shared:
-            shared[key] = _Blocks(self.problem, self.tolerance, self.together)
-        found: _Blocks = shared[key]
+            shared[key] = SquareSolver(self.problem, self.together, self.tolerance, ITERATIONS)
+        found: SquareSolver = shared[key]
         return found
+
+    def _solved(self, points: Sequence[HeldState]) -> tuple[Array, str, int]:
+        """Ipopt's solutions for up to `together` points, its words and iterations; the last point fills the rest."""
+        solver, size = self._several(), self.problem.size
+        solver.numbers[:] = self.problem.numbers
+        for k in range(self.together):
+            z, row, value = points[min(k, len(points) - 1)]
+            solver.guess[k], solver.held[k, :size], solver.held[k, size] = z, row, value
+            solver.held[k, size + 1] = residual_scale(self.problem, z)
+        found, words, iterations = solver.solve()
+        return found[: len(points)], words, iterations
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point with row . z = value, or a named failure."""
@@ -105,7 +78,7 @@ class ConfirmedCorrector:
         for first in range(0, len(points), self.together):
             some = points[first : first + self.together]
             heed(f"Ipopt, {self.problem.size * self.together} unknowns")
-            found, words, iterations = self._blocks()(some, self.problem.numbers)
+            found, words, iterations = self._solved(some)
             if STATUS.get(words) is Status.CONVERGED and np.all(np.isfinite(found)):
                 corrections = [Correction(z, Status.CONVERGED, iterations, words) for z in found]
             else:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.collocation import CollocationEquations
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Buffers, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
+
+Evaluate = Callable[[Array, Array], tuple[Array, Array]]  # of unknowns and numbers: residual, non-zeros of its Jacobian
 
 STATUS = {
     SOLVED: Status.CONVERGED,
@@ -24,41 +27,45 @@ STATUS = {
 }
 
 
-def _expressed(problem: Problem, z: ca.MX, held: ca.MX) -> tuple[ca.MX, ca.Function]:
-    """The constraints and the function of their Jacobian, of a problem that is made of expressions."""
-    size = problem.size
-    row, value, scale = held[:size], held[size], held[size + 1]
-    own = [*problem.symbols, problem.constants_symbol]
-    residual, jacobian = ca.graph_substitute(own[1:3], [own[0], own[3]], [z, held[size + 2 :]])
-    constraints = ca.vertcat(residual / scale, ca.dot(row, z) - value)
-    results = [constraints, ca.vertcat(jacobian / scale, row.T)]
-    return constraints, ca.Function("jac_g", [z, held], results, ["x", "p"], ["g", "jac_g_x"])
-
-
-def _numbers(problem: Problem) -> Array:
-    """The numbers that may change in the constraints."""
-    return problem.numbers if isinstance(problem, CollocationEquations) else problem.constants
-
-
 def residual_scale(problem: Problem, z: Array) -> float:
     """What residuals are divided by, for a tolerance that does not depend on the size of states above 1."""
     return max(1.0, float(np.max(np.abs(z[: problem.states]))))
 
 
-class _Constraints(ca.Callback):  # type: ignore[misc]
-    """The constraints of a problem that is evaluated by numpy, with their Jacobian or without, as a CasADi function."""
+class _Once:
+    """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one."""
 
-    def __init__(self, problem: CollocationEquations, with_jacobian: bool, one_scalar: bool) -> None:
+    def __init__(self, evaluate: Evaluate) -> None:
+        self._evaluate = evaluate
+        self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
+
+    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        if self._last is None or not (np.array_equal(z, self._last[0]) and np.array_equal(numbers, self._last[1])):
+            self._last = z.copy(), numbers.copy(), self._evaluate(z, numbers)
+        return self._last[2]
+
+
+class _Constraints(ca.Callback):  # type: ignore[misc]
+    """The constraints of several points, each evaluated by itself, with their Jacobian or without, as a function.
+
+    Its arguments are the unknowns, and a row, its value and the scale of the residuals of each point, with the numbers
+    of the problem behind them. `evaluate` of a point gives its residual and the non-zeros of its Jacobian.
+    """
+
+    def __init__(
+        self, problem: Problem, evaluate: Sequence[Evaluate], with_jacobian: bool, one_scalar: bool = False
+    ) -> None:
         ca.Callback.__init__(self)
-        self._evaluate, self._size, self._numbers = problem.discretisation, problem.size, problem.numbers.size
+        self._evaluate, self._size, self._numbers = evaluate, problem.size, problem.numbers.size
         self._with_jacobian = with_jacobian
         size, (rows, columns) = self._size, problem.pattern
-        self._held = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
+        self._in_row = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
         ends = np.searchsorted(columns, np.arange(size + 1))
-        closed = np.insert(rows, ends[self._held + 1], size - 1)  # it is the last entry of its columns
-        added = np.searchsorted(self._held, np.arange(size + 1))
-        self._sparsity = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
-        self._closing = ends[self._held + 1] + np.arange(self._held.size)
+        closed = np.insert(rows, ends[self._in_row + 1], size - 1)  # it is the last entry of its columns
+        added = np.searchsorted(self._in_row, np.arange(size + 1))
+        block = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
+        self._sparsity = ca.diagcat(*[block] * len(evaluate))
+        self._closing = ends[self._in_row + 1] + np.arange(self._in_row.size)
         self._open = np.delete(np.arange(closed.size), self._closing)
         self.construct("jac_g" if with_jacobian else "g", {})
 
@@ -75,34 +82,37 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         return ("g", "jac_g_x")[i]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((self._size, self._size + 2 + self._numbers)[i])
+        count, size = len(self._evaluate), self._size
+        return ca.Sparsity.dense((count * size, count * (size + 2) + self._numbers)[i])
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._sparsity if i else ca.Sparsity.dense(self._size)
+        return self._sparsity if i else ca.Sparsity.dense(len(self._evaluate) * self._size)
 
     def has_eval_buffer(self) -> bool:
         return True
 
     def eval_buffer(self, arguments: list[memoryview], results: list[memoryview | None]) -> int:
         """Fill the results that are wanted, as buffers of doubles; not a number where the model cannot be evaluated."""
-        size = self._size
+        count, size = len(self._evaluate), self._size
         z, held = (np.frombuffer(argument) for argument in arguments)
-        row, value, scale = held[:size], held[size], held[size + 1]
-        found = [None if result is None else np.frombuffer(result) for result in results]
-        try:
-            if is_over():  # which ends the iteration
-                raise TimeLimitError
-            residual, nonzeros = self._evaluate(z, held[size + 2 :])
-        except (ArithmeticError, RuntimeError):
-            residual, nonzeros = np.full(size - 1, np.nan), np.full(self._open.size, np.nan)
-        if found[0] is not None:
-            found[0][:-1], found[0][-1] = residual / scale, row @ z - value
-        if self._with_jacobian and found[1] is not None:
-            found[1][self._open], found[1][self._closing] = nonzeros / scale, row[self._held]
+        held, numbers = held[: count * (size + 2)].reshape(count, size + 2), held[count * (size + 2) :]
+        found = [None if result is None else np.frombuffer(result).reshape(count, -1) for result in results]
+        for k, (evaluate, point) in enumerate(zip(self._evaluate, z.reshape(count, size), strict=True)):
+            row, value, scale = held[k, :size], held[k, size], held[k, size + 1]
+            try:
+                if is_over():  # which ends the iteration
+                    raise TimeLimitError
+                residual, nonzeros = evaluate(point, numbers)
+            except (ArithmeticError, RuntimeError):
+                residual, nonzeros = np.full(size - 1, np.nan), np.full(self._open.size, np.nan)
+            if found[0] is not None:
+                found[0][k, :-1], found[0][k, -1] = residual / scale, row @ point - value
+            if self._with_jacobian and found[1] is not None:
+                found[1][k, self._open], found[1][k, self._closing] = nonzeros / scale, row[self._in_row]
         return 0
 
 
-def square_solver(
+def _square_nlp(
     z: ca.MX, held: ca.MX, constraints: ca.MX, jac_g: ca.Function, tolerance: float, max_iterations: int
 ) -> ca.Function:
     """Ipopt on as many equations g(z; held) = 0 as unknowns: no objective, and an empty Hessian of the Lagrangian."""
@@ -131,26 +141,44 @@ def square_solver(
     return nlp_solver("corrector", nlp, tolerance, options)
 
 
-class Attached:
-    """A square solver with arguments and result in arrays of our own: no conversion, at a third of the cost."""
+def _evaluate(problem: Problem) -> Evaluate:
+    """Function (unknowns, numbers) -> (residual, non-zeros of its Jacobian) of one point."""
+    return problem.discretisation if isinstance(problem, CollocationEquations) else Buffers(problem.compiled).evaluate
 
-    def __init__(self, solver: ca.Function) -> None:
-        size = solver.numel_in("x0")
-        self.guess, self.held, self.found = np.zeros(size), np.zeros(solver.numel_in("p")), np.zeros(size)
-        without, zero = np.full(size, np.inf), np.zeros(size)
-        self._solver, (self._buffer, self._trigger) = solver, solver.buffer()
-        arguments = {"x0": self.guess, "p": self.held, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
-        self._fixed = tuple(arguments.values())  # the buffer holds no reference
+
+class SquareSolver:
+    """Ipopt on the equations of `count` points, each closed by a row of its own, as one nonlinear programme.
+
+    Arguments and result are arrays of our own, with a row a point: no conversion, at a third of the cost. `held` has
+    the row, its value, and the scale of the residuals; with `one_scalar` rows hold scalars alone.
+    """
+
+    def __init__(
+        self, problem: Problem, count: int, tolerance: float, max_iterations: int, one_scalar: bool = False
+    ) -> None:
+        each = [_Once(_evaluate(problem)) for _ in range(count)]
+        g, jac_g = (_Constraints(problem, each, with_jacobian, one_scalar) for with_jacobian in (False, True))
+        size, points = problem.size, count * (problem.size + 2)
+        guess, found = np.zeros(count * size), np.zeros(count * size)
+        parameters = np.zeros(points + problem.numbers.size)
+        z, p = ca.MX.sym("z", guess.size), ca.MX.sym("p", parameters.size)
+        solver = _square_nlp(z, p, g(z, p), jac_g, tolerance, max_iterations)
+        self.guess, self._found = guess.reshape(count, size), found.reshape(count, size)
+        self.held, self.numbers = parameters[:points].reshape(count, size + 2), parameters[points:]
+        without, zero = np.full(guess.size, np.inf), np.zeros(guess.size)
+        self._buffer, self._trigger = solver.buffer()
+        arguments = {"x0": guess, "p": parameters, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
+        self._held = solver, g, jac_g, arguments  # CasADi holds no reference
         for name, values in (arguments | {"lam_x0": zero, "lam_g0": zero}).items():
             self._buffer.set_arg(solver.index_in(name), values.data)
-        self._buffer.set_res(solver.index_out("x"), self.found.data)
+        self._buffer.set_res(solver.index_out("x"), found.data)
 
     def solve(self) -> tuple[Array, str, int]:
-        """Solution from `guess` with `held`, Ipopt's own words for how it ended, and the iterations."""
+        """Solutions from `guess` with `held` and `numbers`, Ipopt's own words for how it ended, and the iterations."""
         with interrupts_deferred():
             self._trigger()
         stats = self._buffer.stats()
-        return self.found.copy(), str(stats["return_status"]), int(stats["iter_count"])
+        return self._found.copy(), str(stats["return_status"]), int(stats["iter_count"])
 
 
 class IpoptCorrector:
@@ -168,14 +196,8 @@ class IpoptCorrector:
     def __init__(
         self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20, one_scalar: bool = False
     ) -> None:
-        self.problem, size = problem, problem.size
-        z, held = ca.MX.sym("z", size), ca.MX.sym("held", size + 2 + _numbers(problem).size)
-        if isinstance(problem, CollocationEquations):  # which are no expressions
-            self._evaluated = tuple(_Constraints(problem, jacobian, one_scalar) for jacobian in (False, True))
-            constraints, jac_g = self._evaluated[0](z, held), self._evaluated[1]
-        else:
-            constraints, jac_g = _expressed(problem, z, held)
-        self._attached = Attached(square_solver(z, held, constraints, jac_g, tolerance, max_iterations))
+        self.problem = problem
+        self._solver = SquareSolver(problem, 1, tolerance, max_iterations, one_scalar)
 
     def on(self, problem: Problem) -> IpoptCorrector:
         """This corrector for a problem that differs in its constants only; the solver built is shared."""
@@ -188,11 +210,10 @@ class IpoptCorrector:
         words = f"Ipopt, {self.problem.size} unknowns"
         heed(words)
         scale = residual_scale(self.problem, guess)
-        attached, size = self._attached, self.problem.size
-        attached.guess[:] = guess
-        held = attached.held
-        held[:size], held[size], held[size + 1], held[size + 2 :] = row, value, scale, _numbers(self.problem)
-        z, words, iterations = attached.solve()
+        solver, size = self._solver, self.problem.size
+        solver.guess[0], solver.numbers[:] = guess, self.problem.numbers
+        solver.held[0, :size], solver.held[0, size], solver.held[0, size + 1] = row, value, scale
+        (z,), words, iterations = solver.solve()
         heed(f"Ipopt, {size} unknowns")
         status = STATUS.get(words, Status.DIVERGED)
         if status is Status.CONVERGED and not np.all(np.isfinite(z)):
