@@ -52,14 +52,16 @@ static int alike(int64_t start, int64_t n, int64_t farthest, const int32_t *indp
     return 1;
 }
 
-/* Transition matrix phi of one orbit, (2n, 2n) by rows. Velocities are multiplied by h inside. x and v have n entries,
-   `scaled` has one for each non-zero of J. */
+/* Transition matrix phi of one orbit, (2n, 2n) by rows, or with `band` >= 0 the bands of its blocks, (2n, 2(2 band + 1)):
+   row i of a block from column i - band on. Velocities are multiplied by h inside. x and v have n entries, `scaled` has
+   one for each non-zero of J. */
 static void one_orbit(int64_t n, int64_t reach, int64_t farthest, const int32_t *indptr, const int32_t *indices,
                       int64_t kicks, const double *weights, const double *drifts, double h, const double *jacobians,
-                      double *phi, columns *x, columns *v, double *scaled)
+                      int64_t band, double *phi, columns *x, columns *v, double *scaled)
 {
     const int64_t nonzeros = indptr[n];
     const double square = h * h;
+    const int64_t block = band < 0 ? n : 2 * band + 1;
 
     for (int64_t start = 0; start < n; start += COLUMNS) {
         const int64_t end = smaller(n, start + COLUMNS);
@@ -92,12 +94,13 @@ static void one_orbit(int64_t n, int64_t reach, int64_t farthest, const int32_t 
             for (int64_t i = low; k + 1 < kicks && i < high; i++)
                 UNROLL for (int g = 0; g < 2 * GROUPS; g++) x[i].groups[g] += drifts[k] * v[i].groups[g];
         }
-        for (int64_t i = first; i < last; i++)
+        for (int64_t i = first; i < last; i++) {
+            double *above = phi + i * 2 * block + start - (band < 0 ? 0 : i - band), *below = above + n * 2 * block;
             for (int64_t c = 0; c < end - start; c++) {
-                double *above = phi + i * 2 * n + start + c, *below = above + n * 2 * n;
-                above[0] = x[i].entries[c], above[n] = x[i].entries[COLUMNS + c];
-                below[0] = v[i].entries[c] / h, below[n] = v[i].entries[COLUMNS + c] / h;
+                above[c] = x[i].entries[c], above[block + c] = x[i].entries[COLUMNS + c];
+                below[c] = v[i].entries[c] / h, below[block + c] = v[i].entries[COLUMNS + c] / h;
             }
+        }
     }
 }
 
@@ -105,19 +108,21 @@ static void one_orbit(int64_t n, int64_t reach, int64_t farthest, const int32_t 
    `drifts` between them. `jacobians` has the non-zeros of J at the kicks, (kicks, indptr[n]), ordered by rows, of one
    point `stride` numbers after that before;
    none is farther than `reach` from the diagonal. Of phi, which is zero before, what is farther than `farthest` from the
-   diagonals of its blocks stays zero. Returns 0, or 1 where there is no memory. */
+   diagonals of its blocks stays zero; with `band` >= 0, and no less than farthest + COLUMNS - 1, phi has the bands of
+   its blocks, (points, 2n, 2(2 band + 1)). Returns 0, or 1 where there is no memory. */
 EXPORTED int casadi_skin_splitting(int64_t points, int64_t n, int64_t reach, int64_t farthest, const int32_t *indptr,
                                    const int32_t *indices, int64_t kicks, const double *weights, const double *drifts,
-                                   const double *steps, const double *jacobians, int64_t stride, double *phi)
+                                   const double *steps, const double *jacobians, int64_t stride, int64_t band,
+                                   double *phi)
 {
-    const int64_t nonzeros = indptr[n];
+    const int64_t nonzeros = indptr[n], entries = 4 * n * (band < 0 ? n : 2 * band + 1);
     char *memory = malloc((size_t)n * 2 * sizeof(columns) + (size_t)nonzeros * sizeof(double) + ALIGNED);
     if (memory == NULL)
         return 1;
     columns *x = (columns *)(((uintptr_t)memory + ALIGNED - 1) / ALIGNED * ALIGNED), *v = x + n;
     for (int64_t p = 0; p < points; p++)
         one_orbit(n, reach, farthest, indptr, indices, kicks, weights, drifts, steps[p],
-                  jacobians + p * stride, phi + p * 4 * n * n, x, v, (double *)(v + n));
+                  jacobians + p * stride, band, phi + p * entries, x, v, (double *)(v + n));
     free(memory);
     return 0;
 }

@@ -14,26 +14,29 @@ from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
 Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
-Kernel = Callable[[Pattern, tuple[int, int], tuple[Array, Array], Array, Array], Array]
+Kernel = Callable[[Pattern, tuple[int, int], tuple[Array, Array], Array, Array, int | None], Array]
+COLUMNS = 8  # that go through the stages together
 
 
 @cache
 def splitting_kernel() -> Kernel | None:
-    """Function of the pattern of J, reaches, kicks and drifts, steps and J; None without a compiler.
+    """Function of the pattern of J, reaches, kicks and drifts, steps, J and a half bandwidth; None without a compiler.
 
     The reaches are that of one kick, J's half bandwidth, and that of all, beyond which results are zero. Steps have
-    shape (points,), the non-zeros of J at the kicks (points, kicks, non-zeros); the result (points, 2n, 2n).
+    shape (points,), the non-zeros of J at the kicks (points, kicks, non-zeros); the result (points, 2n, 2n), or, where
+    a half bandwidth w is given, the bands of the blocks (points, 2n, 2(2w + 1)), see `stability.banded`.
     """
     found = library("splitting")
     if found is None:
         return None
     function, integer, pointer = found.casadi_skin_splitting, ctypes.c_int64, ctypes.c_void_p
-    function.argtypes = [integer] * 4 + [pointer] * 2 + [integer] + [pointer] * 4 + [integer, pointer]
+    function.argtypes = [integer] * 4 + [pointer] * 2 + [integer] + [pointer] * 4 + [integer] * 2 + [pointer]
     function.restype = ctypes.c_int
 
     def transitions(
-        pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array
-    ) -> Array:
+        pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array,
+        band: int | None = None,
+    ) -> Array:  # fmt: skip
         (indptr, indices), (kicks, drifts) = pattern, sequence
         (points, count, nonzeros), size = jacobians.shape, indptr.size - 1
         if points and not jacobians[0].flags.c_contiguous:
@@ -41,10 +44,11 @@ def splitting_kernel() -> Kernel | None:
         held: list[NDArray[Any]] = [indptr, indices, kicks, drifts, np.ascontiguousarray(steps)]
         assert (kicks.size, drifts.size, nonzeros) == (count, count - 1, indices.size)
         assert all(array.flags.c_contiguous for array in held)
-        result = np.zeros((points, 2 * size, 2 * size))
+        assert band is None or reaches[1] + COLUMNS - 1 <= band
+        result = np.zeros((points, 2 * size, 2 * (size if band is None else 2 * band + 1)))
         at = [_address(array) for array in (*held, jacobians, result)]
         stride = jacobians.strides[0] // jacobians.itemsize
-        if function(points, size, *reaches, *at[:2], count, *at[2:-1], stride, at[-1]):
+        if function(points, size, *reaches, *at[:2], count, *at[2:-1], stride, -1 if band is None else band, at[-1]):
             raise MemoryError(f"the variational flow of {size} components")
         return result
 

@@ -62,7 +62,9 @@ class CvodesFlow:
         """Transition matrix of the full state along the orbit."""
         return self.transitions([OrbitState(problem, z)])[0]
 
-    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+    def transitions(
+        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+    ) -> list[Transition]:
         """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
         local = MARGIN * self.tolerance
         if tolerance is not None and tolerance < self.tolerance:

@@ -40,6 +40,7 @@ class Transition:
     `error` estimates the Frobenius norm of the error of Phi that the integration makes; `truncation` is a matrix
     like that error but for its sign, without round-off. Errors of the orbit itself, which leave Phi symplectic, are in
     neither: `pair` holds Phi along the orbit and along the better one, computed with the same steps, where it is known.
+    All of these matrices may be stored by the bands of their blocks, see `stability.banded`.
     """
 
     matrix: Array
@@ -68,10 +69,13 @@ class FlowMap(Protocol):
         """Transition matrix along the orbit z of `problem`; raises FlowError where the tolerance is out of reach."""
         ...
 
-    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+    def transitions(
+        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+    ) -> list[Transition]:
         """Transition matrices along several orbits, to `tolerance` where it is not the flow's own.
 
-        Raises FlowError where the tolerance is out of reach for any of them.
+        Where `banded`, those of long chains may be stored by the bands of their blocks, see `stability.banded`. Raises
+        FlowError where the tolerance is out of reach for any of them.
         """
         ...
 

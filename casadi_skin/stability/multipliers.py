@@ -83,7 +83,7 @@ def floquets(
         return _solve(those, starts[places], better[places])
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
-    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST))
+    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST), banded=symplectic)
     waiting = np.arange(len(orbits))
     solved = solve(transitions, waiting)
     results, flow_errors = solved.results, solved.flow_errors
@@ -94,7 +94,7 @@ def floquets(
         waiting = waiting[over]
         norms = np.array([transitions[i].error for i in waiting.tolist()])
         wanted = max(float(np.min(0.5 * norms * tolerance / flow_errors[over])), 1e-3 * tolerance)
-        again = flow.transitions([orbits[i] for i in waiting.tolist()], wanted)
+        again = flow.transitions([orbits[i] for i in waiting.tolist()], wanted, banded=symplectic)
         solved = solve(again, waiting)
         flow_errors = solved.flow_errors
         for i, transition, result in zip(waiting.tolist(), again, solved.results, strict=True):
@@ -167,8 +167,9 @@ def orbit_part_of(
 
 def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
     """Norm of what round-off, and a flow without a matrix of its errors, leave in B^T C; shape (orbits,)."""
-    n = matrices.shape[1] // 2
-    norms = np.linalg.norm(matrices[:, :n, n:], axis=(1, 2)) + np.linalg.norm(matrices[:, n:, :n], axis=(1, 2))
+    n, columns = matrices.shape[1] // 2, matrices.shape[2] // 2
+    upper, lower = matrices[:, :n, columns:], matrices[:, n:, :columns]
+    norms = np.linalg.norm(upper, axis=(1, 2)) + np.linalg.norm(lower, axis=(1, 2))
     unknown = [t.error if t.truncation is None else ROUND_OFF * np.linalg.norm(t.matrix) for t in transitions]
     return np.asarray(unknown * norms)
 

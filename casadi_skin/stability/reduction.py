@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.stability.banded import transposed_product
 
 ComplexArray = NDArray[np.complex128]
-BLOCK = 128  # columns of a product of which zeros are left out
 
 
 @dataclass(frozen=True)
@@ -48,37 +48,17 @@ def stacked(matrices: Sequence[Array]) -> Array:
 
 
 def half_cosines(transitions: Array) -> Array:
-    """B^T C of Phi = [[A, B], [C, D]], shape (points, 2n, 2n) -> (points, n, n)."""
-    n = transitions.shape[1] // 2
-    return _transposed_product(transitions[:, :n, n:], transitions[:, n:, :n])
+    """B^T C of Phi = [[A, B], [C, D]], (points, 2n, 2n) or the bands of its blocks -> (points, n, n)."""
+    n, columns = transitions.shape[1] // 2, transitions.shape[2] // 2
+    return transposed_product(transitions[:, :n, columns:], transitions[:, n:, :columns])
 
 
 def half_cosine_errors(transitions: Array, errors: Array) -> Array:
-    """First-order change of B^T C for changes of Phi, (points, 2n, 2n) -> (points, n, n)."""
-    n = transitions.shape[1] // 2
-    B, C = transitions[:, :n, n:], transitions[:, n:, :n]
-    dB, dC = errors[:, :n, n:], errors[:, n:, :n]
-    return _transposed_product(dB, C) + _transposed_product(B, dC)
-
-
-def _transposed_product(left: Array, right: Array) -> Array:
-    """left^T right of matrices (points, n, n), of long chains without the zeros far from the diagonal."""
-    n = left.shape[1]
-    if n <= BLOCK:
-        return np.asarray(left.swapaxes(1, 2) @ right)
-    product = np.zeros((len(left), n, n))
-    for start in range(0, n, BLOCK):
-        columns = slice(start, start + BLOCK)
-        rows = _extent(np.any(left[:, :, columns] != 0.0, axis=(0, 2)))
-        others = _extent(np.any(right[:, rows] != 0.0, axis=(0, 1)))
-        product[:, columns, others] = left[:, rows, columns].swapaxes(1, 2) @ right[:, rows, others]
-    return product
-
-
-def _extent(chosen: NDArray[np.bool_]) -> slice:
-    """From the first place that is chosen to the last."""
-    places = np.flatnonzero(chosen)
-    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
+    """First-order change of B^T C for changes of Phi, of one shape with it -> (points, n, n)."""
+    n, columns = transitions.shape[1] // 2, transitions.shape[2] // 2
+    B, C = transitions[:, :n, columns:], transitions[:, n:, :columns]
+    dB, dC = errors[:, :n, columns:], errors[:, n:, :columns]
+    return transposed_product(dB, C) + transposed_product(B, dC)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.native.splitting import splitting_kernel
+from casadi_skin.native.splitting import COLUMNS, splitting_kernel
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
 from casadi_skin.stability.stepping import SteppedFlow
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 TINY = 1e-300
 NEGLIGIBLE = 1e-20  # of an entry of a transition matrix: entries farther from the diagonal are left out
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+SPARE = 2  # components by which the reach of other numbers of steps may be larger
 ALIKE = 2  # parts with the same J around them that columns are cut into, at least, in multiples of what they reach
+LONG = 128  # components of chains from which on the bands of transition matrices may be stored
 CACHED = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
 
 
@@ -45,10 +47,13 @@ class SplittingRun:
 
 
 class SplittingMap:
-    """Transition matrices of models of second order by the splitting in `steps` equal steps."""
+    """Transition matrices of models of second order by the splitting in `steps` equal steps.
 
-    def __init__(self, jacobian: JacobianAlong, steps: int) -> None:
-        self.jacobian, self.steps = jacobian, steps
+    With a half bandwidth w, which needs the compiled kernel, the bands of their blocks: (points, 2n, 2(2w + 1)).
+    """
+
+    def __init__(self, jacobian: JacobianAlong, steps: int, half_width: int | None = None) -> None:
+        self.jacobian, self.steps, self.half_width = jacobian, steps, half_width
         self.sequence = KicksAndDrifts.of(steps)
         self.fractions = self.sequence.times / steps
 
@@ -68,8 +73,13 @@ class SplittingMap:
         reach = jacobian.half_bandwidth
         far = reach * sequence.kicks.size
         if far < jacobian.size:
-            far = _reach(jacobian, sequence.drifts, [self.run(nonzeros, durations)])
-        return kernel(pattern, (reach, min(far, jacobian.size)), stages, durations / self.steps, nonzeros)
+            far = self.reach(nonzeros, durations)
+        far = min(far, jacobian.size if self.half_width is None else self.half_width + 1 - COLUMNS)
+        return kernel(pattern, (reach, far), stages, durations / self.steps, nonzeros, self.half_width)
+
+    def reach(self, nonzeros: Array, durations: Array) -> int:
+        """How far entries that are not negligible are from the diagonals of the blocks."""
+        return _reach(self.jacobian, self.sequence.drifts, [self.run(nonzeros, durations)])
 
 
 def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun]) -> list[Array]:
@@ -184,15 +194,27 @@ class SplittingFlow(SteppedFlow):
     def _build(self, steps: int) -> SplittingMap:
         return SplittingMap(self.jacobian, steps)
 
+    def _banded(self, steps: int, half_width: int) -> SplittingMap:
+        return SplittingMap(self.jacobian, steps, half_width)
+
     def _splitting(self, steps: int) -> SplittingMap:
         found = self.step_map(steps)
         assert isinstance(found, SplittingMap)
         return found
 
-    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+    def half_width(self, orbits: Sequence[OrbitState]) -> int | None:
+        if splitting_kernel() is None or self.model.size <= LONG:
+            return None
+        coarse = self._splitting(
+            STEPS[0]
+        )  # all numbers of steps reach as far: the sums of their kicks and drifts agree
+        width = coarse.reach(self._linearised(orbits, coarse.fractions), self._durations(orbits)) + SPARE + COLUMNS - 1
+        return width if 2 * width + 1 < self.model.size // 2 else None
+
+    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
         """As that of other flows; without a compiled kernel all at once where they fit into the cache."""
         if splitting_kernel() is not None:
-            return super().several(wanted)
+            return super().several(wanted, half_width)
         maps = [self._splitting(steps) for steps, _ in wanted]
         runs = [
             step_map.run(self._linearised(orbits, step_map.fractions), self._durations(orbits))

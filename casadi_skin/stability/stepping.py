@@ -58,7 +58,7 @@ class SteppedFlow(ABC):
     def __init__(self, model: OdeModel, tolerance: float) -> None:
         self.model, self.tolerance = model, tolerance
         self.fraction = symmetry_class(model).value
-        self._maps: dict[int, StepMap] = {}
+        self._maps: dict[tuple[int, int | None], StepMap] = {}
         self._level = len(self.orders)  # of the finest map where the last orbits met the tolerance
 
     @abstractmethod
@@ -75,22 +75,31 @@ class SteppedFlow(ABC):
         """Number of orbits that are best given together."""
         return max(1, WORK // self.model.full_size**2 * self.model.order)
 
-    def step_map(self, steps: int) -> StepMap:
+    def _banded(self, steps: int, half_width: int) -> StepMap:
+        """The map with that many steps to the bands of blocks; of flows that have a `half_width` alone."""
+        raise NotImplementedError(self.method)
+
+    def step_map(self, steps: int, half_width: int | None = None) -> StepMap:
         """The map with that many steps, built when first needed."""
-        if steps not in self._maps:
-            self._maps[steps] = self._build(steps)
-        return self._maps[steps]
+        key = steps, half_width
+        if key not in self._maps:
+            self._maps[key] = self._build(steps) if half_width is None else self._banded(steps, half_width)
+        return self._maps[key]
 
     def matrices(self, steps: int, orbits: Sequence[OrbitState]) -> Array:
         """Transition matrices in a fixed number of steps, not extrapolated, shape (orbits, m, m)."""
         return self.several([(steps, orbits)])[0]
 
-    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+    def half_width(self, orbits: Sequence[OrbitState]) -> int | None:
+        """Half bandwidth of the blocks of these orbits' matrices; None where these are not stored by their bands."""
+        return None
+
+    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
         """Transition matrices in several numbers of steps, each along orbits of its own, as `matrices`."""
         found: list[Array] = []
         for _, group in groupby(wanted, key=lambda item: id(item[1])):  # orbits are sampled once for all their steps
             those = list(group)
-            orbits, maps = those[0][1], [self.step_map(steps) for steps, _ in those]
+            orbits, maps = those[0][1], [self.step_map(steps, half_width) for steps, _ in those]
             nonzeros = self._linearised(orbits, np.concatenate([step_map.fractions for step_map in maps]))
             ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
             durations = self._durations(orbits)
@@ -115,15 +124,18 @@ class SteppedFlow(ABC):
         """Transition matrix of the full state along the orbit."""
         return self.transitions([OrbitState(problem, z)])[0]
 
-    def transitions(self, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+    def transitions(
+        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+    ) -> list[Transition]:
         """Transition matrices of the full state along several orbits; raises FlowError where one cannot be had."""
         results: list[Transition] = []
         for first in range(0, len(orbits), self.batch):
             part = orbits[first : first + self.batch]
-            results += self._adapted(part, self.tolerance if tolerance is None else tolerance)
+            half_width = self.half_width(part) if banded else None
+            results += self._adapted(part, self.tolerance if tolerance is None else tolerance, half_width)
         return results
 
-    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float) -> list[Transition]:
+    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, half_width: int | None) -> list[Transition]:
         """One batch, with more steps for those that need more."""
         done: dict[int, Transition] = {}
         places, level = np.arange(len(orbits)), min(self._level, len(self.step_numbers) - 1)
@@ -135,7 +147,7 @@ class SteppedFlow(ABC):
             better = {k: orbit.better for k, orbit in enumerate(waiting) if orbit.better is not None}
             wanted = [(self.step_numbers[r], waiting) for r in missing]
             wanted += [(self.step_numbers[levels[0]], list(better.values()))] if better else []
-            found = self.several(wanted)
+            found = self.several(wanted, half_width)
             maps |= dict(zip(missing, found, strict=False))
             pairs = {k: (maps[levels[0]][k], m) for k, m in zip(better, found[-1], strict=True)} if better else {}
             matrices, errors = self._extrapolated(level, maps)

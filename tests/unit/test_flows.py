@@ -23,13 +23,14 @@ from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability import splitting
+from casadi_skin.stability.banded import rows_of
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.perturbation import LARGE, couplings, eigenvalue_errors
-from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosines
+from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosine_errors, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
@@ -182,6 +183,35 @@ def test_products_of_matrices_with_a_band_are_those_of_full_ones(size: int) -> N
     blocks[0][:, :, 140:] = 0.0  # columns of nothing
     transitions = np.block([[blocks[2], blocks[0]], [blocks[1], blocks[3]]])
     np.testing.assert_allclose(half_cosines(transitions), blocks[0].swapaxes(1, 2) @ blocks[1], rtol=0, atol=1e-12)
+
+
+def test_matrices_stored_by_their_bands_are_those_of_a_flow_without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Entries and estimated errors along an orbit of 200 sites, and the products that decide its stability."""
+    orbit = followed(Chain(200, 1.0, 0.25, 1.0), 200, 0.1, 1e-7).solutions[-1]
+    at = replace(state(orbit), better=OrbitState(orbit.point.problem, 1.001 * orbit.point.z))
+    model = orbit.space.coordinates.scaled
+    (banded,) = SplittingFlow(model, 1e-7).transitions([at], banded=True)
+    monkeypatch.setattr(splitting, "splitting_kernel", lambda: None)
+    (full,) = SplittingFlow(model, 1e-7).transitions([at], banded=True)
+    assert full.matrix.shape == (400, 400)
+    assert full.pair is not None
+    assert full.truncation is not None
+    if banded.matrix.shape == (400, 400):
+        pytest.skip("no C compiler here")
+    assert banded.matrix.shape[1] < 200
+    assert banded.pair is not None
+    assert banded.truncation is not None
+    assert banded.error == pytest.approx(full.error, rel=1e-6)
+    pairs = zip(
+        (banded.matrix, banded.truncation, *banded.pair), (full.matrix, full.truncation, *full.pair), strict=True
+    )
+    for bands, matrix in pairs:
+        rows, width = bands.reshape(2, 200, 2, -1), bands.shape[1] // 4
+        blocks = [[rows_of(rows[i, :, j][None], 0, 200)[0][:, width:-width] for j in range(2)] for i in range(2)]
+        np.testing.assert_allclose(np.block(blocks), matrix, rtol=0, atol=1e-13)
+    one, other = (half_cosine_errors(t.matrix[None], t.truncation[None]) for t in (banded, full))  # type: ignore[index]
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(half_cosines(banded.matrix[None]), half_cosines(full.matrix[None]), rtol=0, atol=1e-13)
 
 
 def test_extrapolation_cancels_the_errors_it_is_told() -> None:
@@ -341,9 +371,11 @@ def test_steps_go_up_and_down_with_the_orbits(kind: type[SteppedFlow], monkeypat
     used: list[int] = []
     original = kind.several
 
-    def counted(self: SteppedFlow, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array]:
+    def counted(
+        self: SteppedFlow, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None
+    ) -> list[Array]:
         used.extend(steps for steps, _ in wanted)
-        return original(self, wanted)
+        return original(self, wanted, half_width)
 
     monkeypatch.setattr(kind, "several", counted)
     flow, most = kind(branch.space.coordinates.scaled, 1e-8), []
@@ -383,11 +415,13 @@ def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: 
     request = family_request(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, tolerance=1e-8, corrector="newton")
     original = SplittingFlow.transitions
 
-    def limited(self: SplittingFlow, orbits: Sequence[OrbitState], tolerance: float | None = None) -> list[Transition]:
+    def limited(
+        self: SplittingFlow, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+    ) -> list[Transition]:
         for orbit in orbits:
             if orbit.parameter > 1.234:
                 raise FlowError(f"no flow at {orbit.parameter:.3f}")
-        return original(self, orbits, tolerance)
+        return original(self, orbits, tolerance, banded)
 
     monkeypatch.setattr(SplittingFlow, "transitions", limited)
     walk = Following(Family(request), stability=True)
