@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -13,6 +14,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.layout import lay_out
+from casadi_skin.figures.png import write_png
 from casadi_skin.models.ode import OdeModel
 
 if TYPE_CHECKING:
@@ -28,11 +30,7 @@ if TYPE_CHECKING:
 MOST_VALUES = 6  # of parameters in a title
 DPI = 200  # of pictures as PNG
 WIDEST = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
-SAVING: Mapping[str, dict[str, Any]] = {  # without dates; levels of compression above 3 take long and gain little
-    "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
-    "svg": {"metadata": {"Date": None}},
-    "pdf": {"metadata": {"CreationDate": None}},
-}
+DATED = {"svg": "Date", "pdf": "CreationDate"}  # formats, and what they call the date, which is left out
 AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
 
 DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
@@ -168,9 +166,20 @@ def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[
         temporary = stem.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
             with style():
-                figure.savefig(temporary, format=kind, dpi=DPI, **SAVING[kind])
+                _write(figure, temporary, kind)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
         paths.append(path)
     return paths
+
+
+def _write(figure: Figure, path: Path, kind: str) -> None:
+    if kind in DATED:
+        figure.savefig(path, format=kind, dpi=DPI, metadata={DATED[kind]: None})
+        return
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="rgba", dpi=DPI)
+    pixels = np.frombuffer(drawn.getbuffer(), dtype=np.uint8)
+    with path.open("wb") as stream:
+        write_png(stream, pixels.reshape(-1, int(figure.bbox_inches.width * DPI), 4), DPI)

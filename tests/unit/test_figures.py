@@ -335,11 +335,11 @@ def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Ca
 def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "f.png").write_bytes(b"old")
 
-    def fail(self: Figure, path: Path, **options: object) -> None:
-        Path(path).write_bytes(b"half")
+    def fail(figure: Figure, path: Path, kind: str) -> None:
+        path.write_bytes(b"half")
         raise OSError("no space left")
 
-    monkeypatch.setattr(Figure, "savefig", fail)
+    monkeypatch.setattr("casadi_skin.figures.style._write", fail)
     with pytest.raises(OSError, match="no space"):
         save(Figure(), tmp_path / "f")
     assert [path.name for path in tmp_path.iterdir()] == ["f.png"]
