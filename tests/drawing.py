@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import pytest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.transforms import Bbox
 
 
@@ -31,6 +33,21 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
     patch.setattr("casadi_skin.figures.style.lay_out", lambda *_: None)
+
+
+def stretches(lines: Iterable[Line2D]) -> list[Line2D]:
+    """Lines without gaps, in place of those that have some, which keep their looks and labels."""
+    import numpy as np
+    from matplotlib.lines import Line2D
+
+    found = []
+    for line in lines:
+        points = np.asarray(line.get_xydata())
+        gaps = np.flatnonzero(np.isnan(points[:, 0]))
+        for part in np.split(points, gaps):
+            kept = part[~np.isnan(part[:, 0])]
+            found.append(Line2D(*kept.T, color=line.get_color(), ls=line.get_linestyle(), label=str(line.get_label())))
+    return found
 
 
 def texts(figure: Figure) -> dict[tuple[str, str], Bbox]:

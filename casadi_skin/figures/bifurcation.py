@@ -70,7 +70,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
         both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
         what = name if all(equilibria) else both
         axes.set(xlabel=plain(held[0].parameter), ylabel=what)
-        axes.set_title(_title(held[0], title, (held[0].parameter,)))
+        axes.set_title(_title(held[0], title, (held[0].parameter,)), y=1.0)
         return finished(figure, [axes], 3, plain=True)
 
 
@@ -103,7 +103,7 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
             axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)
             _mark(axes, curve, path)
         axes.set(xlabel=plain(first), ylabel=plain(second))
-        axes.set_title(_title(curves[0], title, (first, second)))
+        axes.set_title(_title(curves[0], title, (first, second)), y=1.0)
         return finished(figure, [axes], 4, plain=True)
 
 
@@ -133,7 +133,7 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
                 path = np.column_stack([curve[name], curve.S])
                 axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words[kind] if k == 0 else None)
         axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
-        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}")
+        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
         return finished(figure, [axes], 4, plain=True)
 
 

@@ -65,7 +65,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
                 panel.legend(handles, ["largest", "smallest"], loc="best")
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))
-        axes[0].set_title(_title(branch.solutions[0], title, (space.parameter, *space.statement.free)))
+        axes[0].set_title(_title(branch.solutions[0], title, (space.parameter, *space.statement.free)), y=1.0)
         return finished(figure, axes, 5, in_black=True, plain=True)
 
 

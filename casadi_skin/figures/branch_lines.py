@@ -129,10 +129,13 @@ def draw_lines(
 ) -> None:
     """The path of a branch in pieces, as `stability_pieces` makes them, with marks of its changes of stability.
 
+    Pieces of one stability are one line with gaps between them: a line takes a fifth of a millisecond, a gap nothing.
     With `strip`, changes whose marks would overlap are shown by a strip along the lower edge, dark where unstable.
     """
-    for stable, piece in pieces:
-        axes.plot(*piece.T, color=colour, zorder=3, **(LOOKS[stable] if _may_be_stable(branch) else {"lw": 1.4}))
+    gap = np.full((1, 2), np.nan)
+    for stable in dict.fromkeys(stable for stable, _ in pieces):
+        line = np.vstack([part for known, piece in pieces if known is stable for part in (gap, piece)])[1:]
+        axes.plot(*line.T, color=colour, zorder=3, **(LOOKS[stable] if _may_be_stable(branch) else {"lw": 1.4}))
     joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)
     joints = joints[~_are_marked(joints, path[list(special_places(branch, path))], np.ptp(path, axis=0))]
     if joints.size and strip and np.all(np.diff(path[:, 0]) > 0.0) and crowded(joints[:, 0]):

@@ -152,7 +152,7 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         low, high = points[:, 1].min(), points[:, 1].max()
         margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
         axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin))
-        axes.set_title(title(model, parameters))
+        axes.set_title(title(model, parameters), y=1.0)
         label_ends(axes, branches, np.array([path[-1] for path in paths]))
         if beside:
             _draw_shifts(figure.add_subplot(1, 2, 2), branches)

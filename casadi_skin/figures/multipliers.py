@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.figures.profiles import requested
 from casadi_skin.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.figures.style import title as model_title
-from casadi_skin.figures.tongues import SIGNATURES, draw_angles, draw_moduli
+from casadi_skin.figures.tongues import SIGNATURES, Sampled, draw_angles, draw_moduli, sampled
 from casadi_skin.orbits.family import Family
 from casadi_skin.stability.localised import LocalisedFloquet
 
@@ -26,17 +26,17 @@ MODULUS = r"$\left|\lambda\right|$"
 TRIVIAL_LEFT_OUT = ("", " (trivial one left out)", " (trivial pair left out)")
 
 
-def _draw_moduli(axes: Axes, branch: Branch) -> None:
+def _draw_moduli(axes: Axes, branch: Branch, known: Sampled | None) -> None:
     """|lambda| of all multipliers off the circle, the largest as a line, against the quantity followed."""
     values, diagram = branch.values, branch.stability_diagram
-    for value, orbit in zip(values.tolist(), branch.orbits, strict=True):
-        floquet = orbit.floquet()
-        off = np.abs(floquet.others[~floquet.on_circle])
-        if off.size:
-            axes.plot(np.full(off.size, value), off, ".", ms=3, color="0.25", zorder=3)
+    found = [orbit.floquet() for orbit in branch.orbits]
+    off = [np.abs(floquet.others[~floquet.on_circle]) for floquet in found]
+    at = np.repeat(values, [moduli.size for moduli in off])
+    if at.size:
+        axes.plot(at, np.concatenate(off), ".", ms=3, color="0.25", zorder=3)
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    if diagram is not None and diagram.pieces:
-        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS}")
+    if diagram is not None and known is not None:
+        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS}", known)
     else:
         _draw_between_points(axes, branch)
     largest = branch.max_abs_multiplier.max()
@@ -138,13 +138,14 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
         return None
     chosen = requested(branch, 3) or {(float(branch.values[-1]), 0): branch.orbits[-1]}
     diagram = branch.stability_diagram
-    with_angles = diagram is not None and diagram.symplectic and bool(diagram.pieces)
+    known = sampled(diagram) if diagram is not None and diagram.pieces else None
+    with_angles = known is not None and known.angles is not None
     with style():
         figure, panels = _panels(len(chosen), with_angles)
-        _draw_moduli(panels["a"], branch)
+        _draw_moduli(panels["a"], branch, known)
         panels["a"].set_title("(a)", loc="left", y=1.0)
-        if diagram is not None and with_angles:
-            draw_angles(panels["b"], diagram)
+        if diagram is not None and known is not None and with_angles:
+            draw_angles(panels["b"], diagram, known)
             panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
             panels["b"].set_title("(b)", loc="left", y=1.0)
         for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):

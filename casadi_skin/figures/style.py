@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.figures.formulas import write_in_letters
 from casadi_skin.figures.layout import lay_out
 from casadi_skin.figures.png import write_png
 from casadi_skin.models.ode import OdeModel
@@ -76,6 +77,7 @@ def finished(
         legend = figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns)
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
+    write_in_letters(figure)
     lay_out(figure, DPI, plain)
     return figure
 

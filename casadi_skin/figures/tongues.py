@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from casadi_skin.stability.tongues import StabilityDiagram, Tongue, Unresolved
 
 POINTS = 300  # along a family, evenly
-IN_TONGUE = 17  # in a tongue that a picture shows the shape of
+IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue that a picture shows the shape of, and in a short one beside even places
 CLOSE = 0.1  # of pi: angles farther apart at neighbouring places are not joined
 SIGNATURES = {1: ("#c05000", "-", "signature $+$"), -1: ("#2060b0", (0, (4.0, 1.2)), "signature $-$")}
 SHADE: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0, "zorder": 0}
@@ -69,35 +70,73 @@ def shade_unresolved(axes: Axes, unresolved: Sequence[Unresolved]) -> None:
         axes.axvspan(stretch.S_start, stretch.S_end, label="changes of stability not resolved", **SHADE)
 
 
-def moduli(diagram: StabilityDiagram) -> Array:
-    """S and the largest |multiplier| along a family, through the deepest place of every tongue; shape (points, 2)."""
-    extent = diagram.end - diagram.start
-    wide = [t for t in diagram.tongues if _length(t) > extent / POINTS]
-    bent = 0.5 - 0.5 * np.cos(np.pi * np.arange(IN_TONGUE) / (IN_TONGUE - 1))
-    at = [np.linspace(diagram.start, diagram.end, POINTS), *(t.start.coordinate + bent * _length(t) for t in wide)]
-    even = np.unique(np.concatenate(at))
-    values = diagram.max_abs_multiplier(even)
-    narrow = [t for t in diagram.tongues if _length(t) <= extent / POINTS]
+@dataclass(frozen=True)
+class Sampled:
+    """A family at places along it, even ones and its changes: angles over pi, NaN off the circle, and largest growths.
+
+    `S` and `growths` have shape (places,), `angles` (places, m); they are None where multipliers have no signatures.
+    """
+
+    at: Array
+    S: Array
+    growths: Array
+    angles: Array | None
+
+
+def sampled(diagram: StabilityDiagram) -> Sampled:
+    """The multipliers that a picture of a family shows, computed once."""
+    at = np.append(np.linspace(diagram.start, diagram.end, POINTS), [c.place.coordinate for c in diagram.changes])
+    at, angles = np.unique(at), None
+    if diagram.symplectic:
+        angles, growths = diagram.angles_and_growths(at)
+        angles /= np.pi
+    else:
+        growths = diagram.growths(at)
+    return Sampled(at, diagram.S(at), np.max(growths, axis=1, initial=0.0), angles)
+
+
+def moduli(diagram: StabilityDiagram, known: Sampled | None = None) -> Array:
+    """S and the largest |multiplier| along a family, through the deepest place of every tongue; shape (points, 2).
+
+    Tongues that lie below others are left out: the largest multiplier is not theirs.
+    """
+    known = known or sampled(diagram)
+    step = (diagram.end - diagram.start) / POINTS
+    shown = [t for t in diagram.tongues if t.growth > _lowest(t, known)]
+    inner = [t.start.coordinate + _bent(_length(t) / step) * _length(t) for t in shown if _length(t) > step]
+    at = np.concatenate([known.at, *inner])
+    inside = np.max(diagram.growths(at[known.at.size :]), axis=1, initial=0.0)
+    at, first = np.unique(at, return_index=True)
+    values = np.append(known.growths, inside)[first]
+    narrow = [t for t in shown if _length(t) <= step]
     edges = np.array([(t.start.coordinate, t.end.coordinate) for t in narrow]).reshape(-1, 2)
-    bottoms = np.array([t.max_abs_multiplier for t in narrow])
-    c = np.concatenate([even, edges.ravel(), edges.mean(axis=1)])
-    heights = np.interp(c, even, values)
-    covered = np.zeros(c.size, dtype=bool)
-    for t in wide:
-        covered |= (c >= t.start.coordinate) & (c <= t.end.coordinate)
-    heights[~covered] = 1.0
-    heights[even.size + edges.size :] = np.maximum(heights[even.size + edges.size :], bottoms)
+    bottoms = np.array([t.growth for t in narrow])
+    c = np.concatenate([at, edges.ravel(), edges.mean(axis=1)])
+    heights = np.interp(c, at, values)
+    heights[at.size + edges.size :] = np.maximum(heights[at.size + edges.size :], bottoms)
     order = np.argsort(c, kind="stable")
-    return np.column_stack([diagram.S(c[order]), heights[order]])
+    return np.column_stack([diagram.S(c[order]), np.exp(heights[order])])
+
+
+def _bent(steps: float) -> Array:
+    """Places in [0, 1], closer towards its ends, for a tongue as long as some steps between even places."""
+    count = IN_TONGUE if steps > IN_TONGUE else FEW_IN_TONGUE
+    return 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, count))
+
+
+def _lowest(tongue: Tongue, known: Sampled) -> float:
+    """The least growth at places in a tongue, and beside it."""
+    start, end = np.searchsorted(known.at, (tongue.start.coordinate, tongue.end.coordinate))
+    return float(np.min(known.growths[max(start - 1, 0) : end + 1]))
 
 
 def _length(tongue: Tongue) -> float:
     return tongue.end.coordinate - tongue.start.coordinate
 
 
-def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str) -> None:
+def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str, known: Sampled | None = None) -> None:
     """The largest |multiplier| against S through all tongues, with a tick below where stability changes."""
-    line = moduli(diagram)
+    line = moduli(diagram, known)
     axes.plot(*line.T, color=colour, lw=1.2, label=label, zorder=2)
     for kind, length, width in (("real", 0.06, 1.6), ("complex", 0.035, 0.6)):
         S = [change.S for change in diagram.changes if change.kind == kind]
@@ -107,18 +146,17 @@ def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str
     shade_unresolved(axes, diagram.unresolved)
 
 
-def draw_angles(axes: Axes, diagram: StabilityDiagram) -> None:
+def draw_angles(axes: Axes, diagram: StabilityDiagram, known: Sampled) -> None:
     """Angles of the multipliers on the unit circle against S by Krein signature, with the places where two leave it.
 
     Where lines of both signatures cross, multipliers collide; lines that end have left the circle.
     """
     from matplotlib.collections import LineCollection
 
-    edges = [edge.place.coordinate for edge in diagram.changes]
-    at = np.unique(np.append(np.linspace(diagram.start, diagram.end, POINTS), edges))
-    S, angles = diagram.S(at), diagram.rotation_angles(at) / np.pi
+    angles = known.angles
+    assert angles is not None
     for sign, (colour, dashes, label) in SIGNATURES.items():
-        lines = _followed(S, np.where(np.sign(angles) == sign, np.abs(angles), np.nan))
+        lines = _followed(known.S, np.where(np.sign(angles) == sign, np.abs(angles), np.nan))
         looks: dict[str, Any] = {"colors": colour, "linewidths": 0.7, "linestyles": dashes, "zorder": 2}
         axes.add_collection(LineCollection(lines, label=label, **looks))
     for kind, marker, words in (("complex", "D", "collision"), ("real", "s", "real pair")):
@@ -137,8 +175,8 @@ def draw_angles(axes: Axes, diagram: StabilityDiagram) -> None:
         further = np.array([(e.S, e.angle / np.pi) for e in diagram.further])
         axes.plot(*further.T, ".", ms=2.0, color="0.3", label="of orbits that are unstable already", zorder=3)
     shade_unresolved(axes, diagram.unresolved)
-    root = r"\lambda^{1/2}" if diagram.power == 2 else r"\lambda"
-    axes.set(ylim=(0.0, 1.0), ylabel=rf"angle of ${root}$ over $\pi$")
+    of = "the root of " if diagram.power == 2 else ""
+    axes.set(ylim=(0.0, 1.0), ylabel=rf"angle of {of}$\lambda$ over $\pi$")
 
 
 def _followed(S: Array, angles: Array) -> list[Array]:

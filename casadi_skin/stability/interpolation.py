@@ -101,11 +101,12 @@ class MatrixSeries:
         """Places in [-1, 1] of coordinates."""
         return np.asarray((2.0 * coordinates - self.start - self.end) / (self.end - self.start))
 
-    def at(self, coordinates: Array) -> Array:
-        """The matrices, shape (points, 3 or 1, m, m)."""
+    def at(self, coordinates: Array, parts: int = 3) -> Array:
+        """The matrices, or the first `parts` of them, shape (points, 3 or 1, m, m)."""
         weights = chebyshev.basis(self.local(coordinates), self.coefficients.shape[0] - 1)
-        flat = weights @ self.coefficients.reshape(self.coefficients.shape[0], -1)
-        return np.asarray(flat.reshape(len(weights), *self.coefficients.shape[1:]))
+        coefficients = self.coefficients[:, :parts]
+        flat = weights @ coefficients.reshape(len(coefficients), -1)
+        return np.asarray(flat.reshape(len(weights), *coefficients.shape[1:]))
 
     def errors_at(self, coordinates: Array) -> Array:
         """Matrices like their errors, between nodes by straight lines, shape (points, 3 or 1, m, m)."""

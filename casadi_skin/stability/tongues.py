@@ -229,7 +229,7 @@ class StabilityDiagram(Result):
         size = self.pieces[0].matrices.size
         mu, signatures = np.empty((len(coordinates), size), complex), np.zeros((len(coordinates), size), np.int64)
         for piece, chosen in by_piece(self.pieces, coordinates):
-            mu[chosen], signatures[chosen] = spectra(piece.matrices.at(coordinates[chosen]))
+            mu[chosen], signatures[chosen] = spectra(piece.matrices.at(coordinates[chosen], 2))
         return mu, signatures
 
     def is_stable(self, coordinate: float) -> bool:
@@ -259,7 +259,7 @@ class StabilityDiagram(Result):
         for piece, chosen in by_piece(self.pieces, coordinates[inside]) if inside.any() else ():
             rows = np.flatnonzero(inside)[chosen]
             growth[rows] = self.power * growth_of(
-                np.linalg.eigvals(piece.matrices.at(coordinates[rows])[:, 0]).astype(complex)
+                np.linalg.eigvals(piece.matrices.at(coordinates[rows], 1)[:, 0]).astype(complex)
             )
         return np.where(growth > NOISE, growth, 0.0)
 
@@ -269,9 +269,14 @@ class StabilityDiagram(Result):
         Not a number for multipliers off the unit circle. Where two of them add up to a multiple of 2 pi, multipliers of
         opposite signatures meet.
         """
+        return self.angles_and_growths(coordinates)[0]
+
+    def angles_and_growths(self, coordinates: Array) -> tuple[Array, Array]:
+        """`rotation_angles` and `growths` at coordinates, from the same eigenvalues, shape (points, m) each."""
         mu, signatures = self.spectrum(coordinates)
         angles = np.arccos(np.clip(1.0 + 2.0 * mu.real, -1.0, 1.0))
-        return np.asarray(np.where(signatures == 0, np.nan, signatures * angles))
+        growth = np.where(self._inside(coordinates)[:, None], self.power * growth_of(mu), 0.0)
+        return np.where(signatures == 0, np.nan, signatures * angles), np.where(growth > NOISE, growth, 0.0)
 
     def coordinates(self, points: int = 400, in_tongue: int = 17) -> Array:
         """Coordinates to draw curves with: evenly along the branch, and in each tongue, its edges among them."""
@@ -282,14 +287,14 @@ class StabilityDiagram(Result):
 
 
 def spectra(matrices: Array) -> tuple[ComplexArray, NDArray[np.int64]]:
-    """mu of K, and Krein signatures of those in (-1, 0); (points, 3 or 1, m, m) -> (points, m) each.
+    """mu of K, and Krein signatures of those in (-1, 0); (points, 2 or more, or 1, m, m) -> (points, m) each.
 
     The signature is +1 for the modes of a linear conservative system: minus the sign of x^T P x.
     """
     mu, vectors = np.linalg.eig(matrices[:, 0])
     mu = np.asarray(mu, dtype=complex)
     signatures = np.zeros(mu.shape, dtype=np.int64)
-    if matrices.shape[1] == 3:
+    if matrices.shape[1] > 1:
         forms = np.sum(vectors * (matrices[:, 1] @ vectors), axis=1).real
         on_circle = (mu.imag == 0.0) & (mu.real > -1.0) & (mu.real < 0.0)
         signatures[on_circle] = -np.sign(forms[on_circle]).astype(np.int64)

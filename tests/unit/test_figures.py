@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from drawing import overlaps
+from drawing import overlaps, stretches
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -48,7 +48,11 @@ def points(line: Line2D) -> np.ndarray:
 
 
 def family_lines(axes: Axes) -> list[Line2D]:
-    return [line for line in axes.get_lines() if line.get_label() in ("stable", "unstable", "stability not computed")]
+    """Stretches of one stability each, those of a family in its order."""
+    known = ("stable", "unstable", "stability not computed")
+    drawn = [line for line in axes.get_lines() if line.get_label() in known]
+    colours = list(dict.fromkeys(tuple(line.get_color()) for line in drawn))
+    return sorted(stretches(drawn), key=lambda line: (colours.index(tuple(line.get_color())), points(line)[0, 0]))
 
 
 def legend_labels(figure: Figure) -> set[str]:
@@ -103,9 +107,9 @@ def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) 
     omegas = SOFT.linear_frequencies()
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omegas[0], omegas[-1]))
-    assert {text.get_text() for text in axes.texts} == {"$j = 1$", "$j = 3$"}
+    assert {text.get_text() for text in axes.texts} == {"𝑗 = 1", "𝑗 = 3"}
     assert {"stable", "unstable", "stability not computed", "change of stability"} <= legend_labels(figure)
-    assert "N = 8" in axes.get_title()
+    assert "𝑁 = 8" in axes.get_title()
     assert "dimensionless" in axes.get_title()
 
 
@@ -162,7 +166,7 @@ def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, pl
     figure = profile_figure([soft, plain])
     assert figure is not None
     panel = figure.axes[0]
-    assert panel.get_title(loc="left") == "$j = 1$"
+    assert panel.get_title(loc="left") == "𝑗 = 1"
     mode = points(lines(panel, "linear mode")[0])[:, 1]
     assert np.linalg.norm(mode) == pytest.approx(1.0)
     for orbit in soft.orbits:
@@ -171,7 +175,7 @@ def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, pl
             y = points(line)[:, 1]
             assert np.abs(y) == pytest.approx(np.abs(orbit.profile) / np.sqrt(orbit.S))
             assert y @ mode > 0
-    assert "$j = 3$" not in [axes.get_title(loc="left") for axes in figure.axes]  # nothing was requested of it
+    assert "𝑗 = 3" not in [axes.get_title(loc="left") for axes in figure.axes]  # nothing was requested of it
 
 
 def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
@@ -204,7 +208,7 @@ def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
     requested = tuple(orbit for orbit in soft.orbits if orbit.point.requested)
     figure = profile_figure([dataclasses.replace(soft, solutions=(requested[0], requested[0]))])
     assert figure is not None
-    assert {"$S = 0.2$", "$S = 0.2$ (passage 2)"} <= legend_labels(figure)
+    assert {"𝑆 = 0.2", "𝑆 = 0.2 (passage 2)"} <= legend_labels(figure)
 
 
 # Multipliers --------------------------------------------------------------------------------------------------------
@@ -224,7 +228,7 @@ def test_multipliers_leave_the_circle_at_the_changes(soft: Branch) -> None:
     assert sorted(ticks) == [change.value for change in soft.changes]
     marks = [line for line in angles.get_lines() if str(line.get_label()).startswith("stability changes")]
     assert sum(len(points(line)) for line in marks) == len(soft.changes)
-    assert [axes.get_title(loc="left").split("$")[1] for axes in planes] == ["S = 0.2", "S = 2", "S = 3"]
+    assert [re.split("  |, ", axes.get_title(loc="left"))[1] for axes in planes] == ["𝑆 = 0.2", "𝑆 = 2", "𝑆 = 3"]
     kinds = ("on the unit circle", "real, off the circle", "complex, off the circle")
     for axes in planes:
         assert axes.get_aspect() == 1.0

@@ -563,5 +563,5 @@ def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Pa
             store.add(task, 1, Result(tuple(Row({"Omega": float(cell)}) for cell in task.cells), seconds=1.0))
     figure = read_map(tmp_path).figure("Omega")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
-    assert any("g = $-1$, mode = last" in title for title in titles)
+    assert any("g = −1, mode = last" in title for title in titles)
     assert len(titles) == 4
