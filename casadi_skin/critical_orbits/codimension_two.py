@@ -1,24 +1,27 @@
-"""Points of codimension two on curves of folds, period doublings and tori of orbits: where one condition more holds.
+"""Points of codimension two on curves of special orbits and solutions: where one condition more holds.
 
-The coefficient of the normal form vanishes (cusp, generalized period doubling, Chenciner point); another multiplier
-is 1 or -1, or another pair on the unit circle; on tori the angle is that of a strong resonance (Kuznetsov 2004, chapter
-9). Or the orbits shrink to an equilibrium.
+The coefficient of the normal form vanishes (cusp, generalized period doubling, Chenciner point, degenerate pitchfork or
+transcritical point); another multiplier is 1 or -1, or another pair on the unit circle; on tori the angle is that of a
+strong resonance (Kuznetsov 2004, chapter 9). Or the orbits shrink to an equilibrium.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.bend import quadratic_term
+from casadi_skin.critical_orbits.branch_forms import branching_equation, second_singular
 from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
-from casadi_skin.equilibria.codimension_two import CUSP
+from casadi_skin.equilibria.codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
+from casadi_skin.equilibria.double_points import double_between
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError
 from casadi_skin.stability.reduction import ComplexArray
 
@@ -28,6 +31,7 @@ ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another
     FOLD: ("1:1 resonance", "fold-flip", "fold-torus"),
     DOUBLING: ("fold-flip", "1:2 resonance", "flip-torus"),
     TORUS: ("fold-torus", "flip-torus", "torus-torus"),
+    BRANCH_POINT: ("1:1 resonance", "fold-flip", "fold-torus"),
 }
 FINE = 1e-11  # of a step, to which a root is found
 VANISHES = 1e-2  # of its values at both ends: a test where it has a root
@@ -37,8 +41,6 @@ Test = Callable[[Point], float]
 
 def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
-    if space.kind == BRANCH_POINT:
-        return
     if space.shrinks(before, after):
         end = shrunk(space, before, after)
         if end is not None:
@@ -50,6 +52,8 @@ def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[P
 
 def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
     """Kinds of the points that are passed, each with a function that changes its sign there."""
+    if space.kind == BRANCH_POINT:
+        yield from _branching(space, before, after)
     candidates = _of_solutions(space, before) if space.periodic is None else _of_orbits(space)
     for kind, test in candidates:
         try:
@@ -57,6 +61,19 @@ def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, 
                 yield kind, test
         except (RuntimeError, NotImplementedError):  # the model has no third derivatives
             continue
+
+
+def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
+    """The kind of the point at which the branching equation degenerates, where it does, with its coefficient."""
+    equations = [branching_equation(space, point) for point in (before, after)]
+    try:
+        symmetric = all(one.symmetric(p.error.profile) for one, p in zip(equations, (before, after), strict=True))
+        values = [equation.coefficients[int(symmetric)] for equation in equations]
+    except (RuntimeError, NotImplementedError):  # the model has no third derivatives
+        return
+    if values[0] * values[1] < 0.0:
+        kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
+        yield kind, lambda point: branching_equation(space, point).coefficients[int(symmetric)]
 
 
 def _of_solutions(space: Followed, before: Point) -> list[tuple[str, Test]]:
@@ -75,14 +92,14 @@ def _of_orbits(space: Followed) -> list[tuple[str, Test]]:
     candidates = _resonances(space)
     plus, minus, pair = ANOTHER[space.kind]
     candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
-    return [*candidates, (DEGENERATE[space.kind], _coefficient(space))]
+    return [*candidates, *((DEGENERATE[kind], _coefficient(space)) for kind in DEGENERATE if kind == space.kind)]
 
 
 def others(space: Followed, point: Point) -> ComplexArray:
     """Multipliers but the trivial and the critical ones."""
     values = space.multipliers(point)
-    roots = {FOLD: [1.0], DOUBLING: [-1.0]}.get(space.kind)
-    if roots is None:
+    roots = [-1.0 if space.kind == DOUBLING else 1.0]
+    if space.kind == TORUS:
         kappa = space.kappa(point)
         width = np.sqrt(complex(kappa**2 - 1.0))
         roots = [kappa + width, kappa - width]
@@ -96,7 +113,7 @@ def _real(space: Followed, value: float) -> Test:
 
     Where the critical one is there too, the nearest other comes with it: of two that meet the sum alone has its digits.
     """
-    meets = {FOLD: 1.0, DOUBLING: -1.0}.get(space.kind) == value
+    meets = {FOLD: 1.0, BRANCH_POINT: 1.0, DOUBLING: -1.0}.get(space.kind) == value
 
     def test(point: Point) -> float:
         found = others(space, point)
@@ -157,6 +174,11 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
             values[fraction] = test(known[fraction])
         return values[fraction]
 
+    if space.kind == BRANCH_POINT and kind == ANOTHER[BRANCH_POINT][0]:
+        second = partial(second_singular, space)
+        double = double_between(space.point_solver, before, after, test, second)
+        if double is not None:
+            return double
     root = float(brentq(value, 0.0, 1.0, xtol=FINE))
     if abs(value(root)) > VANISHES * max(abs(value(0.0)), abs(value(1.0))) or not _is_pair(space, known[root], kind):
         return None

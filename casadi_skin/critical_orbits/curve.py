@@ -163,7 +163,8 @@ def curve(
 
     Returns:
         The curve as a branch, of edges as an `EdgeCurve`; its special points are those of codimension two: of
-        equilibria "cusp", "bogdanov-takens", "zero-hopf", "generalized hopf", "hopf-hopf"; of orbits "cusp of cycles",
+        equilibria "cusp", "bogdanov-takens", "zero-hopf", "generalized hopf", "hopf-hopf"; of branch points
+        "degenerate pitchfork", "degenerate transcritical", "double branch point"; of orbits "cusp of cycles",
         "generalized period doubling", "chenciner", "1:1 resonance" to "1:4 resonance", "fold-flip", "fold-torus",
         "flip-torus", "torus-torus". It also ends where it comes back to the value that it started from, Hopf points at
         a Bogdanov-Takens point, tori at the resonances 1:1 and 1:2, and orbits where they shrink to an equilibrium.

@@ -50,6 +50,13 @@ class Linearised:
         """Number of the orbit's equations of collocation, before the conditions."""
         return self.states - self.components
 
+    @property
+    def joined_vector(self) -> Array:
+        """The null vector v1 that is among the unknowns of an extended problem, with its changes of free parameters."""
+        problem, n, free = self.problem, self.components, len(self.statement.free)
+        states = self.z[: problem.states].reshape(problem.columns, -1)[:, n : 2 * n]
+        return np.concatenate([states.ravel(), self.z[problem.states + free + 1 :][:free]])
+
     @cached_property
     def jacobian(self) -> Any:
         """The square derivative of the orbit's equations, parameters that are not free held, sparse."""

@@ -1,7 +1,9 @@
 """Points of codimension two on curves of folds, branch points and Hopf points: where one condition more holds.
 
 On a curve of folds: a cusp, where the quadratic coefficient is zero; a Bogdanov-Takens point, where a second real
-eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of branch points the last two.
+eigenvalue is zero; a zero-Hopf point, where a pair is on the imaginary axis. On a curve of branch points the last two,
+the first a double branch point where the second eigenvalue has an eigenvector of its own; and a degenerate pitchfork or
+transcritical point, where the cubic coefficient is zero or, without a symmetry, the quadratic one.
 On a curve of Hopf points: a Bogdanov-Takens point, where the frequency is zero; a zero-Hopf point; a Hopf-Hopf point,
 where a second pair is on the axis; a generalized Hopf (Bautin) point, where the first Lyapunov coefficient is zero
 (Kuznetsov 2004, chapter 8).
@@ -18,8 +20,9 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.double_points import double_between
 from casadi_skin.equilibria.equations import EquilibriumEquations
-from casadi_skin.equilibria.location import FOLD, HOPF, jacobian_of
+from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.search import Search
@@ -30,8 +33,10 @@ from casadi_skin.orbits.special_points import NotLocatedError
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
+DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL = "degenerate pitchfork", "degenerate transcritical"
 FINE = 1e-11  # of a step, to which a root is found
 VANISHES = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
+SYMMETRIC = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero
 CHANGE = 1e-6  # of the unknowns: a step along a curve, for rates
 NEAR_END = 6  # divisions of a step after which a curve of Hopf points is taken to end in a Bogdanov-Takens point
 Test = Callable[[Point], float]
@@ -73,10 +78,25 @@ class _Search(Search):
             return None
         ends, found = (stretch.first.point, stretch.last.point), list[tuple[float, Point]]()
         for kind, test in self._passed(stretch):
+            double = self._double(*ends, kind, test)
+            if double is not None:
+                found.append(double)
+                continue
             place, point = _root(self.space, *ends, kind, test)
             if abs(test(point)) <= VANISHES * max(abs(test(end)) for end in ends):  # l1 has poles at zero-Hopf points
                 found.append((place, point))
         return [point for _, point in sorted(found, key=lambda entry: entry[0])]
+
+    def _double(self, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+        """The branch point at which a second eigenvalue is zero with an eigenvector of its own; None where none is."""
+        if self.space.kind != BRANCH_POINT or kind != TAKENS:
+            return None
+
+        def second(point: Point) -> float:
+            matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)
+            return float(np.linalg.svd(matrix, compute_uv=False)[-2])
+
+        return double_between(self.equations.point_solver, before, after, test, second)
 
     def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
         """Kinds of the points that are passed, each with a function that changes its sign there."""
@@ -104,6 +124,9 @@ def _tests(space: Followed, start: Point) -> Iterator[tuple[str, Test]]:
     """Functions of a point that vanish at points of some kinds; others are found from eigenvalues."""
     if space.kind == FOLD:
         yield CUSP, _quadratic(space, start)
+    if space.kind == BRANCH_POINT and space.equations.statics.exact:
+        with suppress(RuntimeError):  # the model has no third derivatives
+            yield _branching(space, start)
     if space.kind != HOPF:
         return
     yield TAKENS, _kappa
@@ -136,6 +159,33 @@ def _quadratic(space: Followed, reference: Point) -> Test:
         return float(psi @ curved) * float(np.sign(psi @ first))
 
     return test
+
+
+def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
+    """The coefficient by which the branching equation degenerates, with its name: cubic where a symmetry is lost."""
+    statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
+
+    def null_vector(point: Point) -> Array:
+        return np.asarray(np.linalg.svd(jacobian_of(cast(ExtendedSystem, point.problem), point.z))[2][-1])
+
+    first = null_vector(reference)
+
+    def terms(point: Point) -> tuple[Array, Array]:
+        problem, psi, v = cast(ExtendedSystem, point.problem), point.z[n : 2 * n], null_vector(point)
+        v = v * np.sign(v @ first)
+        A, (x, p) = jacobian_of(problem, point.z), (problem.state(point.z), problem.parameters(point.z))
+        twice = statics.second(x, p, sizes * v, sizes * v).real / sizes
+        closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
+        bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
+        thrice = statics.third(x, p, sizes * v, sizes * v, sizes * v).real / sizes
+        curved = statics.second(x, p, sizes * v, bent).real / sizes
+        return 0.5 * psi * twice, np.concatenate([psi * thrice / 6.0, 0.5 * psi * curved])
+
+    quadratic, cubic = terms(reference)
+    scale = float(np.sum(np.abs(quadratic)) + np.sum(np.abs(cubic)))
+    symmetric = bool(abs(np.sum(quadratic)) <= SYMMETRIC * scale)
+    kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
+    return kind, lambda point: float(np.sum(terms(point)[int(symmetric)]))
 
 
 def _kappa(point: Point) -> float:

@@ -32,6 +32,7 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("fold", True): ("folds of cycles", "-"),
     ("period doubling", True): ("period doublings", DASHED),
     ("torus", True): ("tori", DOTTED),
+    ("branch point", True): ("branch points of cycles", DOTTED),
 }
 WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
 

@@ -70,7 +70,7 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        crossing = point.kind == BRANCH_POINT and not isinstance(point.solution, Orbit)
+        crossing = point.kind == BRANCH_POINT and point.mu is None
         if table.curve is not None and (point.kind in FOLLOWED or crossing) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
