@@ -189,6 +189,11 @@ class Problem(ABC):
         """Residual, shape (size - 1,), and the non-zeros of the Jacobian in the order of `pattern`."""
         return self._buffers.evaluate(z, self.numbers)
 
+    def evaluate_all(self, z: Array) -> tuple[Array, Array]:
+        """The same at several states (states, size): shapes (states, size - 1) and (states, non-zeros)."""
+        residuals, nonzeros = zip(*(self.evaluate(one) for one in z), strict=True)
+        return np.stack(residuals), np.stack(nonzeros)
+
     def with_constants(self, constants: Array) -> Self:
         """The same equations with other constants; the compiled function is shared.
 

@@ -16,7 +16,7 @@ from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import ContinuationSettings, Point, Target
 from casadi_skin.solvers.corrector import Correction, confirmations
-from casadi_skin.solvers.levels import ErrorEstimate, Levels, step_error
+from casadi_skin.solvers.levels import ErrorEstimate, Levels, Measured, step_error
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
 COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
@@ -223,10 +223,16 @@ class PointSolver:
         return self.refined(problem, correction, row, held, known)
 
     def unconfirmed(
-        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
+        self,
+        problem: Problem,
+        correction: Correction,
+        tangent: Array,
+        row: Array,
+        held: Scalar | None = None,
+        measured: Measured | None = None,
     ) -> Point | None:
-        """As `near`, before the corrector's last word (see `confirmed`)."""
-        known = self._measured(problem, correction, tangent, held)
+        """As `near`, before the corrector's last word (see `confirmed`), and with its error where that is known."""
+        known = self._measured(problem, correction, tangent, held, measured)
         return self._climbed(problem, correction, row, held, known)
 
     def _is_finished(self, point: Point, relative: float) -> bool:
@@ -234,10 +240,15 @@ class PointSolver:
         return point.at_round_off or relative <= self.settings.tolerance
 
     def _measured(
-        self, problem: Problem, correction: Correction, tangent: Array, held: Scalar | None
+        self,
+        problem: Problem,
+        correction: Correction,
+        tangent: Array,
+        held: Scalar | None,
+        measured: Measured | None = None,
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
-        error, better = self.levels.refined(problem, correction.z, tangent, held)
+        error, better = measured or self.levels.refined(problem, correction.z, tangent, held)
         relative = error.relative(problem.frequency(correction.z))
         at_round_off = self.settings.tolerance < relative <= error.round_off
         step, iterations = self.settings.first_step, correction.iterations

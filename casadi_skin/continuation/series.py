@@ -17,12 +17,12 @@ from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.corners import CLOSE, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
+from casadi_skin.continuation.polishing import Guesses, Polished, all_polished, polished
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.solvers.corrector import Correction, Status
 
 SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
-FAINT = 1e-7  # of the largest state: its square is round-off
 SPARSE = 2.0  # times the turn that a walk aims for which predicts each point from the last
 TOGETHER = 16  # points, of one stretch or several, that the corrector confirms at a time
 SHORT = 3.0  # times the precision of the series: the square of such a step is below what correctors leave
@@ -83,6 +83,7 @@ class SeriesContinuation:
         self.rejected = 0
         self.missed: list[Target] = []
         self._recursion, self._precision = recursion, precision
+        self._ready: dict[_Stop, Polished] = {}  # stops of this stretch that are polished
         self._most = np.inf  # length of the next stretch, in the metric, where its base is next to a corner
 
     def __iter__(self) -> Iterator[Point]:
@@ -237,6 +238,8 @@ class SeriesContinuation:
         """
         problem, ends = base.problem, self.settings.ends
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
+        ready = all_polished(self.point_solver, problem, self._guesses(problem, stretch, stops)) if stops else None
+        self._ready = {} if ready is None else dict(zip(stops, ready, strict=True))
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
             is_last, end = stop is stops[-1], End.REACHED if stop.target in ends else None
@@ -335,44 +338,29 @@ class SeriesContinuation:
 
     def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> tuple[Point | None, Side | None]:
         """The corrected point at a stop and its side; None where the corrector does not find it near the series."""
-        guess, slope = stretch.at(stop.tau), stretch.slope(stop.tau)
-        weights = self.point_solver.metric(problem, guess)
-        tangent = slope / np.sqrt(np.sum(weights * slope**2))
         target = stop.target
-        if target is None:
-            row, value = weights * tangent, float((weights * tangent) @ guess)
-        else:
-            index, wanted = target.unknown(problem)
-            row = problem.row_of(target.held) * float(np.sign(slope[index]))
-            value = wanted * float(row[index])
         held = None if target is None else target.held
         try:
-            polished, tangent, orientation, converged = self._polished(problem, guess, row, value)
-            correction: Correction | None = Correction(polished, Status.CONVERGED, 0)
-            if not converged:
-                correction = self.point_solver.correct(problem, polished, row, value, reach)
+            found = self._ready.get(stop)
+            if found is None:
+                found = polished(self.point_solver, problem, self._guesses(problem, stretch, [stop]))
+            correction: Correction | None = Correction(found.z, Status.CONVERGED, 0)
+            measured = found.measured
+            if not found.step <= SHORT * self._precision(problem):
+                correction, measured = self.point_solver.correct(problem, found.z, found.row, found.value, reach), None
             if correction is None:
                 self._trouble = f'{self.point_solver.failure}; try walker = "arclength"'
                 return None, None
             if target is not None:
+                index, wanted = target.unknown(problem)
                 correction.z[index] = wanted  # equal but for round-off of the held row
-            there = Side(problem, correction.z, tangent, orientation)
-            return self.point_solver.unconfirmed(problem, correction, tangent, row, held), there
+            there = Side(problem, correction.z, found.tangent, found.orientation)
+            return self.point_solver.unconfirmed(problem, correction, found.tangent, found.row, held, measured), there
         except SingularError as error:
             self._trouble = str(error)
             return None, None
 
-    def _polished(self, problem: Problem, guess: Array, row: Array, value: float) -> tuple[Array, Array, float, bool]:
-        """A Newton step from a point of the series, tangent, orientation, and whether it is so short that one suffices.
-
-        What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
-        the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
-        """
-        states = guess[: problem.states]  # a view
-        states[np.abs(states) < FAINT * np.max(np.abs(states))] = 0.0
-        residual, nonzeros = problem.evaluate(guess)
-        solve = self.point_solver.levels.solver(problem).factor(guess, nonzeros, row)
-        polished = guess - solve(np.append(residual, row @ guess - value))
-        step = self.point_solver.distance(problem, guess, polished)
-        tangent, short = self.point_solver.tangent(problem, guess, solve), step <= SHORT * self._precision(problem)
-        return polished, tangent, solve.orientation, short
+    def _guesses(self, problem: Problem, stretch: Stretch, stops: Sequence[_Stop]) -> Guesses:
+        """The places of stops on a stretch."""
+        taus, targets = [stop.tau for stop in stops], [stop.target for stop in stops]
+        return Guesses.of(self.point_solver, problem, stretch, taus, targets)

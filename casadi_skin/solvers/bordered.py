@@ -35,11 +35,12 @@ class _Entries:
     target: Indices
 
     def into(self, array: Array, nonzeros: Array) -> None:
-        array.ravel()[self.target] = nonzeros[self.source]
+        """Fill an array, or several from non-zeros of as many problems."""
+        array.reshape(*nonzeros.shape[:-1], -1)[..., self.target] = np.take(nonzeros, self.source, axis=-1)
 
 
 @dataclass(frozen=True)
-class _Band:
+class BandLayout:
     """Places of the non-zeros of the Jacobian: the band, the columns right of it, the rows below, the corner.
 
     The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
@@ -52,7 +53,7 @@ class _Band:
     corner: _Entries
 
     @classmethod
-    def of(cls, problem: Problem) -> _Band | None:
+    def of(cls, problem: Problem) -> BandLayout | None:
         width, n = problem.half_bandwidth, problem.states
         if width is None or 3 * width >= n:
             return None
@@ -69,6 +70,11 @@ class _Band:
             entries((rows >= n) & (columns < n), (rows - n + 1) * n + columns),
             entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
         )
+
+    def fill(self, storage: Array, right: Array, below: Array, corner: Array, nonzeros: Array) -> None:
+        """Put the non-zeros of the Jacobian where they belong."""
+        for entries, array in ((self.inside, storage), (self.right, right), (self.below, below), (self.corner, corner)):
+            entries.into(array, nonzeros)
 
 
 class _BandFactors:
@@ -165,7 +171,7 @@ class BorderedSolver:
 
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
-        self._band = _Band.of(problem)
+        self._band = BandLayout.of(problem)
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
@@ -245,17 +251,14 @@ class BorderedSolver:
             defect = self._jacobian @ x
         return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
 
-    def _factor_band(self, band: _Band, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
+    def _factor_band(self, band: BandLayout, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
         """A solver, and its solutions for `_probes`; not finite where elimination meets a zero."""
         from scipy.linalg.lapack import dgbtrf, dgbtrs
 
         n, width, edge = self.problem.states, band.width, self.problem.size - self.problem.states + 1
         storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge + 2, n))
         below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
-        band.inside.into(storage, nonzeros)
-        band.right.into(right, nonzeros)
-        band.below.into(below, nonzeros)
-        band.corner.into(corner, nonzeros)
+        band.fill(storage, right, below, corner, nonzeros)
         below[-1], corner[-1, 1:] = row[:n], row[n:]
         pin = int(np.argmax(np.abs(z[:n])))
         raised = float(np.max(np.abs(storage[pin])))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.stacked import StackedSolver
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
 MUCH = 2.0  # tolerances: a level whose error is expected above them is passed over
@@ -45,6 +47,9 @@ class Refinement:
     z: Array
 
 
+Measured = tuple[ErrorEstimate, Refinement | None]
+
+
 def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
     """The error that a step from z to the better point makes up for."""
     parameter = abs(float(step[problem.parameter_index])) / problem.parameter_size(z) if with_parameter else 0.0
@@ -69,7 +74,7 @@ class Levels:
         self._problems: dict[int, Problem] = {}
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
-        self._last: tuple[Problem, Array, Scalar, tuple[ErrorEstimate, Refinement | None]] | None = None
+        self._last: tuple[Problem, Array, Scalar, Measured] | None = None
 
     def problem(self, resolution: int) -> Problem:
         """The problem at a resolution."""
@@ -122,9 +127,7 @@ class Levels:
         """Error of z, from `refined`; infinite at the top of the levels. Raises SingularError."""
         return self.refined(problem, z, tangent)[0]
 
-    def refined(
-        self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None
-    ) -> tuple[ErrorEstimate, Refinement | None]:
+    def refined(self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None) -> Measured:
         """Error of z and the better orbit that shows it: one Newton step on the next finer level, from z prolonged.
 
         The step is the difference to the finer solution up to its square. It contains what the corrector left over
@@ -146,9 +149,7 @@ class Levels:
         self._last = problem, z.copy(), held, found
         return found
 
-    def _refined(
-        self, problem: Problem, z: Array, tangent: Array | None, held: Scalar | None
-    ) -> tuple[ErrorEstimate, Refinement | None]:
+    def _refined(self, problem: Problem, z: Array, tangent: Array | None, held: Scalar | None) -> Measured:
         finer = self.finer(problem)
         if finer is None:
             return ErrorEstimate(np.inf, np.inf), None
@@ -159,17 +160,63 @@ class Levels:
             row = finer.metric(long_z, 1.0) * along
         residual, nonzeros = finer.evaluate(long_z)
         solve = self.solver(finer).factor(long_z, nonzeros, row)
-        step = _at_parameter(finer, long_z, solve(np.append(residual, 0.0)), along)
-        moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
-        error = step_error(finer, long_z, step, moves)
-        error = replace(error, Omega=max(error.Omega, problem.round_off * problem.frequency(z)))
-        if error.relative(problem.frequency(z)) < NEAR_ROUND_OFF:
-            noise = problem.rounding(z) * np.append(finer.probe, 0.0)
-            response = _at_parameter(finer, long_z, solve(noise), along)
-            error = _no_better(error, step_error(finer, long_z, response, moves), problem, z)
-            if held is Scalar.OMEGA and tangent is not None:
-                error = replace(error, parameter=max(error.parameter, _by_constants(problem, z, tangent)))
-        return error, Refinement(finer, long_z - step)
+        step = solve(np.append(residual, 0.0))
+        on_finer = finer, long_z, step, lambda: solve(np.append(finer.probe, 0.0))
+        return _estimated(problem, z, on_finer, tangent, along, held)
+
+    def all_refined(
+        self, problem: Problem, z: Array, tangents: Array, held: Sequence[Scalar | None]
+    ) -> list[Measured] | None:
+        """As `refined` of several states (states, unknowns), in arrays; None where that does not do for all of them."""
+        finer = self.finer(problem)
+        stack = None if finer is None else StackedSolver.of(finer)
+        if finer is None or stack is None:
+            return None
+        long_z, along = (np.stack([problem.prolong(v, finer) for v in values]) for values in (z, tangents))
+        rows = np.stack(
+            [
+                finer.metric(at, 1.0) * way if which is None else finer.row_of(which)
+                for at, way, which in zip(long_z, along, held, strict=True)
+            ]
+        )
+        residuals, nonzeros = finer.evaluate_all(long_z)
+        steps = stack.steps(long_z, np.column_stack([residuals, np.zeros(len(z))]), nonzeros, rows)
+        if steps is None:
+            return None
+        found = []
+        for i, which in enumerate(held):
+            response, way = partial(steps.response.__getitem__, i), along[i] if which is None else None
+            found.append(
+                _estimated(problem, z[i], (finer, long_z[i], steps.newton[i], response), tangents[i], way, which)
+            )
+        return found
+
+
+def _estimated(
+    problem: Problem,
+    z: Array,
+    on_finer: tuple[Problem, Array, Array, Callable[[], Array]],
+    tangent: Array | None,
+    along: Array | None,
+    held: Scalar | None,
+) -> Measured:
+    """The error of z and the better orbit, from what has been found `on_finer`, the next level.
+
+    That is the problem, the state prolonged, a Newton step from there, and the response to residuals of size 1 where it
+    is needed; `tangent` and `along` are the tangents of z and there.
+    """
+    finer, long_z, step, response = on_finer
+    Omega = problem.frequency(z)
+    step = _at_parameter(finer, long_z, step, along)
+    moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
+    error = step_error(finer, long_z, step, moves)
+    error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
+    if error.relative(Omega) < NEAR_ROUND_OFF:
+        noise = _at_parameter(finer, long_z, problem.rounding(z) * response(), along)
+        error = _no_better(error, step_error(finer, long_z, noise, moves), problem, z)
+        if held is Scalar.OMEGA and tangent is not None:
+            error = replace(error, parameter=max(error.parameter, _by_constants(problem, z, tangent)))
+    return error, Refinement(finer, long_z - step)
 
 
 def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
