@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.bvp.symmetry import symmetry_class
@@ -144,22 +145,19 @@ class SteppedFlow(ABC):
             waiting = [orbits[i] for i in places.tolist()]
             levels = range(level - len(self.orders), level + 1)
             missing = [r for r in levels if r not in maps]
-            better = {k: orbit.better for k, orbit in enumerate(waiting) if orbit.better is not None}
-            wanted = [(self.step_numbers[r], waiting) for r in missing]
-            wanted += [(self.step_numbers[levels[0]], list(better.values()))] if better else []
-            found = self.several(wanted, half_width)
-            maps |= dict(zip(missing, found, strict=False))
-            pairs = {k: (maps[levels[0]][k], m) for k, m in zip(better, found[-1], strict=True)} if better else {}
+            found = self.several([(self.step_numbers[r], waiting) for r in missing], half_width)
+            maps |= dict(zip(missing, found, strict=True))
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation = np.linalg.norm(errors, axis=(1, 2))
                 round_off = ROUND_OFF * np.linalg.norm(matrices, axis=(1, 2))
             met = truncation <= np.maximum(tolerance, round_off)
+            pairs = self._pairs(waiting, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 done[int(places[k])] = Transition(matrices[k], self.fraction, total, errors[k], pairs.get(k))
             if met.all():
-                self._level = self._lower(level, float(np.max(truncation)), tolerance)
+                self._level = self._lower(level, float(np.min(truncation)), tolerance)
                 return [done[i] for i in range(len(orbits))]
             worst = int(np.argmax(np.where(met, -np.inf, truncation)))
             place = _place(waiting[worst], errors[worst], self.model.size)
@@ -174,10 +172,31 @@ class SteppedFlow(ABC):
         found = [maps[r] for r in levels]
         return _combined(found[1:], few), _combined(found, SAFETY * (all_ - np.append(0.0, few)))
 
+    def _pairs(
+        self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array, half_width: int | None
+    ) -> dict[int, tuple[Array, Array]]:
+        """Matrices in so many steps along the orbits that are `met` and along the better ones, by place."""
+        better = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
+        if not better:
+            return {}
+        (found,) = self.several([(steps, list(better.values()))], half_width)
+        return {k: (maps[k], matrix) for k, matrix in zip(better, found, strict=True)}
+
+    def _leading(self, level: int) -> float:
+        """The error of a level per the method's error of the order that remains, in a step over all the time."""
+        steps = self.step_numbers[level - len(self.orders) + 1 : level + 1]
+        weights = extrapolation(steps, self.orders[:-1])
+        return abs(float(np.sum(weights / np.array(steps, dtype=float) ** self.orders[-1])))
+
     def _lower(self, level: int, truncation: float, tolerance: float) -> int:
-        """The level to start from next time: one lower where that would have done."""
-        expected = truncation * (self.step_numbers[level] / self.step_numbers[level - 1]) ** self.orders[-1]
-        return level - 1 if level > len(self.orders) and HEADROOM * expected <= tolerance else level
+        """The level to start from next time: one lower where that would have done for one orbit.
+
+        An orbit for which it does not do costs little: its maps are used again on the next level.
+        """
+        if level == len(self.orders):
+            return level
+        expected = truncation * self._leading(level - 1) / self._leading(level)
+        return level - 1 if HEADROOM * expected <= tolerance else level
 
     def _higher(self, level: int, truncation: float, tolerance: float, place: str) -> int:
         """The level that should do where one did not; raises FlowError at the end of the step_numbers."""
@@ -189,8 +208,8 @@ class SteppedFlow(ABC):
             )
         if not np.isfinite(truncation):
             return level + 1
-        needed = steps * (truncation / tolerance) ** (1.0 / self.orders[-1])
-        return next((r for r in range(level + 1, len(self.step_numbers)) if self.step_numbers[r] >= needed), level + 1)
+        allowed, above = self._leading(level) * tolerance / truncation, range(level + 1, len(self.step_numbers))
+        return next((r for r in above if self._leading(r) <= allowed), level + 1)
 
 
 def _combined(maps: Sequence[Array], weights: Array) -> Array:
