@@ -39,14 +39,14 @@ class FirstOrderProblem(OrbitProblem):
         return self.states + 2
 
     @abstractmethod
-    def _phases(self) -> Array:
+    def phases(self) -> Array:
         """Phases theta of the full states among the unknowns, in their order."""
 
     def _spread(self, factors: Array) -> Array:
         return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are
 
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        theta = self._phases()
+        theta = self.phases()
         state = np.outer(np.cos(theta), positions)
         if self.model.order == 2:
             state = np.hstack([state, np.outer(-Omega * np.sin(theta), positions)])

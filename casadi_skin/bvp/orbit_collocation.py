@@ -23,7 +23,7 @@ class CollocationProblem(CollocationEquations, FirstOrderProblem):
         FirstOrderProblem.__init__(self, model, intervals, symmetry)
         self._discretise(orbit_formulation(model, symmetry, self.pinned, self.unfolded), intervals, table)
 
-    def _phases(self) -> Array:
+    def phases(self) -> Array:
         return self.symmetry.value * 2.0 * np.pi * self._fractions()
 
     def sample(self, z: Array, theta: Array) -> Array:

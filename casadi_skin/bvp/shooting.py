@@ -95,7 +95,7 @@ class ShootingProblem(FirstOrderProblem):
 
     # Values ---------------------------------------------------------------------------------------------------------
 
-    def _phases(self) -> Array:
+    def phases(self) -> Array:
         return self.symmetry.value * 2.0 * np.pi * np.arange(self.segments + 1) / self.segments
 
     def prolong(self, z: Array, finer: Problem) -> Array:

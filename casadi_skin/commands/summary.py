@@ -150,6 +150,8 @@ def _print_stability(branches: list[Branch]) -> None:
         for stretch in branch.unresolved:
             where = f"from S = {stretch.S_start:.6g} to {stretch.S_end:.6g}"
             print(f"mode {mode_of(branch)}: changes of stability are not known {where}: {stretch.reason}")
+        for point in branch.not_located if "_sought" in vars(branch) else ():
+            print(f"mode {mode_of(branch)}: not located: {point}")
 
 
 def _print_proofs(branches: list[Branch]) -> None:

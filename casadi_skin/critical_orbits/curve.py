@@ -14,7 +14,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.critical_orbits.codimension_two import ENDS, special_on_curve
-from casadi_skin.critical_orbits.edge_curve import edge_curve, parameters_of
+from casadi_skin.critical_orbits.edge_crossing import CrossingWalk
+from casadi_skin.critical_orbits.edge_curve import EdgeWalk, edge_curve, parameters_of
 from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
@@ -23,6 +24,7 @@ from casadi_skin.critical_orbits.systems import KAPPA, PUSH, Critical
 from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
+from casadi_skin.orbits.breaking import turns_of
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.following import Following, run_following
@@ -190,7 +192,8 @@ def _curve_of_edges(
         orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )
     S = point.parameters[point.parameter]
-    return edge_curve(orbit, S, parameter, to, at, settings, until, progress, back_to)
+    kind = EdgeWalk if turns_of(orbit) == 1 else CrossingWalk
+    return edge_curve(orbit, S, parameter, to, at, settings, until, progress, back_to, kind)
 
 
 def curve_space(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.critical_orbits.edge_fold import Start, Turn, multipliers_of, turn
 from casadi_skin.critical_orbits.edges import EdgeCurve, EdgePoint
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.orbits.at_edges import BESIDE, along_curve
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.family_tongues import tongues_on
 from casadi_skin.orbits.method import Targets
@@ -33,6 +34,7 @@ FIRST = 0.02  # of the way: the first step
 GROWTH = 1.8  # of a step whose edge was well extrapolated
 WELL, BADLY = 1e-3, 1e-2  # of S: how far the edge may be from where it was extrapolated
 WIDEST, NARROWEST = 0.02, 1e-5  # of S: half the stretch on which the edge is sought
+ASIDE, UNEVEN = 0.4, 0.8  # of that half: where an orbit and an end are, as equations may be singular at an edge
 AROUND = 8.0  # times the error of the last extrapolation: the same
 APART = 0.3  # of the distance of another edge of the kind: how far the edge may be from the extrapolation
 TURNED = 0.05  # change of mu in a step
@@ -46,14 +48,14 @@ NEAREST = 4  # edges that the next one is extrapolated from
 
 def edge_curve(
     orbit: Orbit, S: float, parameter: str, to: float, at: Sequence[float], settings: ContinuationSettings,
-    until: Callable[[Any], bool] | None = None, progress: Callable[[Any], None] | None = None,
-    back_to: float | None = None,
+    until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None, back_to: float | None,
+    kind: type[EdgeWalk],
 ) -> EdgeCurve:  # fmt: skip
     """The edge of a tongue near S of a family, followed in a parameter (see `critical_orbits.curve.curve`).
 
-    Raises ArithmeticError where the edge is not found again.
+    Raises ArithmeticError and ValueError where the edge is not found again.
     """
-    walk = _Walk(orbit, S, parameter, float(to), at, settings, back_to)
+    walk = kind(orbit, S, parameter, float(to), at, settings, back_to)
     stopped = False
     for point in walk:
         if progress is not None:
@@ -65,7 +67,7 @@ def edge_curve(
     return EdgeCurve(parameter, tuple(walk.points), end, detail, tuple(walk.folds))
 
 
-class _Walk:
+class EdgeWalk:
     """Iterates over the points of a curve of edges; `folds` are the numbers of those at which the parameter folds."""
 
     def __init__(
@@ -84,7 +86,7 @@ class _Walk:
         self.detail = ""
         self._opens = False
         self._missed = WELL
-        self._first = self._found(start, S, orbit.space.on_all_positions(orbit.point), None)
+        self._first = self._found(start, S, self._guess(orbit), None)
 
     def __iter__(self) -> Iterator[EdgePoint]:
         yield self._kept(self._first)
@@ -175,10 +177,14 @@ class _Walk:
     def _at_fold(self, found: Turn, guess: Point) -> EdgePoint:
         """The fold as a point of the curve."""
         last, family = self.points[-1], self.at_value(found.value, found.S)
-        orbit = Orbit(family, _orbit_at(family, found.S, guess))
+        orbit = Orbit(family, orbit_at(family, found.S, guess))
         place = replace(last.edge.place, coordinate_error=0.0, S=found.S, S_error=found.S_error, Omega=orbit.Omega)
         edge = replace(last.edge, place=place, mu=found.mu, width=0.0)
         return EdgePoint(orbit, edge, {**orbit.parameters, "S": found.S}, found.error)
+
+    def _guess(self, orbit: Orbit) -> Point:
+        """The orbit that a curve starts from."""
+        return cast(Family, orbit.space).on_all_positions(orbit.point)
 
     # Points -----------------------------------------------------------------------------------------------------------
 
@@ -220,8 +226,8 @@ class _Walk:
             raise ArithmeticError("S comes to 0")
         family = self.at_value(value, S)
         half = S * float(np.clip(AROUND * self._missed, NARROWEST, WIDEST))
-        center = _orbit_at(family, S, guess)
-        ends = [_beside(family, center, S + side * half) for side in (-1.0, 1.0)]
+        center = orbit_at(family, S + ASIDE * half, guess)
+        ends = [_beside(family, center, S + side * half) for side in (-1.0, UNEVEN)]
         diagram = tongues_on(family, [ends[0], center, ends[1]])
         if diagram.unresolved:
             raise FlowError(diagram.unresolved[0].reason)
@@ -230,7 +236,7 @@ class _Walk:
         self._opens = _opens(diagram, edge)
         if abs(edge.S - S) > half:
             raise ArithmeticError("the edge is farther from where it is expected than the step allows")
-        point = _orbit_at(family, edge.S, _beside(family, center, edge.S))
+        point = _orbit_of_edge(family, edge.S, center)
         values = {**family.parameters(point), "S": edge.S}
         return EdgePoint(Orbit(family, point), edge, values)
 
@@ -270,7 +276,7 @@ class _Walk:
 class _Orbits:
     """Orbits of families at values of the parameter to a tolerance, each from the nearest of those known before."""
 
-    walk: _Walk
+    walk: EdgeWalk
     tolerance: float
     first: EdgePoint
     families: dict[float, Family] = field(default_factory=dict)
@@ -289,13 +295,14 @@ class _Orbits:
         """All mu but the trivial one; raises ArithmeticError where no orbit is found."""
         if value not in self.families:
             self.families[value] = self.walk.at_value(value, S, self.tolerance)
-        self.known[S, value] = _orbit_at(self.families[value], S, self.near(S, value))
+        self.known[S, value] = orbit_at(self.families[value], S, self.near(S, value))
         return multipliers_of(self.families[value], self.known[S, value])
 
 
 def _opens(diagram: StabilityDiagram, edge: StabilityEdge) -> bool:
     """Whether an edge is the one at which its tongue starts, in the order of S."""
-    return diagram.tongues[edge.tongue].start.coordinate == edge.place.coordinate
+    start, place = diagram.tongues[edge.tongue].start, edge.place
+    return abs(start.coordinate - place.coordinate) <= start.coordinate_error + place.coordinate_error
 
 
 def parameters_of(family: Family) -> tuple[str, ...]:
@@ -307,11 +314,11 @@ def parameters_of(family: Family) -> tuple[str, ...]:
     return tuple(name for name in names if name in known)
 
 
-def _orbit_at(family: Family, S: float, guess: Point) -> Point:
+def orbit_at(family: Family, S: float, guess: Point) -> Point:
     """The orbit at S near a guess from a family beside; raises ArithmeticError where none is found."""
     problem = family.levels.problem(guess.problem.resolution)
     value, index = family.coordinates.parameter_of(S), problem.parameter_index
-    z = guess.z.copy()
+    z = guess.problem.prolong(guess.z, problem)
     z[index] = value
     row, solver = problem.parameter_row(), family.point_solver
     correction = solver.correct(problem, z, row, value, 1.0)
@@ -325,6 +332,16 @@ def _orbit_at(family: Family, S: float, guess: Point) -> Point:
     if found is None:
         raise ArithmeticError("no level of resolution is fine enough")
     return found
+
+
+def _orbit_of_edge(family: Family, S: float, center: Point) -> Point:
+    """The orbit at an edge; where its equations are singular, by the curve through orbits on both sides."""
+    try:
+        return orbit_at(family, S, _beside(family, center, S))
+    except ArithmeticError:
+        places = [S * (1.0 + h) for h in (-BESIDE, BESIDE)]
+        before, after = (orbit_at(family, place, _beside(family, center, place)) for place in places)
+        return along_curve(family, before, after, S)
 
 
 def _beside(family: Family, point: Point, S: float) -> Point:

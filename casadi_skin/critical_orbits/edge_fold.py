@@ -1,7 +1,7 @@
 """Edges of tongues around a fold in the parameter: there both edges of a tongue, or of a window, meet and vanish.
 
-Multipliers are functions of S and of the parameter. Where two mu meet, their discriminant vanishes, where one is -1 or
-0, its distance from that: an equation whose solutions `continuation` follows by arclength.
+Multipliers are functions of S and of the parameter. Where two mu meet, their discriminant vanishes, where one has a
+value, as -1 or 0, its distance from that: an equation whose solutions `continuation` follows by arclength.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.equilibria.problem import ExactLevels
+from casadi_skin.orbits.branch_sampler import flow_error
 from casadi_skin.orbits.family import Family, orbit_state
 from casadi_skin.solvers.levels import ErrorEstimate
 from casadi_skin.solvers.newton import NewtonCorrector
@@ -139,11 +140,11 @@ def _fold(problem: EdgeProblem, near: Array, difference: float) -> Array:
     return np.array([x[0], problem.values(z)[0], x[1]])
 
 
-def multipliers_of(family: Family, point: Point) -> ComplexArray:
-    """All mu of an orbit of a family but the trivial one."""
+def multipliers_of(family: Family, point: Point, moved: bool = False) -> ComplexArray:
+    """All mu of an orbit of a family but the trivial one; if `moved` by as much as the error of the flow moves them."""
     whole, everywhere = family.whole, family.on_all_positions(point)
     state = orbit_state(everywhere)
-    matrix = whole.flow.transition(everywhere.problem, everywhere.z).matrix
+    transition = whole.flow.transition(everywhere.problem, everywhere.z)
     symplectic = whole.coordinates.symplectic
     if symplectic:
         directions = whole.accelerations([state])
@@ -152,14 +153,15 @@ def multipliers_of(family: Family, point: Point) -> ComplexArray:
         q, change = (problem.sample(v, np.zeros(1))[0] for v in (everywhere.z, everywhere.tangent))
         S_rate = whole.coordinates.S_rate
         directions = (2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None]
-    reduced, _ = reduced_matrices(matrix[None], np.zeros_like(matrix)[None], directions, symplectic)
-    return np.asarray(np.linalg.eigvals(reduced[0, 0]).astype(complex))
+    matrix, error = transition.matrix[None], flow_error(transition)[None]
+    reduced, errors = reduced_matrices(matrix, error, directions, symplectic)
+    return np.asarray(np.linalg.eigvals(reduced[0, 0] + moved * errors[0, 0]).astype(complex))
 
 
 class EdgeProblem(Problem):
     """Unknowns z = (s, mu, u) with S = start.S + s S_away and the parameter = start.value + u away.
 
-    The equations are that mu is where multipliers meet, or the -1 or 0 where one is, and that they do.
+    The equations are that mu is where multipliers meet, or the value that one has, and that they do.
     """
 
     resolution = 1
@@ -181,9 +183,9 @@ class EdgeProblem(Problem):
     def values(self, z: Array) -> Array:
         """Where multipliers meet, and what vanishes where they do."""
         mu = self._multipliers(*self.where(z))
-        if self._start.kind == "real":
-            end = round(self._start.mu)
-            return np.array([float(end), float(mu[np.argmin(np.abs(mu - end))].real) - end])
+        if self._start.kind != "complex":
+            end = self._start.mu
+            return np.array([end, float(mu[np.argmin(np.abs(mu - end))].real) - end])
         one, other = mu[np.argsort(np.abs(mu - z[1]))[:2]]
         return np.array([0.5 * (one + other).real, (0.25 * (one - other) ** 2).real])
 

@@ -67,7 +67,10 @@ class EdgeCurve(Result):
 
     @property
     def kind(self) -> str:
-        """Multipliers that leave the unit circle: "real" through 1 or -1, "complex" where two meet."""
+        """Multipliers that leave the unit circle: "real" through 1 or -1, "complex" where two meet.
+
+        Where the family crosses one of an m-th of its period "1:m resonance" of the shorter orbit, which points hold.
+        """
         return self.points[0].edge.kind
 
     @property

@@ -128,11 +128,12 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     with style():
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
-        for kind, colour in zip(words, colours(2), strict=True):
+        kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
+        for kind, colour in zip(kinds, colours(len(kinds)), strict=True):
             alike = [curve for curve in curves if curve.kind == kind]
             for k, curve in enumerate(alike):
                 path = np.column_stack([curve[name], curve.S])
-                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words[kind] if k == 0 else None)
+                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words.get(kind, kind) if k == 0 else None)
         axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
         axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
         return finished(figure, [axes], 4, plain=True)

@@ -1,15 +1,15 @@
-"""Orbits at the edges of tongues of a family, and edges that are one within their errors."""
+"""Orbits at the edges of tongues of a family."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.stability.tongues import StabilityEdge
@@ -27,32 +27,16 @@ class Passes(Protocol):
     def at(self, value: float | None = None, which: int = 0, **named: float) -> Any: ...
 
 
-def separate(edges: Iterable[StabilityEdge]) -> list[StabilityEdge]:
-    """Edges in order of the branch; of those that follow one another at one mu within their errors, the most exact.
-
-    Two multipliers that a symmetry makes equal cross at one place; and where a family crosses one whose period is a
-    third of its own, tongues touch, and the window between them has no width (Meyer 1970).
-    """
-    groups: list[list[StabilityEdge]] = []
-    for edge in sorted(edges, key=lambda edge: edge.place.coordinate):
-        last = groups[-1][-1] if groups else None
-        if last is not None and last.mu == edge.mu and not _apart(last, edge):
-            groups[-1].append(edge)
-        else:
-            groups.append([edge])
-    return [min(group, key=lambda edge: edge.error) for group in groups]
-
-
-def _apart(one: StabilityEdge, other: StabilityEdge) -> bool:
-    errors = one.place.coordinate_error + other.place.coordinate_error
-    return abs(one.place.coordinate - other.place.coordinate) > errors
-
-
-def orbit_at_edge(branch: Passes, edge: StabilityEdge) -> Orbit | None:
-    """The orbit at an edge; None where the continuation did not come by."""
-    with suppress(ArithmeticError, ValueError):
+def orbit_at_edge(branch: Passes, edge: StabilityEdge) -> Orbit:
+    """The orbit at an edge; raises ArithmeticError with the reason where none is found, there or from both sides."""
+    try:
         return _passing(branch, edge, edge.S, NEAR)
-    return between(branch, edge)
+    except (ArithmeticError, ValueError) as error:
+        reason = str(error)
+    found = between(branch, edge)
+    if found is None:
+        raise ArithmeticError(f"no orbit is found at the edge at S = {edge.S:.10g}, nor on both sides of it: {reason}")
+    return found
 
 
 def _passing(branch: Passes, edge: StabilityEdge, S: float, near: float) -> Orbit:
@@ -68,8 +52,13 @@ def between(branch: Passes, edge: StabilityEdge) -> Orbit | None:
     """The orbit at an edge where its equations are singular, by the curve of the family from one side to the other."""
     with suppress(ArithmeticError, ValueError):
         before, after = (_passing(branch, edge, edge.S * (1.0 + h), 2.0 * BESIDE).point for h in (-BESIDE, BESIDE))
-        curve, length = branch.space.point_solver.curve(before, after)
-        (place,) = curve.crossings(*branch.space.target("S", edge.S).unknown(after.problem), length)
-        tangent = curve.slope(place) * np.linalg.norm(after.tangent) / np.linalg.norm(curve.slope(place))
-        return Orbit(branch.space, replace(after, z=curve.at(place), tangent=tangent, better=None))
+        return Orbit(branch.space, along_curve(branch.space, before, after, edge.S))
     return None
+
+
+def along_curve(space: SolutionSpace, before: Point, after: Point, S: float) -> Point:
+    """The orbit at S by the curve from an orbit on one side to one on the other; raises ValueError without one."""
+    curve, length = space.point_solver.curve(before, after)
+    (place,) = curve.crossings(*space.target("S", S).unknown(after.problem), length)
+    tangent = curve.slope(place) * np.linalg.norm(after.tangent) / np.linalg.norm(curve.slope(place))
+    return replace(after, z=curve.at(place), tangent=tangent, better=None)

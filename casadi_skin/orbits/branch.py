@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, cast
@@ -16,7 +15,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import cut, number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.at_edges import between, orbit_at_edge, separate
+from casadi_skin.orbits.at_edges import between, orbit_at_edge
 from casadi_skin.orbits.certificate import ProvedStretch
 from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.ending import Ending
@@ -25,7 +24,15 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.orbits.special_points import (
+    BRANCH_POINT,
+    DOUBLING,
+    EDGE,
+    FOLD,
+    NotLocated,
+    NotLocatedError,
+    SpecialPoint,
+)
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
@@ -221,39 +228,54 @@ class Branch(Result):
             accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
             raise ValueError(f"number: given {number!r}; accepted: {accepted}")
         orbit = orbit_at_edge(self, edges[number])
-        if orbit is None:
-            raise ArithmeticError(f"no orbit is found at the edge at S = {edges[number].value:.10g}")
         values = {**orbit.parameters, self.parameter: edges[number].value}
         return SpecialPoint(EDGE, self.parameter, values, edges[number].error, orbit)
 
     # Special points ---------------------------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Special points, in order along the branch.
 
         Those of a family are located on first use: folds, then, where its changes of stability are sought, the
         points at which orbits of less symmetry leave it.
         """
+        return tuple(point for point in self._sought if isinstance(point, SpecialPoint))
+
+    @property
+    def not_located(self) -> tuple[NotLocated, ...]:
+        """Special points that a family passes and that are not among `special_points`, with the reason."""
+        return tuple(point for point in self._sought if isinstance(point, NotLocated))
+
+    @cached_property
+    def _sought(self) -> tuple[SpecialPoint | NotLocated, ...]:
         if self.space.locates_folds:
             return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
-        found = []
-        for before, after in itertools.pairwise(self.solutions):
-            with suppress(NotLocatedError):  # a point that shows only at the ends of a stretch has no place
-                for point in self.space.special_between(before.point, after.point):
-                    found.append(self._special(solution_at(self.space, point)))
-        return (*found, *self._leaving())
+        return (*self._folds(), *self._leaving())
 
-    def _leaving(self) -> Iterator[SpecialPoint]:
+    def _folds(self) -> Iterator[SpecialPoint | NotLocated]:
+        """Folds of a family, which are located between its points."""
+        for before, after in itertools.pairwise(self.solutions):
+            try:
+                for point in self.space.special_between(before.point, after.point):
+                    yield self._special(solution_at(self.space, point))
+            except NotLocatedError as error:
+                yield NotLocated(FOLD, before.value(self.parameter), after.value(self.parameter), str(error))
+
+    def _leaving(self) -> Iterator[SpecialPoint | NotLocated]:
         """Edges of real tongues of a family at which other orbits leave it."""
         diagram = self.stability_diagram
         if diagram is None:
             return
         real = (edge for edge in (*diagram.changes, *diagram.further) if edge.kind == REAL and edge.mu in (-1.0, 0.0))
-        for edge in separate(real):
-            orbit = orbit_at_edge(self, edge)
-            breaking = None if orbit is None else methods.TASKS["breaking"].load()(orbit, edge.mu)
-            if orbit is not None and breaking is not None:
+        for edge in sorted(real, key=lambda edge: edge.place.coordinate):
+            try:
+                orbit = orbit_at_edge(self, edge)
+            except ArithmeticError as error:
+                yield NotLocated(EDGE, edge.S, edge.S, str(error))
+                continue
+            breaking = methods.TASKS["breaking"].load()(orbit, edge.mu)
+            if breaking is not None:
                 if not breaking.lost:  # a branch of the same class crosses, where the equations are singular
                     orbit = between(self, edge) or orbit
                 kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}

@@ -20,6 +20,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
+from casadi_skin.stability.tongues import Unresolved
 
 STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 STEPS = 6  # of Newton's method
@@ -92,7 +93,7 @@ class OrbitSampler:
         symplectic: whether transition matrices are.
         S_rate: the relative change of S per that of the free parameter.
 
-    `coordinates` are those of the points.
+    `coordinates` are those of the points; `unknown` are the stretches between two of which one is not solved again.
     """
 
     def __init__(
@@ -111,9 +112,11 @@ class OrbitSampler:
         self.fraction, self.symplectic = fraction, symplectic
         self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
         self._S_rate = S_rate
+        self.unknown = list[Unresolved]()
         self._sections = self._divided(points)
         places = [section.offset + section.places[1:] - section.places[0] for section in self._sections]
-        self.coordinates = np.concatenate([[0.0], *places])
+        skipped = [stretch.coordinate_end for stretch in self.unknown]
+        self.coordinates = np.sort(np.concatenate([[0.0], *places, skipped]))
         self._lost: list[float] = []
 
     @property
@@ -145,9 +148,27 @@ class OrbitSampler:
             last = first + 1
             while last + 1 < len(points) and self._is_straight(finest, z[first : last + 2]):
                 last += 1
-            sections.append(self._section(points[first : last + 1], offset))
-            first, offset = last, sections[-1].ends[1]
+            section = self._longest_section(points[first : last + 1], offset)
+            if isinstance(section, Unresolved):
+                self.unknown.append(section)
+                first, offset = first + 1, section.coordinate_end
+            else:
+                sections.append(section)
+                first, offset = first + section.places.size - 1, section.ends[1]
         return sections
+
+    def _longest_section(self, points: Sequence[Point], offset: float) -> _Section | Unresolved:
+        """A section of as many of these points as can be solved together; where not even two can, their stretch."""
+        try:
+            return self._section(points, offset)
+        except OrbitNotFoundError as error:
+            if len(points) > 2:
+                return self._longest_section(points[: (len(points) + 1) // 2], offset)
+            start, end = points
+            S = (self._amplitude(start.parameter), self._amplitude(end.parameter))
+            away = start.problem.prolong(start.z, end.problem) - end.z
+            length = np.sqrt(np.sum(self.point_solver.metric(end.problem, end.z) * away**2))
+            return Unresolved(*S, offset, offset + float(length), str(error))
 
     def _is_straight(self, problem: Problem, z: Array) -> bool:
         """Whether all chords from point to point go along the one from the first to the last."""
@@ -167,6 +188,9 @@ class OrbitSampler:
             z.append(solved)
             slopes.append(solve(np.append(np.zeros(problem.size - 1), 1.0)))
         places = np.array(z) @ row
+        if not np.all(np.diff(places) > 0.0):
+            where = problem.whereabouts(z[0])
+            raise OrbitNotFoundError(f"points are not in order near {where}: another branch crosses")
         return _Section(problem, row, places, np.array(z), np.array(slopes), offset)
 
     def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
@@ -235,7 +259,7 @@ class OrbitSampler:
         for i in {k, worst}:
             states[i] = self._with_better(problem, *solved[i])
         transitions = self.flow.transitions(states)
-        errors = np.stack([_error(transition) for transition in transitions]) + _orbit_error(transitions[k])
+        errors = np.stack([flow_error(transition) for transition in transitions]) + _orbit_error(transitions[k])
         if worst != k:
             errors += (responses / responses[worst])[:, None, None] * _orbit_error(transitions[worst])
         return Samples(
@@ -312,7 +336,7 @@ def _away(section: _Section, coordinate: float) -> float:
     return max(section.ends[0] - coordinate, coordinate - section.ends[1])
 
 
-def _error(transition: Transition) -> Array:
+def flow_error(transition: Transition) -> Array:
     """A matrix like the error of a transition matrix."""
     if transition.truncation is not None:
         return transition.truncation

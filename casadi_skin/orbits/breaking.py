@@ -87,7 +87,7 @@ def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
     trivial = "D" if family.symmetry is SymmetryClass.QUARTER else "B"
     best: tuple[float, str, Array] = (SINGULAR, "", np.empty(0))
     names = "CB" if mu > -0.5 else "AD"
-    for name in names[:1] if _repeats(orbit) else names:
+    for name in names[:1] if turns_of(orbit) > 1 else names:
         _, values, rows = np.linalg.svd(blocks[name])
         place = -2 if name == trivial else -1
         if values.size >= -place and values[place] / values[0] < best[0]:
@@ -105,12 +105,13 @@ def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
     return Breaking(name, full / np.linalg.norm(full), symmetry, turns, lost)
 
 
-def _repeats(orbit: Orbit) -> bool:
-    """Whether an orbit runs several times through a shorter period."""
+def turns_of(orbit: Orbit) -> int:
+    """How often an orbit runs through its shortest period."""
     times = orbit.period * np.arange(PLACES) / PLACES
     states = orbit.evaluate(times)
     within = REPEATED * float(np.max(np.ptp(states, axis=0)))
-    return any(np.max(np.abs(orbit.evaluate(times + orbit.period / m) - states)) <= within for m in range(2, MOST + 1))
+    away = {m: np.max(np.abs(orbit.evaluate(times + orbit.period / m) - states)) for m in range(2, MOST + 1)}
+    return max((m for m, distance in away.items() if distance <= within), default=1)
 
 
 def breaking_space(

@@ -13,6 +13,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.narrow_resonances import with_what_lies_between
 from casadi_skin.orbits.spectrum import linear_spectrum
 from casadi_skin.stability.find_changes import find_changes
+from casadi_skin.stability.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues import StabilityDiagram
 from casadi_skin.threads import one_thread
 
@@ -50,7 +51,8 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
             if len(more) == len(points):
                 break
             points = more
-    return diagram
+    stretches = sorted([*diagram.unresolved, *sampler.unknown], key=lambda stretch: stretch.coordinate_start)
+    return replace(diagram, unresolved=tuple(stretches))
 
 
 def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:
@@ -59,9 +61,14 @@ def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:
     Arguments:
         family: the family, of any amplitude.
         points: of the stretch in order, or guesses of them.
+
+    Raises OrbitNotFoundError where these are no orbits.
     """
     with one_thread():
-        return find_changes(_sampler(family, points, FLOW_TOLERANCE), short=True)
+        sampler = _sampler(family, points, FLOW_TOLERANCE)
+        if sampler.unknown:
+            raise OrbitNotFoundError(sampler.unknown[0].reason)
+        return find_changes(sampler, short=True)
 
 
 def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float) -> OrbitSampler:

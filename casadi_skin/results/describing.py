@@ -72,6 +72,8 @@ def _(result: Branch) -> tuple[str, Rows]:
     special = result.special_points if result.space.locates_folds else ()
     if special:
         rows.append(("special points", listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
+    missing = result.not_located if "_sought" in vars(result) else ()
+    rows += [("not located", listed([str(point) for point in missing]))] if missing else []
     return f"{what.capitalize()} of {model_name(result.space.model)}", [*rows, ("end", result.reason)]
 
 

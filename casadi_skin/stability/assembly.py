@@ -14,6 +14,7 @@ from casadi_skin.stability.small_blocks import Edge, Segment
 from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
 
 SAME = 0.05  # distance of two mu at the end of an interval that may be one
+SAME_MU = 1e-6  # difference of mu of edges that coincide
 SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
 ZOOMS = 2
 DISAGREEMENT = "intervals that touch disagree on whether a multiplier is off the circle"
@@ -246,12 +247,35 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
     if not rows:
         return Edges((), (), tuple(windows))
     at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
-    made = [
+    made = _each_once(
         StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, tongues[i].width, power)
         for place, (edge, before, after, i) in zip(at, rows, strict=True)
-    ]
+    )
     changes = tuple(edge for edge in made if edge.stable_before != edge.stable_after)
     return Edges(changes, tuple(edge for edge in made if edge.stable_before == edge.stable_after), tuple(windows))
+
+
+def _each_once(edges: Iterable[StabilityEdge]) -> list[StabilityEdge]:
+    """Edges in order; of those that coincide within their errors one: a change of stability, else the most exact.
+
+    Multipliers that a symmetry makes equal leave the circle at one place; and where a family crosses one whose period
+    is a third of its own, two tongues touch (Meyer 1970).
+    """
+    places: list[list[StabilityEdge]] = []
+    for edge in edges:
+        twin = next((place for place in reversed(places) if _coincide(place[-1], edge)), None)
+        if twin is None:
+            places.append([edge])
+        else:
+            twin.append(edge)
+    chosen = (min(p, key=lambda edge: (edge.stable_before == edge.stable_after, edge.error)) for p in places)
+    return list(chosen)
+
+
+def _coincide(one: StabilityEdge, other: StabilityEdge) -> bool:
+    errors = one.place.coordinate_error + other.place.coordinate_error
+    near = abs(one.place.coordinate - other.place.coordinate) <= errors
+    return near and one.kind == other.kind and abs(one.mu - other.mu) <= SAME_MU
 
 
 def _unions(groups: Sequence[Group], tongues: Sequence[Tongue]) -> tuple[list[list[int]], list[StableWindow]]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from casadi_skin import Bond, Branch, Chain, Lattice, Orbit, Site, follow_family
+from casadi_skin.cli import main
+from casadi_skin.orbits import at_edges
+from casadi_skin.stability.tongues import StabilityEdge
 
 CHAIN = Chain(sites=3, alpha=1.0, gamma=0.25, g=-1.0)
 
@@ -111,3 +116,36 @@ def _where_a_wave_grows(k: int, *near: float) -> float:
         return float(abs(x[2] + x[5]) - 2.0)
 
     return float(brentq(excess, *near, xtol=1e-10))
+
+
+@pytest.mark.slow
+def test_an_edge_without_an_orbit_is_named_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first of two branch points has none on either side: it is not among the special points, and not forgotten."""
+    passing, first = at_edges._passing, list[float]()
+
+    def refusing(family: Branch, edge: StabilityEdge, S: float, near: float) -> Orbit:
+        if edge.mu == 0.0:
+            first.append(edge.place.coordinate)
+        if first and edge.place.coordinate == first[0]:
+            raise ArithmeticError("no level is fine enough")
+        return passing(family, edge, S, near)
+
+    monkeypatch.setattr(at_edges, "_passing", refusing)
+    family = follow_family(CHAIN, 1, 2.6, stability=True)
+    assert len(family.special_points) == 1
+    (missing,) = family.not_located
+    assert missing.S_start == missing.S_end < family.special_points[0].parameters["S"]
+    assert missing.reason.endswith("nor on both sides of it: no level is fine enough")
+    assert f"edge of a tongue at S = {missing.S_start:.8g}" in str(family)
+    first.clear()
+    scene = tmp_path / "scene.toml"
+    tables = (
+        "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n",
+        "[family]\nmode = 1\namplitude_max = 2.6\n[stability]\n[figures]\nformats = []\n",
+        '[continuation]\nparameter = "S"\nto = 2.7\nmax_points = 2\nswitch = ["branch point"]\n',
+    )
+    scene.write_text("".join(tables), encoding="utf-8")
+    main(["run", str(scene), "--out", str(tmp_path / "out")])
+    assert "mode 1: not located: edge of a tongue at S = " in capsys.readouterr().out

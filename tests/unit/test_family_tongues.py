@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -195,6 +196,23 @@ def test_a_branch_that_has_no_orbits_has_no_changes() -> None:
     diagram = family_tongues.family_tongues(branch.space, (branch.start,))
     assert not diagram.changes
     assert diagram.samples == 0
+
+
+@pytest.mark.parametrize("lost", [slow(-1), 20])
+def test_a_stretch_to_an_orbit_that_is_not_solved_again_is_named(lost: int) -> None:
+    """One point that is none, at the end or in the middle: the changes elsewhere are those of the whole family."""
+    branch = followed(Chain(4, 0.5, 0.3, 1.0), 2, 2.0)
+    points = [branch.start, *(solution.point for solution in branch.solutions)]
+    z = 100.0 * np.cos(np.arange(points[lost].z.size))
+    points[lost] = replace(points[lost], z=np.append(z[:-2], points[lost].z[-2:]))
+    diagram = family_tongues.family_tongues(cast(Family, branch.space), points)
+    S = branch.S[lost] if lost < 0 else branch.S[lost - 1]
+    assert any(S in (gap.S_start, gap.S_end) and gap.reason for gap in diagram.unresolved)
+    gaps = [sorted((gap.S_start, gap.S_end)) for gap in diagram.unresolved]
+    whole = (edge.S for edge in tongues_along(branch).changes)
+    known = [S for S in whole if not any(start <= S <= end for start, end in gaps)]
+    assert [edge.S for edge in diagram.changes] == pytest.approx(known, abs=1e-9)
+    assert len(known) >= 2
 
 
 def test_the_rest_of_a_branch_that_is_too_much_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

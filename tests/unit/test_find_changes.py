@@ -199,6 +199,19 @@ def test_overlapping_tongues_are_one_unstable_interval_with_further_edges() -> N
     assert [edge.S for edge in diagram.further] == pytest.approx([0.27, 0.35], abs=1e-12)
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_edges_that_coincide_are_listed_once(swapped: bool) -> None:
+    """Two equal modes become unstable at one place; and one tongue closes where another one opens."""
+    twin = real(cubic(-0.3, 1.0))
+    diagram = find_changes(SymplecticFamily([twin, twin, FAR], swapped, error=1e-9))
+    assert places(diagram) == pytest.approx([0.3], abs=1e-7)
+    assert not diagram.further
+    first, then = real(cubic(-0.2, 1.0), cubic(-0.5, 1.0)), real(cubic(-0.5, 1.0), cubic(-0.9, 1.0))
+    diagram = find_changes(SymplecticFamily([first, then, FAR], swapped, error=1e-9))
+    assert places(diagram) == pytest.approx([0.2, 0.9], abs=1e-7)
+    assert [edge.S for edge in diagram.further] == pytest.approx([0.5], abs=1e-7)
+
+
 def test_a_stable_window_between_two_tongues_is_found_or_said_to_be_too_narrow() -> None:
     first = collision(cubic(-0.6, 2.0), 0.05)
     for gap in (1e-2, 1e-8, 5e-10):
