@@ -16,11 +16,15 @@ def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArr
 
     A matrix of CasADi's numbers (DM) is an array, and one of one column a vector.
     """
+    full = value
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of CasADi, where numpy meets expressions
-            full = value.full() if type(value).__name__ == "DM" else value
-            found = np.asarray(full)
+        if isinstance(value, np.ndarray):
+            found = value
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of CasADi, where numpy meets expressions
+                full = value.full() if type(value).__name__ == "DM" else value
+                found = np.asarray(full)
     except Exception:  # of the object's own conversion to numbers
         raise TypeError(_refused(name, value, accepted)) from None
     if found.dtype.kind not in "iuf" and found.size:  # text, truths, complex numbers and objects are none

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import casadi as ca
@@ -24,6 +24,7 @@ from casadi_skin.bvp.problem import Array, Indices, Problem, sparse_matrix
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
 NONE: Array = np.zeros(0)
+FEW = 2_000  # places whose weights are kept for the next solution on the same mesh
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
 
@@ -46,11 +47,12 @@ class CollocationEquations(Problem):
         self.degree = table.degree
         self.columns = intervals * table.ends.size + 1
         self.states = formulation.states * self.columns
+        self._size = self.states + int(formulation.scalars.numel())
         self.constants = mesh.uniform(intervals)
 
     @property
     def size(self) -> int:
-        return self.states + int(self.formulation.scalars.numel())
+        return self._size
 
     @property
     def equations(self) -> int:
@@ -224,19 +226,11 @@ class CollocationEquations(Problem):
 
     def _interpolate(self, z: Array, fractions: Array) -> Array:
         """States at fractions of the interval, shape (len(fractions), components)."""
-        K, rows = self.resolution, self.table.ends.size
         values = z[: self.states].reshape(self.columns, self.formulation.states)
-        starts = mesh.edges(self.constants)
-        interval = np.clip(np.searchsorted(starts, fractions, side="right") - 1, 0, K - 1)
-        support = np.append(0.0, self.table.ends)
-        offset = ((fractions - starts[interval]) / self.constants[interval])[:, None] - support
-        hit = np.abs(offset) < 1e-14
-        offset[hit] = 1.0
-        weights = _barycentric(support) / offset
-        weights[hit.any(axis=1)] = 0.0
-        weights[hit] = 1.0
-        weights /= weights.sum(axis=1, keepdims=True)
-        columns = interval[:, None] * rows + np.arange(rows + 1)
+        few = fractions.size <= FEW
+        columns, weights = (_kept_weights if few else _weights)(
+            *(array.tobytes() for array in (self.constants, self.table.ends, fractions))
+        )
         return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
     def prolong(self, z: Array, finer: Problem) -> Array:
@@ -272,6 +266,26 @@ class CollocationEquations(Problem):
         parts = self.constants * self._density(z)
         growth = float(np.sum(parts)) / other.resolution / float(np.max(parts))
         return error * growth ** (self.degree + 1)
+
+
+def _weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
+    """Columns of state values, and their weights in the states at fractions of the interval, one row for each."""
+    h, support, places = np.frombuffer(lengths), np.append(0.0, np.frombuffer(ends)), np.frombuffer(fractions)
+    starts = mesh.edges(h)
+    interval = np.clip(np.searchsorted(starts, places, side="right") - 1, 0, h.size - 1)
+    offset = ((places - starts[interval]) / h[interval])[:, None] - support
+    hit = np.abs(offset) < 1e-14
+    offset[hit] = 1.0
+    weights = _barycentric(support) / offset
+    weights[hit.any(axis=1)] = 0.0
+    weights[hit] = 1.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    return interval[:, None] * (support.size - 1) + np.arange(support.size), weights
+
+
+@lru_cache(maxsize=32)
+def _kept_weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
+    return _weights(lengths, ends, fractions)
 
 
 def _barycentric(support: Array) -> Array:

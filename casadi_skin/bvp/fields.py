@@ -44,7 +44,7 @@ def orbit_formulation(
     x, p, end = model.full_state, model.parameters, ca.SX.sym("end", model.full_size)
     border = border_rows(model, pinned, unfolded, end)
     return Formulation(
-        ca.SX.sym("s"), x, end, ca.vertcat(Omega, p, damping), duration * field, border, ca.SX(0, 1),
+        ca.SX.sym("s"), x, (x, end), ca.vertcat(Omega, p, damping), duration * field, border, ca.SX(0, 1),
         constants=ca.SX.sym("constants", 0),
     )  # fmt: skip
 

@@ -10,23 +10,26 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.problem import Buffers
 from casadi_skin.models.expressions import Expression
+
+Pattern = tuple[tuple[int, ...], ...]  # rows and columns of non-zeros, by columns
 
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
     """dx/ds = field(s, x, sigma) for s in [0, 1], with rows that vanish at the ends and integrals that vanish.
 
-    `s`, `x`, `end` and `scalars` (sigma: Omega or a duration, parameters, unfolding coefficients) are symbols of one
-    kind, SX or MX, and so are the `constants`, whose values may change without anything being built again: all
-    expressions may have them in. `conditions` are expressions in x at the start, in `end` and in sigma; `integrands`
-    are expressions in s, x and sigma. Together they are one less than components of x and scalars: one scalar is held
-    or followed.
+    `s`, `x`, `ends` (x at the start and at the end) and `scalars` (sigma: Omega or a duration, parameters, unfolding
+    coefficients) are symbols of one kind, SX or MX, and so are the `constants`, whose values may change without
+    anything being built again: all expressions may have them in. `conditions` are expressions in `ends` and in sigma;
+    `integrands` are expressions in s, x and sigma. Together they are one less than components of x and scalars: one
+    scalar is held or followed.
     """
 
     s: Expression
     x: Expression
-    end: Expression
+    ends: tuple[Expression, Expression]
     scalars: Expression
     field: Expression
     conditions: Expression
@@ -38,12 +41,12 @@ class Formulation:
         """Discretisations made of this formulation, by numbers of intervals, stages and increments."""
         return {}
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Number of components of x."""
         return int(self.x.numel())
 
-    @property
+    @cached_property
     def integrals(self) -> int:
         """Number of integral conditions."""
         return int(self.integrands.numel())
@@ -78,8 +81,8 @@ class Formulation:
         return self._along("integrands", self.integrands, sparse=False)
 
     def _along(self, name: str, values: Expression, sparse: bool) -> ca.Function:
-        by_x, by_scalars = ca.jacobian(values, self.x), ca.densify(ca.jacobian(values, self.scalars))
-        results = [ca.densify(values), by_x if sparse else ca.densify(by_x), by_scalars]
+        by_x, by_scalars = ca.jacobian(values, self.x), _dense(ca.jacobian(values, self.scalars))
+        results = [_dense(values), by_x if sparse else _dense(by_x), by_scalars]
         return ca.Function(name, self._arguments, results)
 
     @property
@@ -89,7 +92,25 @@ class Formulation:
     @cached_property
     def condition_function(self) -> ca.Function:
         """Function (x at start, x at end, sigma, constants) -> (rows, sparse derivatives by the first three)."""
-        arguments = [self.x, self.end, self.scalars]
+        arguments = [*self.ends, self.scalars]
         derivatives = [ca.jacobian(self.conditions, symbol) for symbol in arguments]
-        results = [ca.densify(self.conditions), *derivatives]
+        results = [_dense(self.conditions), *derivatives]
         return ca.Function("conditions", [*arguments, self.constants], results)
+
+    @cached_property
+    def condition_buffers(self) -> Buffers:
+        """The same, called with arrays."""
+        return Buffers(self.condition_function)
+
+    @cached_property
+    def patterns(self) -> tuple[Pattern, tuple[Pattern, ...]]:
+        """Non-zeros of dF/dx, and of the conditions' derivatives by x at the start, x at the end and sigma."""
+        found = [self.field_function.sparsity_out(1), *(self.condition_function.sparsity_out(i) for i in (1, 2, 3))]
+        along, *by_ends = (tuple(map(tuple, sparsity.get_triplet())) for sparsity in found)
+        return along, tuple(by_ends)
+
+
+def _dense(values: Expression) -> Expression:
+    if values.is_dense():
+        return values
+    return ca.densify(values) if values.nnz() else type(values).zeros(*values.shape)

@@ -6,7 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Protocol, Self
 
 import casadi as ca
@@ -41,6 +41,11 @@ class Scalar(Enum):
     PARAMETER = 1
 
 
+@lru_cache(maxsize=8)
+def _probe(count: int) -> Array:
+    return np.asarray(np.cos(np.arange(count) ** 2 % 6.25))
+
+
 def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, values: ca.MX) -> ca.MX:
     """Sparse CasADi matrix from triplets without duplicates; `values` in the order of `rows` and `columns`."""
     order = np.lexsort((rows, columns))
@@ -50,20 +55,26 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
 
 
 class Buffers:
-    """Calls of a compiled function without conversions: arguments and results live in arrays given to it once."""
+    """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
 
-    def __init__(self, function: ca.Function) -> None:
-        self._arguments = [np.zeros(function.nnz_in(i)) for i in range(2)]
-        self._results = [np.zeros(function.nnz_out(i)) for i in range(2)]
+    Of a function that is mapped to `count` places every argument has a row for each, or one for all of them.
+    """
+
+    def __init__(self, function: ca.Function, count: int = 1) -> None:
+        self._arguments = [np.zeros((count, function.nnz_in(i) // count)) for i in range(function.n_in())]
+        self._results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._trigger = function.buffer()
-        for i in range(2):
-            self._buffer.set_arg(i, self._arguments[i].data)
-            self._buffer.set_res(i, self._results[i].data)
+        for i, argument in enumerate(self._arguments):
+            self._buffer.set_arg(i, argument.data)
+        for i, result in enumerate(self._results):
+            self._buffer.set_res(i, result.data)
 
-    def evaluate(self, z: Array, constants: Array) -> tuple[Array, Array]:
-        self._arguments[0][:], self._arguments[1][:] = z, constants
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """The results, non-zeros by columns; they are overwritten by the next call."""
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[:] = given
         self._trigger()
-        return self._results[0].copy(), self._results[1].copy()
+        return self._results
 
 
 class Problem(ABC):
@@ -106,6 +117,11 @@ class Problem(ABC):
     @abstractmethod
     def size(self) -> int:
         """Number of unknowns."""
+
+    @property
+    def own_tangent(self) -> Array | None:
+        """The tangent of every branch where the free parameter is in no equation; None where it is in some."""
+        return None
 
     def unknown_at(self, scalar: Scalar, value: float) -> float:
         """The unknown that stands for Omega or the free parameter, where that has this value."""
@@ -187,7 +203,8 @@ class Problem(ABC):
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual, shape (size - 1,), and the non-zeros of the Jacobian in the order of `pattern`."""
-        return self._buffers.evaluate(z, self.numbers)
+        residual, nonzeros = self._buffers(z, self.numbers)
+        return residual.copy(), nonzeros.copy()
 
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
         """The same at several states (states, size): shapes (states, size - 1) and (states, non-zeros)."""
@@ -246,10 +263,10 @@ class Problem(ABC):
         """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
-    @cached_property
+    @property
     def probe(self) -> Array:
-        """Residuals of size 1 in general position, shape (size - 1,)."""
-        return np.asarray(np.cos(np.arange(self.size - 1) ** 2 % 6.25))
+        """Residuals of size 1 in general position, shape (size - 1,), which are not to be written to."""
+        return _probe(self.size - 1)
 
     def rounding(self, z: Array) -> float:
         """Size of the rounding errors in the residuals at z."""

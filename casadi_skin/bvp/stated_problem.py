@@ -51,6 +51,10 @@ class BoundaryProblem(CollocationEquations):
             raise ValueError("a boundary-value problem without a free period has no Omega")
         return self.states + list(self.statement.free).index(PERIOD)
 
+    @property
+    def own_tangent(self) -> Array | None:
+        return self.parameter_row() if self.walking is None else None
+
     def unknown_at(self, scalar: Scalar, value: float) -> float:
         """The unknown period at an Omega; u itself."""
         return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
@@ -98,9 +102,10 @@ class BoundaryProblem(CollocationEquations):
 
     def sizes(self, z: Array, parameter_scale: float = 1.0) -> Array:
         """Scale of each unknown, shape (size,)."""
-        values = z[: self.states].reshape(self.columns, -1)
-        states = np.tile(self._component_sizes(values), self.columns)
-        return np.concatenate([states, self._scalar_sizes(z), [parameter_scale]])
+        values, found = z[: self.states].reshape(self.columns, -1), np.empty(self.size)
+        found[: self.states].reshape(values.shape)[:] = self._component_sizes(values)
+        found[self.states : -1], found[-1] = self._scalar_sizes(z), parameter_scale
+        return found
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars."""

@@ -73,7 +73,7 @@ class Statement:
             raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:
             if isinstance(end, ca.SX | ca.MX):
-                check_expression("interval", end, [self.model.parameters])
+                check_expressions([("interval", end)], [self.model.parameters])
                 if end.numel() != 1:
                     raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
             elif isinstance(end, bool) or not isinstance(end, Real):
@@ -110,20 +110,16 @@ class Statement:
             raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
 
     def _check_expressions(self) -> None:
-        at_ends = [*self.model.ends, self.model.parameters]
         along = [self._time, self.model.full_state, self.model.parameters]
-        groups: list[tuple[str, Iterable[Any], list[Expression]]] = [
-            ("conditions", self.conditions, at_ends),
-            ("integrals", self.integrals, along),
-            ("objective", () if self.objective is None else (self.objective,), at_ends),
-            ("running", () if self.running is None else (self.running,), along),
+        groups: list[tuple[str, Sequence[Any], str, Any, list[Expression]]] = [
+            ("conditions", self.conditions, "objective", self.objective, [*self.model.ends, self.model.parameters]),
+            ("integrals", self.integrals, "running", self.running, along),
         ]
-        for label, expressions, symbols in groups:
-            for place, expression in enumerate(expressions, start=1):
-                single = label in ("objective", "running")
-                check_expression(label if single else f"{label}, number {place}", expression, symbols)
-                if single and expression.numel() != 1:
-                    raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+        for label, expressions, total, one, symbols in groups:
+            named = [(f"{label}, number {place}", given) for place, given in enumerate(expressions, start=1)]
+            check_expressions(named if one is None else [*named, (total, one)], symbols)
+            if one is not None and one.numel() != 1:
+                raise ValueError(f"{total}: given shape {one.shape}; accepted: a scalar expression")
 
     def _check_count(self) -> None:
         given = _count(self.conditions) + _count(self.integrals)
@@ -200,6 +196,33 @@ class Statement:
         return np.array(values if walking is None else [*values, end - self.values[walking]])
 
     def _formulated(self, walking: str | None) -> Formulation:
+        if isinstance(self.model.state, ca.MX):
+            return self._formulated_by_calls(walking)
+        model, (t0, t1) = self.model, self.interval
+        unit = not any(isinstance(end, ca.SX) for end in (t0, t1)) and (t0, t1) == (0.0, 1.0)
+        s, u, way = self._time, ca.SX.sym("u"), ca.SX.sym("way", int(walking is not None))
+        field = model.full_rhs if unit else (t1 - t0) * model.full_rhs
+        conditions, integrands = _stacked(ca.SX, self.conditions), _stacked(ca.SX, self.integrals)
+        if self.integrals:
+            integrands = (t1 - t0) * integrands
+        several = bool(self.free) or walking is not None
+        symbols = dict(zip(model.parameter_names, ca.vertsplit(model.parameters), strict=True)) if several else {}
+        if not unit and (model.forced or self.integrals):
+            s = ca.SX.sym("s")
+            field, integrands = ca.substitute([field, integrands], [self._time], [t0 + s * (t1 - t0)])
+        if walking is not None:  # the ends of the interval may depend on it
+            along = [symbols[walking]], [symbols[walking] + u * way]
+            field, conditions, integrands = ca.substitute([field, conditions, integrands], *along)
+        scalars, constants = u, model.parameters
+        if self.free:
+            scalars = ca.vertcat(*(symbols[name] for name in self.free), u)
+        if several:
+            given = [ca.SX.sym(name) if name in self.free else symbol for name, symbol in symbols.items()]
+            constants = ca.vertcat(*given, way)
+        return Formulation(s, model.full_state, model.ends, scalars, field, conditions, integrands, constants)
+
+    def _formulated_by_calls(self, walking: str | None) -> Formulation:
+        """The same of programs, in which nothing can be replaced."""
         model, kind = self.model, type(self.model.state)
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)
@@ -212,7 +235,7 @@ class Statement:
         if self.integrals:
             integrands = (t1 - t0) * self.along("mean", _stacked(kind, self.integrals))(time, x, p)
         field = (t1 - t0) * model.field_at(time, x, p)
-        return Formulation(s, x, last, scalars, field, border(x, last, p), integrands, constants)
+        return Formulation(s, x, (x, last), scalars, field, border(x, last, p), integrands, constants)
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
         """All parameters, in the model's order, from the scalars among the unknowns."""
@@ -273,7 +296,8 @@ def _count(expressions: Iterable[Expression]) -> int:
 
 
 def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
-    return ca.vertcat(*(ca.vec(e) for e in expressions)) if expressions else kind(0, 1)
+    columns = [e if e.is_column() else ca.vec(e) for e in expressions]
+    return ca.vertcat(*columns) if columns else kind(0, 1)
 
 
 def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
@@ -281,19 +305,32 @@ def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None
         check_name(label, name, known)
 
 
-def check_expression(label: str, expression: Any, symbols: list[Expression]) -> None:
+def check_expressions(named: Sequence[tuple[str, Any]], symbols: list[Expression]) -> None:
     """Raises TypeError for other objects than such expressions, ValueError where one depends on other symbols."""
     kind = type(symbols[0])
-    if not isinstance(expression, kind):
-        raise TypeError(
-            f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
-        )
-    if is_comparison(expression):
-        raise ValueError(
-            f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
-        )
-    stranger = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
-    if stranger:
+    for label, expression in named:
+        if not isinstance(expression, kind):
+            raise TypeError(
+                f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
+            )
+        if is_comparison(expression):
+            raise ValueError(
+                f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
+            )
+    if not named or not _free(symbols, [expression for _, expression in named]):
+        return
+    for label, expression in named:
+        _check_symbols(label, expression, symbols)
+
+
+def _free(symbols: list[Expression], expressions: list[Expression]) -> list[str]:
+    """Names of symbols that expressions depend on beside these."""
+    found: list[str] = ca.Function("f", symbols, expressions, {"allow_free": True}).get_free()
+    return found
+
+
+def _check_symbols(label: str, expression: Expression, symbols: list[Expression]) -> None:
+    if stranger := _free(symbols, [expression]):
         known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
         other = " of another model" if set(stranger) <= set(known) else ""
         raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {', '.join(known) or 'numbers'}")

@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.butcher import CollocationTable
-from casadi_skin.bvp.formulation import Formulation
+from casadi_skin.bvp.formulation import Formulation, Pattern
 from casadi_skin.bvp.problem import Array, Indices
 
-Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows and columns of non-zeros, by columns
 KEPT, LARGE = 64, 20_000  # tables that are kept, and non-zeros beyond which none are
 
 
@@ -37,26 +35,19 @@ class Layout:
     conditions: int
     integrals: int
     field: Pattern
-    by_ends: tuple[Pattern, Pattern, Pattern]
+    by_ends: tuple[Pattern, ...]
 
     @classmethod
     def of(cls, formulation: Formulation, intervals: int, table: CollocationTable) -> Layout:
         """The layout of a formulation on so many intervals."""
         counts = formulation.states, intervals, table.degree, table.ends.size, int(formulation.scalars.numel())
         rows = int(formulation.conditions.numel()), formulation.integrals
-        by_start, by_end, by_scalars = (_pattern(formulation.condition_function.sparsity_out(i)) for i in (1, 2, 3))
-        along = _pattern(formulation.field_function.sparsity_out(1))
-        return cls(*counts, *rows, along, (by_start, by_end, by_scalars))
+        return cls(*counts, *rows, *formulation.patterns)
 
     @property
     def values(self) -> int:
         """Number of state values."""
         return self.states * (self.intervals * self.increments + 1)
-
-
-def _pattern(sparsity: ca.Sparsity) -> Pattern:
-    rows, columns = sparsity.get_triplet()
-    return tuple(rows), tuple(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +58,7 @@ class Structure:
         rows, columns: places of the non-zeros, column by column.
         differences: the part of the non-zeros that is constant.
         stiff: the non-zero that takes each entry of the field's derivatives by the states at the stages.
+        below_stiff: the constant part of these non-zeros.
         rest: the same for derivatives by the scalars, of the conditions and of the integrals.
         stage: columns of the state values that are stages.
         start: columns of the starts of the intervals.
@@ -76,6 +68,7 @@ class Structure:
     columns: Indices
     differences: Array
     stiff: Indices
+    below_stiff: Array
     rest: Indices
     stage: Indices
     start: Indices
@@ -110,7 +103,7 @@ def _structure(layout: Layout) -> Structure:
     differences = np.zeros(found.size)
     differences[at_end], differences[at_start] = 1.0, -1.0
     rows, columns = found % equations, found // equations
-    return Structure(rows, columns, differences, stiff, np.concatenate(rest), stage, start)
+    return Structure(rows, columns, differences, stiff, differences[stiff], np.concatenate(rest), stage, start)
 
 
 def _places(layout: Layout, stage: Indices, start: Indices) -> list[tuple[Indices, Indices]]:

@@ -182,14 +182,16 @@ class PointSolver:
         while True:
             if known is not None and self._is_finished(*known):
                 return known[0]
-            solve = self.factor(problem, z, row)
+            tangent, solve = problem.own_tangent, correction.solve
+            if tangent is None:
+                solve = self.factor(problem, z, row)
+                tangent = self.tangent(problem, z, solve) if known is None else known[0].tangent
             if known is None:
-                tangent = self.tangent(problem, z, solve)
                 known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
             point, relative = known
             if self._is_finished(point, relative):
                 return point
-            left_over = solve(np.append(problem.evaluate(z)[0], 0.0))
+            left_over = (solve or self.factor(problem, z, row))(np.append(problem.evaluate(z)[0], 0.0))
             algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
             if polished and algebraic > 0.25 * relative:
                 return replace(point, at_round_off=True)

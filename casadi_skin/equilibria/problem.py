@@ -203,7 +203,7 @@ class AlgebraicProblem(Problem):
 
     def jacobian(self, z: Array) -> Array:
         """The Jacobian of the equations as they are written, shape (size - 1, size)."""
-        return self._matrix(self._buffers.evaluate(z, self.constants)[1])
+        return self._matrix(self._buffers(z, self.constants)[1])
 
     def _matrix(self, nonzeros: Array) -> Array:
         rows, columns = self.pattern

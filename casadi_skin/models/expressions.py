@@ -26,7 +26,8 @@ def names_of(symbols: Expression, given: tuple[str, ...] | None) -> tuple[str, .
 def is_comparison(expression: Expression) -> bool:
     """Whether an entry is true or false, such as x == 1: where an expression is to vanish, x - 1 is meant."""
     truths = (ca.OP_EQ, ca.OP_NE, ca.OP_LT, ca.OP_LE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
-    entries = ca.vertsplit(ca.vec(expression)) if isinstance(expression, ca.SX) else [expression]
+    several = isinstance(expression, ca.SX) and expression.numel() != 1
+    entries = ca.vertsplit(ca.vec(expression)) if several else [expression]
     return any(not entry.is_constant() and not entry.is_symbolic() and entry.op() in truths for entry in entries)
 
 

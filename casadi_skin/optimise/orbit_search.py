@@ -13,7 +13,7 @@ import numpy as np
 from casadi_skin.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
-from casadi_skin.bvp.statement import Statement, check_expression, named_values
+from casadi_skin.bvp.statement import Statement, check_expressions, named_values
 from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
@@ -287,7 +287,7 @@ def _output(
         return given
     symbols = [model.full_state, model.parameters]
     given = scalar_of(label, given, model)
-    check_expression(label, given, [*symbols, *([model.time] if model.forced and label == "running" else [])])
+    check_expressions([(label, given)], [*symbols, *([model.time] if model.forced and label == "running" else [])])
     outputs[OWN + label] = given
     return OWN + label
 

@@ -21,7 +21,7 @@ import numpy as np
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.bvp.statement import Bounds, Statement, check_expression
+from casadi_skin.bvp.statement import Bounds, Statement, check_expressions
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components
 from casadi_skin.models.conserved import HAMILTONIAN, directions, independent, is_odd, quantities
 from casadi_skin.models.expressions import Expression
@@ -169,7 +169,7 @@ class OrbitRequest:
 
     def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:
         """An expression in states and parameters of the model, at phase zero of the extended one."""
-        check_expression(label, expression, [self.model.state, self.model.parameters])
+        check_expressions([(label, expression)], [self.model.state, self.model.parameters])
         count = int(self.model.parameters.numel())
         function = ca.Function("condition", [self.model.state, self.model.parameters], [expression])
         return function(model.ends[0], model.parameters[:count])
@@ -193,7 +193,7 @@ class OrbitRequest:
             found["objective"] = self.at_start(model, "objective", self.objective)
         if self.running is not None:
             symbols = [self.model.state, self.model.parameters, *([self.model.time] if self.model.forced else [])]
-            check_expression("running", self.running, symbols)
+            check_expressions([("running", self.running)], symbols)
             along = self.model.function("running", self.running)
             time = model.time if self.model.forced else 0.0
             count = int(self.model.parameters.numel())

@@ -157,7 +157,7 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
     z, row = correction.z, problem.parameter_row()
     residual, nonzeros = problem.evaluate(z)
     try:
-        step = levels.solver(problem).factor(z, nonzeros, row)(np.append(residual, 0.0))
+        step = (correction.solve or levels.solver(problem).factor(z, nonzeros, row))(np.append(residual, 0.0))
     except SingularError:  # the refinement of the solution names the condition at fault
         return correction
     if unmeasured:

@@ -201,13 +201,20 @@ class BorderedSolver:
         scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = LONG
         return scale
 
+    @cached_property
+    def _scales(self) -> Array:
+        """The same for every entry of the closed matrix."""
+        return np.asarray(self._scale[self._closed.indices])
+
     def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
 
         Raises SingularError where the matrix is singular to working precision.
         """
-        if self._last is not None and np.array_equal(row, self._last[1]) and np.array_equal(nonzeros, self._last[0]):
-            return self._last[2]
+        if self._last is not None:
+            known, by, found = self._last
+            if np.array_equal(row, by) and (nonzeros is known or np.array_equal(nonzeros, known)):
+                return found
         solve = self._factored(z, nonzeros, row)
         if self.problem.in_order:  # collocation, whose solution is corrected, refined and measured with one matrix
             self._last = nonzeros, row.copy(), solve
@@ -280,7 +287,7 @@ class BorderedSolver:
         try:
             if not self.problem.in_order:
                 return _SparseFactors(splu(self._closed), self._order, None)
-            self._closed.data *= self._scale[self._closed.indices]
+            self._closed.data *= self._scales
             return _SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error

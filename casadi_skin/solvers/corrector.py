@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Problem, Solve
 
 
 class Status(Enum):
@@ -22,12 +22,16 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Correction:
-    """A corrected point z, or where the corrector stopped; `message` adds the solver's own words."""
+    """A corrected point z, or where the corrector stopped; `message` adds the solver's own words.
+
+    `solve` has the factors of the closed Jacobian next to z, where the corrector had them.
+    """
 
     z: Array
     status: Status
     iterations: int
     message: str = ""
+    solve: Solve | None = None
 
     @property
     def converged(self) -> bool:

@@ -14,6 +14,7 @@ from casadi_skin.solvers.watch import heed
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
 SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
 DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
+NEGLIGIBLE = 1e-3  # of the tolerance: such a step need not be taken
 HALVINGS = 6  # of a step
 
 
@@ -61,6 +62,8 @@ class NewtonCorrector:
             if reuse and not length <= SLOW * last:
                 reuse = False
                 continue
+            if length <= NEGLIGIBLE * self.tolerance:  # the equations at z are known
+                return Correction(z, Status.CONVERGED, iteration, solve=solve)
             if self._decreasing and CHORD < length < np.inf:
                 moved = self._lower(z, step, row, value)
                 if moved is None:
@@ -73,7 +76,7 @@ class NewtonCorrector:
             # Quadratic convergence: after a step of this length the next would be about its square.
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
             if length <= self.tolerance or quadratic:
-                return Correction(z, Status.CONVERGED, iteration)
+                return Correction(z, Status.CONVERGED, iteration, solve=solve)
             reuse, last = self.problem.in_order and length <= CHORD, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
 

@@ -174,6 +174,43 @@ def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatc
         first.with_parameters(c=1.0)
 
 
+@pytest.mark.parametrize("walking", [None, "a", "b"])
+@pytest.mark.parametrize("interval", ["fixed", "moves", "unit"])
+def test_equations_in_the_symbols_of_a_model_are_those_of_calls_of_it(walking: str | None, interval: str) -> None:
+    t, x, y, a, b, c = (ca.SX.sym(name) for name in ("t", "x", "y", "a", "b", "c"))
+    rates, parameters = ca.vertcat(y, ca.sin(a * t) - c * x * y), ca.vertcat(a, b, c)
+    model = OdeModel("m", ca.vertcat(x, y), rates, parameters, time=t, forcing_period=2 * ca.pi / a)
+    spans: dict[str, tuple[Any, Any]] = {"fixed": (-1.0, 2.0), "moves": (b, 2 * a + b), "unit": (0, 1)}
+    conditions = [model.start(x) - b, model.end(x * y) - a]
+    problem = BoundaryValueProblem(
+        model, conditions, [x * t - c], spans[interval], {"a": 0.7, "b": -0.4, "c": 0.3}, free=["c"]
+    )
+    one, other = problem._formulated(walking), problem._formulated_by_calls(walking)
+    generator = np.random.default_rng(3)
+    for name in ("field_function", "integrand_function", "condition_function"):
+        function, expected = getattr(one, name), getattr(other, name)
+        values = [generator.normal(size=function.size1_in(i)) for i in range(function.n_in())]
+        for found, known in zip(function(*values), expected(*values), strict=True):
+            np.testing.assert_allclose(np.array(found), np.array(known), rtol=1e-13, atol=1e-13)
+
+
+def test_linear_equations_are_factorised_once_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = []
+    factored = BorderedSolver._factored
+
+    def counted(self: BorderedSolver, *arguments: Any) -> Any:
+        sizes.append(self.problem.resolution)
+        return factored(self, *arguments)
+
+    monkeypatch.setattr(BorderedSolver, "_factored", counted)
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
+    solution = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0]).solve([0.0, 0.0])
+    times = np.linspace(0.0, 1.0, 7)
+    np.testing.assert_allclose(solution.evaluate(times)[:, 0], np.sinh(times) / np.sinh(1.0), rtol=0, atol=1e-9)
+    assert len(sizes) == len(set(sizes)) == 2
+
+
 def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
     told: list[str] = []
     problem, guess = oscillator(), lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]
