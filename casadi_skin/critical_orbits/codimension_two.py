@@ -78,7 +78,10 @@ def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[s
 
 def _of_solutions(space: Followed, before: Point) -> list[tuple[str, Test]]:
     """Kinds of points on curves of special solutions of a stated problem, with their functions."""
-    return [(CUSP, quadratic_term(space, before))] if space.kind == FOLD else _resonances(space)
+    if space.kind == FOLD:
+        return [(CUSP, quadratic_term(space, before))]
+    degenerate = DEGENERATE.get(space.kind) if space.repeats else None
+    return [*_resonances(space), *([(degenerate, _coefficient(space))] if degenerate else [])]
 
 
 def _resonances(space: Followed) -> list[tuple[str, Test]]:
@@ -148,7 +151,10 @@ def _coefficient(space: Followed) -> Test:
                 return found
         linear = space.linearised(point)
         angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
-        terms = terms_of(space.kind, linear, angle, *critical_functions(space.kind, linear, angle))
+        assert space.critical is not None
+        turn = space.critical.turn if space.critical.turn.size else None
+        found_there = critical_functions(space.kind, linear, angle, turn)
+        terms = terms_of(space.kind, linear, angle, *found_there, turn)
         space.coefficients[:] = [*space.coefficients[-7:], (point, float(np.sum(terms)))]
         return float(np.sum(terms))
 

@@ -47,11 +47,14 @@ class OrbitCurveSpace(BoundarySpace):
         kind: "fold", "period doubling", "torus" or "branch point".
         critical: the extended problem that they solve.
         orbits: the space of the branch on which the first was found.
+        repeats: whether solutions of a stated problem go on after its interval as they close, so that they have normal
+            forms.
     """
 
     kind: str = FOLD
     critical: Critical | None = None
     orbits: BoundarySpace | None = None
+    repeats: bool = False
 
     @property
     def stability_included(self) -> bool:
@@ -215,8 +218,6 @@ def curve_space(
     settings = following_settings(solution, parameter, to, **options)
     angle = np.pi
     if point.kind == TORUS:
-        if not isinstance(solution, Orbit) and solution.floquet().trivial:
-            raise ValueError("curve: given a torus of a stated problem without forcing; accepted: one of orbits")
         angle = abs(float(np.angle(on_circle(solution))))
     orbits = cast(BoundarySpace, solution.space)
     located = locate(orbits, point.kind, solution.point, angle)
@@ -225,6 +226,8 @@ def curve_space(
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
     unit = abs(orbits.to - orbits.statement.values[point.parameter])
     space = _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+    if orbits.closure is not None:
+        space = replace(space, repeats=orbits.closure.goes_on(solution.problem, solution.point.z))
     if point.kind == BRANCH_POINT:
         _check_kept(space)
     return space

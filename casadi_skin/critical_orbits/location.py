@@ -65,10 +65,11 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     normal, turn = np.zeros(values.shape[1]), np.zeros((0, 0))
     if kind in (DOUBLING, TORUS) and space.closure is not None:
         turn = space.closure.matrix
+    autonomous = kind == TORUS and space.moves_freely(point)
     if kind == TORUS:
-        normal = normal_of(critical_plane(problem, point.z, angle, sizes, turn)[2], sizes)
+        normal = normal_of(critical_plane(problem, point.z, angle, sizes, turn, autonomous)[2], sizes)
     push = seen_push(problem, point.z, space.statement, sizes) if kind == BRANCH_POINT else np.zeros((0, 0))
-    return Critical(kind, space.statement, first, sizes, normal, turn, push)
+    return Critical(kind, space.statement, first, sizes, normal, turn, autonomous, push)
 
 
 def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import PERIOD, ZERO, BoundaryProblem
+from casadi_skin.bvp.stated_problem import ZERO, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.critical_orbits.systems import Critical
@@ -56,7 +56,7 @@ def _of_branch_point(critical: Critical, linear: Linearised) -> tuple[Array, Arr
 
 def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: float) -> tuple[Array, Array, float]:
     """v1 and v2 side by side; the cosine and the shift; the size of v1."""
-    q, shift, start = critical_plane(problem, z, angle, critical.sizes, critical.turn)
+    q, shift, start = critical_plane(problem, z, angle, critical.sizes, critical.turn, critical.autonomous)
     turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
     along = np.real(turn * shift) * velocities(problem, z) if critical.autonomous else 0.0
     v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
@@ -76,7 +76,7 @@ def component_sizes(values: Array) -> Array:
 
 
 def critical_plane(
-    problem: BoundaryProblem, z: Array, angle: float, sizes: Array, turn: Array
+    problem: BoundaryProblem, z: Array, angle: float, sizes: Array, turn: Array, autonomous: bool
 ) -> tuple[Vector, complex, Vector]:
     """The function q with q(1) = exp(i angle) turn q(0), shape (columns, components), and how it starts.
 
@@ -84,7 +84,7 @@ def critical_plane(
     """
     twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)), turn)
     q = null_vectors(twisted)[0].reshape(problem.columns, -1)
-    if PERIOD not in problem.statement.free:
+    if not autonomous:
         return q, 0.0, q[0]
     velocity = velocities(problem, z)[0]
     shift = complex((velocity / sizes) @ (q[0] / sizes) / np.sum((velocity / sizes) ** 2))

@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
@@ -52,6 +51,7 @@ class Critical:
         sizes: what components of v are measured by, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
         turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
+        autonomous: of a torus, whether the velocity is a Floquet function with the multiplier 1.
         push: of a branch point, shape (components, components): the field is pushed along this times v1, or v1 itself.
     """
 
@@ -61,6 +61,7 @@ class Critical:
     sizes: Array
     normal: Array
     turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    autonomous: bool = False
     push: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
@@ -77,11 +78,6 @@ class Critical:
         if self.kind != TORUS:
             return self.changes
         return (KAPPA, SHIFT) if self.autonomous else (KAPPA,)
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether the velocity is a Floquet function with the multiplier 1."""
-        return PERIOD in self.orbit.free
 
     @property
     def copies(self) -> int:

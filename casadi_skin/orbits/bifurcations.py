@@ -212,10 +212,7 @@ def _located(
         near = float(brentq(value, low, high, xtol=NEAR))
         value(near)
         angle = abs(float(np.angle(_nearest(known[near].floquet().others, place))))
-        # of a torus the velocity is a Floquet function too, along which a stated problem names no period
-        unknown = _stated(before) and kind == TORUS and before.floquet().trivial > 0
-        located = None if unknown else methods.TASKS["special_orbit"].load()
-        point = None if located is None else located(space, kind, known[near].point, angle)
+        point = methods.TASKS["special_orbit"].load()(space, kind, known[near].point, angle)
         if point is not None:
             return near, solution_at(space, point, space.floquets([point])[0])
     with suppress(ArithmeticError):  # at a branch point itself no orbit is alone: the nearest one stands for it

@@ -377,6 +377,13 @@ class BoundarySpace:
         """Whether solutions are orbits, or are closed by their conditions, so that they have multipliers."""
         return self.periodic is not None or self.closure is not None
 
+    def moves_freely(self, point: Point) -> bool:
+        """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
+        assert isinstance(point.problem, BoundaryProblem)
+        if self.closure is not None:
+            return self.closure.moves_freely(point.problem, point.z)
+        return PERIOD in self.statement.free
+
     def _floquet(self, point: Point, by: str) -> Floquet:
         if self.closure is not None:
             assert isinstance(point.problem, BoundaryProblem)

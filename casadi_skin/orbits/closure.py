@@ -76,19 +76,23 @@ class Closure:
 
     def multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> FullPeriodFloquet:
         """Multipliers of a solution: those of S^-1 times the flow over the interval."""
-        jacobians, n = stage_jacobians(problem, z), self.matrix.shape[0]
+        jacobians = stage_jacobians(problem, z)
         back = np.asarray(np.linalg.inv(self.matrix), dtype=float)
         maps = np.concatenate([interval_maps(problem, jacobians), back[None]])
         quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
         contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2))
         contraction += float(np.linalg.slogdet(back)[1])
-        values = z[: problem.states].reshape(-1, n)
-        trivial = self._trivial(values, problem.parameters(z))
+        trivial = self._trivial(problem, z)
         return multipliers_of(maps, trivial, tolerance, contraction, parts=Parts(problem, z, jacobians, back))
 
-    def _trivial(self, values: Array, parameters: Array) -> Trivial:
+    def moves_freely(self, problem: BoundaryProblem, z: Array) -> bool:
+        """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
+        return bool(len(self._trivial(problem, z).right))
+
+    def _trivial(self, problem: BoundaryProblem, z: Array) -> Trivial:
         """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
-        model, n = self.statement.model, self.matrix.shape[0]
+        model, n, parameters = self.statement.model, self.matrix.shape[0], problem.parameters(z)
+        values = z[: problem.states].reshape(-1, n)
         if np.max(np.ptp(values, axis=0)) <= STILL * np.max(np.abs(values)):  # at rest
             return Trivial(0, np.empty((0, n)), np.empty((0, n)))
         first, last = (trivial_at(model, SymmetryClass.FULL, x, parameters) for x in (values[0], values[-1]))

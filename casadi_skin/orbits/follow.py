@@ -20,6 +20,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyModel, family_request
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.orbits.special_points import BRANCH_POINT, FOLD
 
 
 @runtime_checkable
@@ -158,8 +159,18 @@ def following_space(
     settings = following_settings(
         solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )
+    _check_regular(solution, parameter)
     assert isinstance(space, Follows)
     return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+
+
+def _check_regular(solution: Solution, parameter: str) -> None:
+    """Raises ValueError for a fold or a branch point, where equations at a held parameter are singular."""
+    kind = getattr(solution.space, "kind", "") or solution.point.special
+    if kind in (FOLD, BRANCH_POINT):
+        why = f"where the equations at a held {parameter} are singular"
+        accepted = f"a solution beside it, or `curve` of the {kind} itself"
+        raise ValueError(f"follow: given a {kind}, {why}; accepted: {accepted}")
 
 
 def following_settings(

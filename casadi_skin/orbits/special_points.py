@@ -78,8 +78,13 @@ class SpecialPoint(Result):
     @property
     def has_criticality(self) -> bool:
         """Whether the normal form is one that decides which side what is born here is on, and is known."""
-        stated = getattr(self.solution.space, "periodic", self) is None
-        return self.kind in (HOPF, DOUBLING, TORUS) and self.mu is None and not stated
+        if self.kind not in (HOPF, DOUBLING, TORUS) or self.mu is not None:
+            return False
+        space: Any = self.solution.space
+        if getattr(space, "periodic", self) is not None:
+            return True
+        closure, point = space.closure, self.solution.point
+        return closure is not None and bool(closure.goes_on(point.problem, point.z))
 
     @cached_property
     def _critical(self) -> Any:

@@ -81,7 +81,8 @@ def test_solutions_of_two_turns_are_a_branch_of_the_diagram(tmp_path: Path, caps
     rest = '[continuation]\nparameter = "a"\nto = 0.4\nswitch = ["period doubling"]\n[stability]\n'
     assert main(["run", scene(tmp_path, "flip", rest), "--out", str(tmp_path / "out")]) == 0
     (point,) = rows(tmp_path / "out" / "special_points.csv")
-    assert point["kind"] == "period doubling"
+    assert (point["kind"], point["criticality"]) == ("period doubling", "supercritical")
+    assert float(point["coefficient"]) == pytest.approx(-1.0, rel=1e-9)
     assert abs(float(point["a"])) < 1e-12
     last = rows(tmp_path / "out" / "other_1.csv")[-1]
     assert float(last["x_max"]) == pytest.approx(np.sqrt(0.4), rel=1e-7)

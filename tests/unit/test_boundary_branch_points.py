@@ -132,8 +132,8 @@ def test_multipliers_of_closed_solutions_cross_the_circle_where_they_do(turn: fl
     assert change.angle == pytest.approx(turn or np.pi, abs=1e-5)
     assert np.all(branch.to_dataframe()["max_abs_multiplier"] > 0.0)
     assert repr(point).startswith(f"<{kind} at a = ")
-    with pytest.raises(ValueError, match=rf"{kind}: given one of a boundary-value problem; accepted: one of orbits"):
-        _ = point.coefficient
+    assert point.coefficient == pytest.approx(-2.0 if turn else -1.0, rel=1e-5)  # v has mean square 1
+    assert point.criticality == "supercritical"
     if kind == "torus":
         with pytest.raises(
             ValueError, match="follow: given a torus of a boundary-value problem; accepted: a Hopf point"

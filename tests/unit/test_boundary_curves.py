@@ -94,6 +94,15 @@ def test_solutions_on_a_curve_are_those_of_the_problem_itself(curve: Branch, tmp
     assert repr(again.special_points) == repr(curve.special_points)
 
 
+def test_a_solution_on_a_curve_of_folds_starts_no_branch(curve: Branch, folds: tuple[SpecialPoint, ...]) -> None:
+    for solution, parameter in ((curve.solutions[3], "eps"), (folds[0].solution, "lam")):
+        words = f"given a fold, where the equations at a held {parameter} are singular; accepted: a solution beside it"
+        with pytest.raises(ValueError, match=words):
+            solution.follow(parameter, 0.5)
+    with pytest.raises(ValueError, match="parameter: given 'lam'; accepted: eps"):
+        curve.solutions[3].follow("lam", 1.0)
+
+
 def cusp_of_constants() -> BoundaryValueProblem:
     """A constant y = c with y^3 - q y - p = 0 in the mean, on an interval to 1 + q^2: folds at 27 p^2 = 4 q^3."""
     y, c, p, q = symbols("y c p q")

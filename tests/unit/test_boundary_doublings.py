@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from critical_models import across_circle
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
@@ -42,6 +43,7 @@ def test_solutions_of_two_turns_leave_where_signs_alternate() -> None:
         assert last.stable
         # x' = -2 a x and y' = -2 y beside it, for two turns
         np.testing.assert_allclose(last.floquet().multipliers, np.exp([-4.0 * 0.4, -4.0]), rtol=1e-7)
+    assert (point.coefficient, point.criticality) == (pytest.approx(-1.0, rel=1e-9), "supercritical")
     found = point.curve("k", 1.0)
     assert found.complete
     np.testing.assert_allclose(found["a"], found["k"], rtol=0, atol=1e-10)
@@ -50,6 +52,8 @@ def test_solutions_of_two_turns_leave_where_signs_alternate() -> None:
 def test_a_field_that_is_another_one_after_a_turn_is_refused() -> None:
     with pytest.raises(BoundaryError, match=r"no solutions of two turns leave .* the field does not repeat itself"):
         first_point(0.0, -1.0, even=0.3).follow("a", 0.4)
+    with pytest.raises(ValueError, match="accepted: one that closes, where the field repeats itself"):
+        _ = first_point(0.0, -1.0, even=0.3).coefficient
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -58,6 +62,7 @@ def test_tori_of_a_problem_that_closes_pass_the_resonances_of_their_angle(sign: 
     point = first_point(1.0, sign)
     assert point.kind == "torus"
     assert abs(point.parameters["a"]) <= point.error < 1e-13
+    assert point.coefficient == pytest.approx(-2.0, rel=1e-9)  # w v + c.c. is z, with v of mean square 1
     found = point.curve("q", 2.5)
     np.testing.assert_allclose(found["a"], 0.0, rtol=0, atol=1e-10)
     shift = 0.0 if sign > 0.0 else np.pi
@@ -92,6 +97,8 @@ def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     (mine,), (known_point,) = (s.follow("c", 3.0, stability=True).special_points for s in (cycle, orbit))
     assert mine.kind == known_point.kind == "period doubling"
     assert abs(mine.parameters["c"] - known_point.parameters["c"]) <= mine.error + known_point.error < 1e-10
+    assert mine.coefficient == pytest.approx(known_point.coefficient, rel=1e-6)
+    assert mine.frequency == pytest.approx(known_point.frequency, rel=1e-9)
     doubled, known_doubled = (point.follow("c", 3.0, stability=True) for point in (mine, known_point))
     assert isinstance(doubled, Branch)
     assert 2.0 * doubled["T"][-1] == pytest.approx(known_doubled.period[-1], rel=1e-10)
@@ -101,3 +108,52 @@ def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     curves = [point.curve("a", 0.22) for point in (mine, known_point)]
     assert curves[0].end is End.REACHED
     assert curves[0]["c"][-1] == pytest.approx(curves[1]["c"][-1], abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+def test_coefficients_of_stated_problems_vanish_where_they_are_known_to(turn: float) -> None:
+    """z' = (a + 2 i turn) z + (q - 0.3) |z|^2 z - |z|^4 z with z(1) = -z(0), Im z damped where it does not turn."""
+    x, y, a, q = symbols("x y a q")
+    square = x**2 + y**2
+    growth = a + (q - 0.3) * square - square**2
+    rhs = ca.vertcat(growth * x - 2 * turn * y, 2 * turn * x + (growth - (0.0 if turn else 2.0)) * y)
+    model = OdeModel("closed", ca.vertcat(x, y), rhs, ca.vertcat(a, q))
+    ends = [model.end(x) + model.start(x), model.end(y) + model.start(y)]
+    problem = BoundaryValueProblem(model, ends, parameters={"a": -0.3, "q": 0.0})
+    (point,) = problem.solve([0.0, 0.0]).follow("a", 0.4, stability=True).special_points
+    (found,) = point.curve("q", 0.5).special_points
+    assert found.kind == ("chenciner" if turn else "generalized period doubling")
+    assert abs(found.parameters["q"] - 0.3) <= 3.0 * found.error < 1e-9
+
+
+@pytest.mark.slow
+def test_tori_of_cycles_with_a_stated_free_period_are_followed_to_their_resonances() -> None:
+    """Bogdanov and Takens' normal form across a circle: a = -k^2, and the angle 2 pi sqrt(2 k) of the multipliers.
+
+    T multiplies the field on the unit interval, so that coefficients are T times those of `find_orbit`.
+    """
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        turn = 1 + 0.7 * xi**2
+        return turn * eta, turn * (a + k * eta + xi**2 + xi * eta)
+
+    model, T, values = across_circle(rates, half=False), ca.SX.sym("T"), {"a": -0.0045, "k": 0.058}
+    guess = lambda t: [0.935 * np.cos(t), 0.935 * np.sin(t), 0.0]  # noqa: E731
+    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
+    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
+    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
+    cycle = problem.solve(lambda s: guess(2.0 * np.pi * s))
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters=values, corrector="newton")
+    (mine,), (known,) = (s.follow("a", -0.0028, stability=True).special_points for s in (cycle, orbit))
+    assert mine.kind == "torus"
+    assert abs(mine.parameters["a"] + 0.058**2) <= mine.error < 1e-13
+    unit = known.solution.period
+    assert mine.coefficient == pytest.approx(unit * known.coefficient, rel=1e-7)
+    assert mine.frequency == pytest.approx(unit * known.frequency, rel=1e-9)
+    curve = mine.curve("k", -0.1)
+    assert curve.end is End.RESONANCE_ONE
+    np.testing.assert_allclose(curve["a"], -(curve["k"] ** 2), rtol=0, atol=1e-9)
+    exact = {"1:3 resonance": 1.0 / 18.0, "1:4 resonance": 1.0 / 32.0, "1:1 resonance": 0.0}
+    assert [point.kind for point in curve.special_points] == list(exact)
+    for point, k in zip(curve.special_points, exact.values(), strict=True):
+        assert abs(point.parameters["k"] - k) <= 3.0 * point.error < 1e-9

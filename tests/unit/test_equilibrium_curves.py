@@ -185,6 +185,8 @@ def test_curves_are_refused_in_one_line() -> None:
         fold.curve("p", 1.0)
     with pytest.raises(ValueError, match="parameter: given 'q'"):
         fold.curve("q", 1.0)
+    with pytest.raises(ValueError, match="follow: given a fold, where the equations at a held p2 are singular"):
+        fold.curve("p3", 2.1).solutions[-1].follow("p2", 13.0)
     x, p, q = symbols("x p q")
     chance = _model("chance", [x], [p * x - x**2 + q], [p, q], (-1.0, 0.0))
     (point,) = find_equilibrium(chance, [0.0]).follow("p", 1.0).special_points
