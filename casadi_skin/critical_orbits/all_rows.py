@@ -68,9 +68,8 @@ def _parts(linear: Linearised, v: Vector, columns: list[int]) -> list[Array]:
 def _along_ends(formulation: Formulation, count: int, order: int) -> ca.Function:
     """Function (start, end, scalars, constants, directions in each of the first three) -> derivative in these."""
     return _directional(
-        [formulation.x, formulation.end, formulation.scalars, formulation.constants], 0, formulation.conditions[:count],
-        order,
-    )  # fmt: skip
+        [*formulation.ends, formulation.scalars, formulation.constants], 0, formulation.conditions[:count], order
+    )
 
 
 @lru_cache(maxsize=16)

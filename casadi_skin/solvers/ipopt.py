@@ -143,7 +143,15 @@ def _square_nlp(
 
 def _evaluate(problem: Problem) -> Evaluate:
     """Function (unknowns, numbers) -> (residual, non-zeros of its Jacobian) of one point."""
-    return problem.discretisation if isinstance(problem, CollocationEquations) else Buffers(problem.compiled).evaluate
+    if isinstance(problem, CollocationEquations):
+        return problem.discretisation
+    compiled = Buffers(problem.compiled)
+
+    def evaluate(z: Array, numbers: Array) -> tuple[Array, Array]:
+        residual, nonzeros = compiled(z, numbers)
+        return residual.copy(), nonzeros.copy()  # the next call overwrites them
+
+    return evaluate
 
 
 class SquareSolver:
