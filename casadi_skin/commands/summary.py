@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.commands.text_table import TextTable
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE
@@ -17,8 +18,6 @@ from casadi_skin.results.quantities import places_of
 from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from casadi_skin.runs.run import Run
 
 
@@ -35,18 +34,16 @@ def print_summary(run: Run) -> None:
         if run.evolution is not None:
             print(f"dynamics: {run.evolution.status}\nresults in {run.directory}")
         return
-    from rich.console import Console
-
     if isinstance(run.branches[0].space, Family):
-        Console().print(_families(run))
+        _families(run).print()
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
         _print_offshoots(run)
     elif branches and run.request.scene.has_diagram:
-        Console().print(_diagram(run, branches))
+        _diagram(run, branches).print()
     elif branches:
-        Console().print(_points(run, branches[0]))
+        _points(run, branches[0]).print()
         if branches[0].with_events and len(branches[0]) > 1:
             print("changes of stability were sought where neighbouring points differ; others may lie between points")
     if run.evolution is not None:
@@ -70,20 +67,11 @@ def _counted(branches: list[Branch]) -> str:
     return f"{points} point{'' if points == 1 else 's'}"
 
 
-def _table(title: str | None, columns: list[str]) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, box=None, header_style="bold", padding=(0, 1), title_justify="left")
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
-
-
-def _families(run: Run) -> Table:
+def _families(run: Run) -> TextTable:
     """A row a family."""
     stability = run.request.scene.stability is not None
     columns = ["mode", "points", "S", "Omega", "its error", *(["max |multiplier|", "changes"] if stability else [])]
-    table = _table(run.request.scene.title, [*columns, "seconds"])
+    table = TextTable(run.request.scene.title, [*columns, "seconds"])
     for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
         cells = [str(mode_of(branch)), str(len(branch))]
         if not len(branch):
@@ -111,12 +99,12 @@ def _print_thresholds(branches: list[Branch]) -> None:
             print(f"mode {mode_of(branch)}: {words}")
 
 
-def _diagram(run: Run, branches: list[Branch]) -> Table:
+def _diagram(run: Run, branches: list[Branch]) -> TextTable:
     """A row for the first and the last point of each branch, and for special points."""
     name = branches[0].parameter
     second = run.request.scene.continuation.curve if run.request.scene.continuation is not None else None
     columns = ["", *([name] if name else []), *([second.parameter] if second else []), "its error", ""]
-    table = _table(run.request.scene.title or run.request.ode.name, ["branch", *columns])
+    table = TextTable(run.request.scene.title or run.request.ode.name, ["branch", *columns])
     for number, branch in enumerate(branches):
         rows: list[tuple[str, Mapping[str, float], str, str]] = []
         first, last = branch.solutions[0], branch.solutions[-1]
@@ -179,13 +167,13 @@ def _proved_curve(branch: Branch) -> str:
         return f"not proved to be one curve: {error}"
 
 
-def _points(run: Run, branch: Branch) -> Table:
+def _points(run: Run, branch: Branch) -> TextTable:
     """A row for the first and the last point, requested points, and folds."""
     first = branch.solutions[0]
     orbit, names = isinstance(first, Orbit), first.space.state_names
     columns = ["point", "", *([branch.parameter] if branch.parameter else []), *(["period"] if orbit else [])]
     columns += [f"largest {names[0]}", "its error", *(["max |mult.|"] if branch.with_stability else [])]
-    table = _table(run.request.scene.title or run.request.ode.name, columns)
+    table = TextTable(run.request.scene.title or run.request.ode.name, columns)
     for place in places_of(branch):
         solution, last = place.solution, place.index == len(branch) - 1
         marks = {"start": place.index == 0, "asked for": place.requested, place.special: place.special, "end": last}

@@ -19,7 +19,6 @@ import msgspec
 
 READY, BEGUN = b"ready", b"begun"
 LOADED = (  # before the first cell, whose time is limited
-    "rich.console",
     "casadi_skin.continuation.series",
     "casadi_skin.lattice.chain_coordinates",
     "casadi_skin.orbits.family_tongues",
