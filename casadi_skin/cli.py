@@ -59,6 +59,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Example: casadi-skin check examples/fput_modes.toml",
     )
     check.add_argument("scene", type=Path, metavar="SCENE.toml")
+    check.add_argument(
+        "--measure", action="store_true", help="build and solve at the start of families too: unknowns, expected cost"
+    )
     add_output(check)
     check.set_defaults(act="scene_commands:check")
 

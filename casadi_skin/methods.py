@@ -98,4 +98,7 @@ TASKS = _registry(  # tasks of methods whose object stands below their module
     threshold=("where an infinite chain's end breather is born", "lattice.threshold:threshold"),
 )
 TAILS = ("eliminated", "full")
+PAYS_FROM = 500  # sites from which on the elimination of a chain's linear tail may be cheaper
+QUARTER_PERIOD = "reversible with half-period symmetry x(t + T/2) = P x(t): a quarter of the period"
+EVERY_SITE = "the gauge, in which the chain is symmetric; every site is an unknown"
 FORMATS = ("png", "svg", "pdf")  # of pictures

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.arguments import short_repr
+from casadi_skin.methods import QUARTER_PERIOD
 from casadi_skin.models.ode import OdeModel
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ class SymmetryClass(Enum):
     def reason(self) -> str:
         """Symmetries that justify the class, in words."""
         return {
-            SymmetryClass.QUARTER: "reversible with half-period symmetry x(t + T/2) = P x(t): a quarter of the period",
+            SymmetryClass.QUARTER: QUARTER_PERIOD,
             SymmetryClass.HALF: "reversible: half of the period",
             SymmetryClass.FULL: "no reversal declared: the full period, a phase condition and an unfolding parameter",
         }[self]

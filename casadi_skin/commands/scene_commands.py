@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 from casadi_skin.commands.json_output import print_json, print_results
 from casadi_skin.commands.status import DONE, FAILED, INTERRUPTED, InputError
+from casadi_skin.runs.family_plan import chain_lines
+from casadi_skin.runs.words import Lines
 from casadi_skin.scene import Scene, SceneError, parse_scene, read_text
 from casadi_skin.theory.stiffness import stiffness
 
@@ -83,12 +85,24 @@ def _run_in(
 def check(arguments: argparse.Namespace) -> int:
     """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
     scene, _ = read_scene(arguments.scene)
+    lines = None if arguments.measure else chain_lines(scene)
+    lines = lines or _plan_with_numerics(scene, arguments)
+    if arguments.json:
+        print_json([{"subject": subject, "words": words} for subject, words in lines])
+    elif not arguments.quiet:
+        for subject, words in lines:
+            print(f"{subject:<14}{words}")
+    return DONE
+
+
+def _plan_with_numerics(scene: Scene, arguments: argparse.Namespace) -> Lines:
+    """The plan of any scene, checked against its model."""
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
     from casadi_skin.runs.plan import plan_lines
 
     try:
-        lines = plan_lines(request)
+        lines = plan_lines(request, arguments.measure)
         if scene.map is not None:
             from casadi_skin.maps.plan import map_lines
 
@@ -97,12 +111,7 @@ def check(arguments: argparse.Namespace) -> int:
         raise SceneError(f"{arguments.scene}: {error}") from None
     except (ValueError, TypeError) as error:  # of a search that cannot be meant
         raise InputError(f"{arguments.scene}: [search] {error}") from error
-    if arguments.json:
-        print_json([{"subject": subject, "words": words} for subject, words in lines])
-    elif not arguments.quiet:
-        for subject, words in lines:
-            print(f"{subject:<14}{words}")
-    return DONE
+    return lines
 
 
 def spectrum(arguments: argparse.Namespace) -> int:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.full_chain import ChainCoordinates, EdgeSite, FullChain
-from casadi_skin.methods import TRIGONOMETRIC
+from casadi_skin.methods import PAYS_FROM, TRIGONOMETRIC
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.method import Method
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
 NEGLIGIBLE = 1e-16  # of the cubic term: what of it the tail may leave out
-PAYS, PAYS_FROM = 8, 500  # times the core's sites, and sites, from which on the elimination of the tail is cheaper
+PAYS = 8  # times the core's sites from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
 
 

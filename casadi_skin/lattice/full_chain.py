@@ -11,6 +11,7 @@ from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.log_profile import continued_logarithms
+from casadi_skin.methods import EVERY_SITE
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import Coordinates, normalised, numbered, quarter_phases, shift_by_projection
 from casadi_skin.stability.result import ReversibleFloquet
@@ -53,7 +54,7 @@ class ChainCoordinates(Coordinates):
 
     @property
     def description(self) -> str:
-        return "the gauge, in which the chain is symmetric; every site is an unknown"
+        return EVERY_SITE
 
     @property
     def attributes(self) -> Mapping[str, float]:

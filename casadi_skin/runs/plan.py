@@ -16,6 +16,7 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
 from casadi_skin.runs.words import Lines, listed, named
@@ -26,13 +27,13 @@ TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability 
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
 
-def plan_lines(request: Request) -> Lines:
-    """Pairs (subject, text) that describe the work of a run of the request."""
+def plan_lines(request: Request, measure: bool) -> Lines:
+    """Pairs (subject, text) that describe the work of a run of the request; with `measure` of families the cost too."""
     scene, lines = request.scene, _model_lines(request)
     if scene.spectrum is not None:
-        lines.append(("spectrum", "linear frequencies and modes"))
+        lines.append(SPECTRUM)
     if request.families:
-        lines += _family_lines(request)
+        lines += _family_lines(request, measure)
     elif scene.equilibrium is not None:
         lines += _equilibrium_lines(request, scene.equilibrium)
     elif scene.orbit is not None or request.problem is not None:
@@ -60,7 +61,7 @@ def _nothing(request: Request) -> str:
 def _model_lines(request: Request) -> Lines:
     model = request.model
     if isinstance(model, Chain):
-        return [("chain", f"N = {model.sites}, alpha = {model.alpha:g}, gamma = {model.gamma:g}, g = {model.g:g}")]
+        return [chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
         from casadi_skin.runs.lattice_lines import lattice_lines
 
@@ -103,59 +104,32 @@ def _dynamics(request: Request) -> str:
 # Families -------------------------------------------------------------------------------------------------------------
 
 
-def _family_lines(request: Request) -> Lines:
-    first, stability = request.families[0], request.scene.stability
-    family, targets, method = Family(first), first.targets, first.method
-    modes = ", ".join(str(r.mode) for r in request.families)
-    wanted = (("S", targets.at), ("Omega", targets.at_Omega), ("period", targets.at_period))
-    exactly = [f"{name} = {', '.join(f'{value:g}' for value in values)}" for name, values in wanted if values]
-    at = f", points exactly at {'; '.join(exactly)}" if exactly else ""
-    end = f"S = {first.amplitude_max:g}"
-    if targets.period_max is not None:
-        end += f" or a period of {targets.period_max:g}, whichever comes first"
-    lines = [
-        ("families", f"j = {modes}, to {end}{at}; {targets.max_points} points at most"),
-        ("tolerance", f"{first.tolerance:g}, relative, of Omega and the profile"),
-        ("symmetry", family.symmetry.reason),
-        ("coordinates", first.coordinates.description),
-    ]
+def _family_lines(request: Request, measure: bool) -> Lines:
+    first, family = request.families[0], Family(request.families[0])
+    localised, method = first.coordinates.localised, first.method
+    plan = FamilyPlan(
+        [int(known.mode) for known in request.families],
+        family.symmetry.reason,
+        first.coordinates.description,
+        str(method.transcription),
+        str(method.flow),
+        None if localised is None else localised.sites[0],
+    )
+    return family_lines(request.scene, plan, _measured(request, family) if measure else None, NO_CHANGES)
+
+
+def _measured(request: Request, family: Family) -> Lines:
+    """The problem at the start of the first family, and the cost of all."""
     started = time.perf_counter()
     problem, error = _first_problem(family)
     building = time.perf_counter() - started
-    unknowns = f"{problem.size} at the start; {problem.size - 1} equations; more where the tolerance asks for it"
-    lines += [
-        ("transcription", _transcription(first, problem)),
-        ("unknowns", unknowns),
+    sizes = f"{problem.size} at the start ({_resolution(family.request, problem)}); {problem.size - 1} equations"
+    return [
+        ("unknowns", f"{sizes}; more where the tolerance asks for it"),
         ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
-        ("first error", f"{error.relative(first.coordinates.frequency):.1e} estimated at the start"),
+        ("first error", f"{error.relative(family.coordinates.frequency):.1e} estimated at the start"),
+        ("expected cost", _cost(request, family, problem, building)),
     ]
-    built = f"scaled model, collocation equations, {method.corrector} corrector"
-    if stability is not None:
-        what = "multipliers and every change of stability" if _with_events(request) else "multipliers"
-        if first.coordinates.localised is not None:
-            first_cut = first.coordinates.localised.sites[0]
-            what = f"localised multipliers, on {first_cut} sites at the edge or more; waves have theirs in closed form"
-            lines.append(("not sought", f"changes of stability: {NO_CHANGES}"))
-        lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
-    else:
-        lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
-    if first.certify:
-        which = "every orbit" if first.certify == "all" else "the orbits asked for"
-        lines.append(("proofs", f"of {which}, in balls"))
-    lines += _of_family_lines(request)
-    lines.append(("expected cost", _cost(request, family, problem, building)))
-    return lines
-
-
-def _of_family_lines(request: Request) -> Lines:
-    """Branches and edges followed from families."""
-    table, lines = request.scene.continuation, list[tuple[str, str]]()
-    if table is not None and table.switch:
-        lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, to S = {table.to:g}"))
-    if table is not None and table.curve is not None:
-        curve = table.curve
-        lines.append(("curves", f"edges of tongues in {curve.parameter} to {curve.to:g}, with S free"))
-    return lines
 
 
 def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
@@ -173,15 +147,13 @@ def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
         problem, z = finer, problem.prolong(correction.z, finer)
 
 
-def _transcription(request: FamilyRequest, problem: Problem) -> str:
+def _resolution(request: FamilyRequest, problem: Problem) -> str:
     name = str(request.method.transcription)
     if name == methods.TRIGONOMETRIC:
-        return f"trigonometric: positions only, {problem.resolution} odd cosines at the start"
+        return f"{problem.resolution} odd cosines"
     if isinstance(problem, ShootingProblem):
-        words = f"shooting: positions and velocities, {problem.segments} segments integrated by CVODES"
-        return f"{words} with a local tolerance of 1e-{problem.resolution} at the start"
-    words = f"{name}: positions and velocities, {problem.resolution} intervals"
-    return f"{words} with polynomials of degree {request.degree} at the start"
+        return f"{problem.segments} segments, a local tolerance of 1e-{problem.resolution}"
+    return f"{problem.resolution} intervals, polynomials of degree {request.degree}"
 
 
 def _cost(request: Request, family: Family, problem: Problem, building: float) -> str:

@@ -124,8 +124,14 @@ def test_the_plan_tells_what_is_built_and_what_is_not(tmp_path: Path, capsys: py
     scene.write_text(GOOD, encoding="utf-8")
     assert main(["check", str(scene)]) == 0
     plan = capsys.readouterr().out
-    for words in ("quarter of the period", "unknowns", "non-zeros", "not built     the variational system", "ipopt"):
+    for words in ("quarter of the period", "not built     the variational system", "ipopt", "check --measure"):
         assert words in plan
+    assert main(["check", str(scene), "--measure"]) == 0
+    measured = capsys.readouterr().out
+    for words in ("unknowns", "non-zeros", "expected cost"):
+        assert words in measured
+        assert words not in plan
+    assert set(plan.splitlines()[:-1]) <= set(measured.splitlines())
     scene.write_text(GOOD + "\n[stability]\n", encoding="utf-8")
     assert main(["check", str(scene)]) == 0
     plan = capsys.readouterr().out

@@ -228,7 +228,7 @@ def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_the_plan_of_families_of_a_model(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(EXAMPLES / "fput_modes.toml")]) == 0
+    assert main(["check", str(EXAMPLES / "fput_modes.toml"), "--measure"]) == 0
     plan = capsys.readouterr().out
     for words in (
         "y_0, y_1, ..., v_23 (48 in all)", "time reversal, half-period symmetry, conserved quantity",
