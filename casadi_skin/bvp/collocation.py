@@ -20,7 +20,7 @@ from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.discretisation import Discretisation
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.bvp.problem import Array, Indices, Problem, sparse_matrix
+from casadi_skin.bvp.problem import Array, Evaluate, Indices, Problem, sparse_matrix
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
 NONE: Array = np.zeros(0)
@@ -81,6 +81,9 @@ class CollocationEquations(Problem):
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         return self.discretisation(z, self.numbers)
+
+    def evaluator(self) -> Evaluate:
+        return self.discretisation
 
     @property
     def numbers(self) -> Array:

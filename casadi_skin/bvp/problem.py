@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Evaluate = Callable[[Array, Array], tuple[Array, Array]]  # of unknowns and numbers: residual, non-zeros of its Jacobian
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -210,6 +211,16 @@ class Problem(ABC):
         """The same at several states (states, size): shapes (states, size - 1) and (states, non-zeros)."""
         residuals, nonzeros = zip(*(self.evaluate(one) for one in z), strict=True)
         return np.stack(residuals), np.stack(nonzeros)
+
+    def evaluator(self) -> Evaluate:
+        """As `evaluate`, a function of z and `numbers` that shares nothing with it."""
+        buffers = Buffers(self.compiled)
+
+        def evaluated(z: Array, numbers: Array) -> tuple[Array, Array]:
+            residual, nonzeros = buffers(z, numbers)
+            return residual.copy(), nonzeros.copy()  # the next call overwrites them
+
+        return evaluated
 
     def with_constants(self, constants: Array) -> Self:
         """The same equations with other constants; the compiled function is shared.

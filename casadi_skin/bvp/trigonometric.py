@@ -151,7 +151,6 @@ class TrigonometricProblem(OrbitProblem):
     """
 
     holds_linear_modes = True
-    lifts = True  # whether the equations are those of the model alone, with its numbers as symbols
 
     def __init__(self, model: OdeModel, harmonics: int) -> None:
         even_positions = model.reversal == (1,) * model.size + (-1,) * model.size
@@ -179,7 +178,7 @@ class TrigonometricProblem(OrbitProblem):
 
     @cached_property
     def _kept(self) -> _Kept | None:
-        lifted = _lifted(self.model) if self.lifts else None
+        lifted = _lifted(self.model)
         return None if lifted is None else _kept(lifted[0], self.resolution, threading.get_ident())
 
     @cached_property

@@ -14,6 +14,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.tail import Tail, Wave
 
 KEPT = 16  # values that are used again
+NEWTON_STEPS = 8  # for an angle, before it is bracketed
+RESOLVED = 4e-16  # of an angle: a step that ends them
 
 
 class Regime(Enum):
@@ -106,22 +108,42 @@ class TailParameter:
 
     def _resolved(self, u: float) -> tuple[int, Wave]:
         """The harmonic that resolves Omega at u, and its wave."""
-        from scipy.optimize import brentq
-
         if self.edge < 0:
             return 1, self.tail.wave(u)
         psi_1, psi_3 = self._turn
         if u >= psi_1 - psi_3:
+            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3)
+        return 3, self._wave_beside(3, -u, psi_1 - u, max(-u, psi_3))
 
-            def by_first(psi: float) -> float:
-                return psi - self._psi(3, self._squared(1, self.tail.wave(psi))) - u
+    def _wave_beside(self, k: int, apart: float, low: float, high: float) -> Wave:
+        """The wave of harmonic k, 1 or 3, whose angle is `apart` above that of the other one, between two angles."""
+        from scipy.optimize import brentq
 
-            return 1, self.tail.wave(float(brentq(by_first, max(u, psi_1), u + psi_3, xtol=1e-300, rtol=1e-15)))
+        def above(psi: float) -> tuple[float, float]:
+            wave = self.tail.wave(psi)
+            other = self._beside(4 - k, self._squared(k, wave))
+            return psi - other.psi - apart, 1.0 - self._slope(4 - k, other) * self._slope_by_psi(k, wave)
 
-        def by_third(psi: float) -> float:
-            return self._psi(1, self._squared(3, self.tail.wave(psi))) - psi - u
+        psi = 0.5 * (low + high)
+        for _ in range(NEWTON_STEPS):
+            value, slope = above(psi)
+            step = value / slope
+            if not low <= psi - step <= high:
+                break
+            psi -= step
+            if abs(step) <= RESOLVED * psi:
+                return self.tail.wave(psi)
+        return self.tail.wave(float(brentq(lambda psi: above(psi)[0], low, high, xtol=1e-300, rtol=1e-15)))
 
-        return 3, self.tail.wave(float(brentq(by_third, psi_1 - u, max(-u, psi_3), xtol=1e-300, rtol=1e-15)))
+    def _slope(self, k: int, wave: Wave) -> float:
+        """d psi_k / d Omega^2 of a wave beside the band."""
+        edge = self.edge if k == 1 else -1
+        return -edge * k**2 * wave.slope / (2.0 * self.tail.coupling * math.sinh(wave.kappa))
+
+    def _slope_by_psi(self, k: int, wave: Wave) -> float:
+        """d Omega^2 / d psi_k."""
+        edge = self.edge if k == 1 else -1
+        return -4.0 * edge * self.tail.coupling * self.tail.outside_slope(wave) / k**2
 
     def values(self, u: float) -> TailValues:
         """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
@@ -133,9 +155,7 @@ class TailParameter:
 
     def _values(self, u: float) -> TailValues:
         k0, wave = self._resolved(u)
-        tail, edge = self.tail, self.edge if k0 == 1 else -1
-        squared = self._squared(k0, wave)
-        by_psi = -4.0 * edge * tail.coupling * tail.outside_slope(wave) / k0**2  # d Omega^2 / d psi_k0
+        squared, by_psi = self._squared(k0, wave), self._slope_by_psi(k0, wave)
         ks = 2 * np.arange(self.harmonics) + 1
         edges = np.where(ks == 1, self.edge, -1)
         psi, slopes = np.zeros(ks.size), np.zeros(ks.size)  # and d psi_k / d Omega^2
@@ -143,7 +163,7 @@ class TailParameter:
             if k != k0:
                 other = self._beside(k, squared)
                 psi[h] = other.psi
-                slopes[h] = -edges[h] * k**2 * other.slope / (2.0 * tail.coupling * math.sinh(other.kappa))
+                slopes[h] = self._slope(k, other)
         h0 = (k0 - 1) // 2
         sign = 1.0 if k0 == 1 else -1.0
         partner = 0.0 if self.edge < 0 else slopes[1 if k0 == 1 else 0] * by_psi

@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
-from casadi_skin.bvp.problem import Array, Scalar
+from casadi_skin.bvp.problem import Array, Evaluate, Indices, Scalar
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.tail_parameter import Regime, TailValues
 from casadi_skin.models.ode import OdeModel
-
-
-class _TailFunction(ca.Callback):  # type: ignore[misc]
-    """u -> Omega, across, down and their derivatives, as one function among CasADi's; NaN where nothing is bound."""
-
-    def __init__(self, tail: TailUnknown) -> None:
-        ca.Callback.__init__(self)
-        self._tail = tail
-        self.construct("tail", {})
-
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 6
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(1 if i < 2 else self._tail.harmonics, 1)
-
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM | Array | float]:
-        try:
-            v = self._tail.values(float(arguments[0]))
-        except ArithmeticError:
-            return [ca.DM(np.full(self.size1_out(i), np.nan)) for i in range(6)]
-        return [v.Omega, v.Omega_slope, v.across, v.across_slope, v.down, v.down_slope]
 
 
 class TailUnknown(Protocol):
@@ -66,14 +42,49 @@ class TailUnknown(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class _Pattern:
+    """Non-zeros of dR/dz in terms of those of the core by itself, of which the rows of the attached site are a block.
+
+    The block is dense in the columns that it `touched`, among them those of the site's `own` unknowns and `Omega`.
+    Entries of the core number `of_block` are those number `block` of it. Entries are those number `source` of the
+    core's and of the block behind them; those number `by_Omega` are the core's by Omega.
+    """
+
+    rows: Indices
+    columns: Indices
+    touched: Indices
+    own: Indices
+    Omega: int
+    of_block: Indices
+    block: Indices
+    source: Indices
+    by_Omega: Indices
+
+    @classmethod
+    def of(cls, core: TrigonometricProblem, attached: int) -> _Pattern:
+        """That of a site's rows."""
+        H, (rows, columns) = core.resolution, core.pattern
+        first, own = attached * H, np.arange(attached * H, (attached + 1) * H)
+        inside = (rows >= first) & (rows < first + H)
+        of_block, others = np.flatnonzero(inside), np.flatnonzero(~inside)
+        touched = np.unique(np.concatenate([columns[of_block], own, [core.Omega_index]]))
+        block = (rows[of_block] - first) * touched.size + np.searchsorted(touched, columns[of_block])
+        all_rows = np.concatenate([rows[others], np.repeat(own, touched.size)])
+        all_columns = np.concatenate([columns[others], np.tile(touched, H)])
+        order = np.lexsort((all_rows, all_columns))
+        source = np.concatenate([others, rows.size + np.arange(H * touched.size)])[order]
+        by_Omega = np.flatnonzero((all_columns[order] == core.Omega_index) & (source < rows.size))
+        here = np.searchsorted(touched, own), int(np.searchsorted(touched, core.Omega_index))
+        return cls(all_rows[order], all_columns[order], touched, *here, of_block, block, source, by_Omega)
+
+
 class CoreWithTailProblem(TrigonometricProblem):
     """Unknowns are the core's positions at the nodes, u in place of Omega, and the free parameter.
 
     The model is that of the core by itself; its site `attached` is next to the tail, and lacks the bond to it.
     Equations of that site are those of its harmonics, times cos(psi): regular where the tail resonates.
     """
-
-    lifts = False
 
     def __init__(self, model: OdeModel, harmonics: int, tail: TailUnknown, attached: int = 0) -> None:
         super().__init__(model, harmonics)
@@ -102,31 +113,63 @@ class CoreWithTailProblem(TrigonometricProblem):
         """Regime of the tail at z."""
         return self.tail.regime(self.values(z))
 
-    @cached_property
-    def _function_of_tail(self) -> _TailFunction:
-        return _TailFunction(self.tail)
-
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        H, size, s = self.resolution, self.size, self.tail.coupling
-        before, after = self.attached * H, (self.attached + 1) * H
-        core_z, core_R, core_J = super()._equations()
-        core = ca.Function("core", [core_z], [core_R, core_J])
-        z = ca.MX.sym("z", size)
-        Omega, Omega_slope, across, across_slope, down, down_slope = self._function_of_tail(z[self.Omega_index])
-        R, J = core(ca.vertcat(z[: self.states], Omega, z[self.parameter_index]))
+        raise NotImplementedError("the tail is no expression of CasADi: `evaluate` assembles the equations")
 
-        to_coefficients = ca.MX(ca.DM(self._to_coefficients))
-        balance, a = to_coefficients @ R[before:after], to_coefficients @ z[before:after]
-        from_tail = s / Omega**2 * across * a  # the force that the core's own equations lack, over Omega^2
-        residual = ca.vertcat(R[:before], down * balance - from_tail, R[after:])
+    @cached_property
+    def _core(self) -> TrigonometricProblem:
+        """The same core, without the bond to the tail."""
+        return TrigonometricProblem(self.model, self.resolution)
 
-        own = ca.vertcat(J[:before, :], ca.diag(down) @ to_coefficients @ J[before:after, :], J[after:, :])
-        by_Omega = own[:, self.Omega_index] * Omega_slope
-        by_states = s / Omega**2 * ca.diag(across) @ to_coefficients
-        by_u = down_slope * balance - s / Omega**2 * across_slope * a + 2.0 * Omega_slope / Omega * from_tail
-        beside = ca.MX(H, before), -by_states, ca.MX(H, self.states - after), by_u, ca.MX(H, 1)
-        extra = ca.vertcat(ca.MX(before, size), ca.horzcat(*beside), ca.MX(size - 1 - after, size))
-        return z, residual, ca.horzcat(own[:, : self.states], by_Omega, own[:, self.parameter_index]) + extra
+    @cached_property
+    def _pattern(self) -> _Pattern:
+        return _Pattern.of(self._core, self.attached)
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return self._pattern.rows, self._pattern.columns
+
+    def with_constants(self, constants: Array) -> Self:
+        self.check_constants(constants)  # there are none
+        return self
+
+    @property
+    def numbers(self) -> Array:
+        return self.constants
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        return self._shared
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """As that of other problems; not a number where a harmonic that should be bound is in the band."""
+        pattern, place, H = self._pattern, self.Omega_index, self.resolution
+        try:
+            v = self.values(z)
+        except ArithmeticError:
+            return np.full(self.size - 1, np.nan), np.full(pattern.rows.size, np.nan)
+        own = z.copy()
+        own[place] = v.Omega
+        residual, nonzeros = self._core.evaluate(own)
+        rows = slice(self.attached * H, (self.attached + 1) * H)
+        T, bond = self._to_coefficients, self.tail.coupling / v.Omega**2
+        balance, a = T @ residual[rows], T @ z[rows]
+        from_tail = bond * v.across * a  # the force that the core's own equations lack, over Omega^2
+        residual[rows] = v.down * balance - from_tail
+
+        block = np.zeros((H, pattern.touched.size))
+        block.ravel()[pattern.block] = nonzeros[pattern.of_block]
+        block = v.down[:, None] * (T @ block)
+        block[:, pattern.own] -= (bond * v.across)[:, None] * T
+        block[:, pattern.Omega] *= v.Omega_slope
+        block[:, pattern.Omega] += v.down_slope * balance - bond * v.across_slope * a
+        block[:, pattern.Omega] += 2.0 * v.Omega_slope / v.Omega * from_tail
+        found = np.concatenate([nonzeros, block.ravel()])[pattern.source]
+        found[pattern.by_Omega] *= v.Omega_slope
+        return residual, found
+
+    def evaluator(self) -> Evaluate:
+        return lambda z, _: self.evaluate(z)
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""

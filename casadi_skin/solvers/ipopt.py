@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.collocation import CollocationEquations
-from casadi_skin.bvp.problem import Array, Buffers, Problem
+from casadi_skin.bvp.problem import Array, Evaluate, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
 from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
-
-Evaluate = Callable[[Array, Array], tuple[Array, Array]]  # of unknowns and numbers: residual, non-zeros of its Jacobian
 
 STATUS = {
     SOLVED: Status.CONVERGED,
@@ -141,19 +138,6 @@ def _square_nlp(
     return nlp_solver("corrector", nlp, tolerance, options)
 
 
-def _evaluate(problem: Problem) -> Evaluate:
-    """Function (unknowns, numbers) -> (residual, non-zeros of its Jacobian) of one point."""
-    if isinstance(problem, CollocationEquations):
-        return problem.discretisation
-    compiled = Buffers(problem.compiled)
-
-    def evaluate(z: Array, numbers: Array) -> tuple[Array, Array]:
-        residual, nonzeros = compiled(z, numbers)
-        return residual.copy(), nonzeros.copy()  # the next call overwrites them
-
-    return evaluate
-
-
 class SquareSolver:
     """Ipopt on the equations of `count` points, each closed by a row of its own, as one nonlinear programme.
 
@@ -164,7 +148,7 @@ class SquareSolver:
     def __init__(
         self, problem: Problem, count: int, tolerance: float, max_iterations: int, one_scalar: bool = False
     ) -> None:
-        each = [_Once(_evaluate(problem)) for _ in range(count)]
+        each = [_Once(problem.evaluator()) for _ in range(count)]
         g, jac_g = (_Constraints(problem, each, with_jacobian, one_scalar) for with_jacobian in (False, True))
         size, points = problem.size, count * (problem.size + 2)
         guess, found = np.zeros(count * size), np.zeros(count * size)
