@@ -63,6 +63,15 @@ def second_derivative_matrix(harmonics: int) -> Array:
     return np.asarray(rounded)
 
 
+@lru_cache(maxsize=KEPT)
+def _sampling(harmonics: int, theta: bytes) -> Array:
+    """Weights of the values at the nodes in those at phases, given as bytes, shape (harmonics, phases)."""
+    phases = np.outer(2 * np.arange(harmonics) + 1, np.frombuffer(theta))
+    weights = (2.0 / harmonics) * cosine_matrix(harmonics) @ np.cos(phases)
+    weights.flags.writeable = False  # kept and shared
+    return np.asarray(weights)
+
+
 def odd_cosine_equations(
     harmonics: int, symbols: Sequence[ca.SX], force: ca.SX, normalisation: ca.SX, *numbers: ca.MX
 ) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -244,6 +253,8 @@ class TrigonometricProblem(OrbitProblem):
         return np.asarray(self.samples(z[None], theta)[0])
 
     def samples(self, z: Array, theta: Array) -> Array:
-        weights = self._to_coefficients @ np.cos(np.outer(2 * np.arange(self.resolution) + 1, theta))
-        values = z[:, : self.states].reshape(-1, self.resolution) @ weights
+        values = z[:, : self.states].reshape(-1, self.resolution) @ self.sampling(theta)
         return np.asarray(values.reshape(len(z), self.model.size, theta.size).swapaxes(1, 2))
+
+    def sampling(self, theta: Array) -> Array:
+        return _sampling(self.resolution, theta.tobytes())

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -359,7 +360,9 @@ class Family:
 
     def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
         """q'' at phase zero, shape (orbits, scaled positions)."""
-        starts = np.stack([orbit.problem.sample(orbit.z, np.zeros(1))[0] for orbit in orbits], axis=1)
+        groups = groupby(orbits, key=lambda orbit: orbit.problem)
+        states = [problem.samples(np.stack([one.z for one in those]), np.zeros(1)) for problem, those in groups]
+        starts = np.concatenate(states)[:, 0].T
         parameters = np.array([[orbit.parameter for orbit in orbits]])
         if len(orbits) not in self._rhs_of:
             self._rhs_of[len(orbits)] = self.rhs.map(len(orbits))

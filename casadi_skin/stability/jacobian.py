@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, NotPolynomialError, polynomial_terms
+from casadi_skin.native.jacobian import JacobianKernel, jacobian_kernel
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -25,7 +26,7 @@ class _Terms:
     """Values of polynomials, a few terms each, at many states: numpy takes a tenth of CasADi's time."""
 
     def __init__(self, groups: tuple[Monomials, ...], count: int) -> None:
-        self._groups, self._count = [], count
+        self._groups, self._count, self.monomials = [], count, groups
         for group in groups:
             rows, first = np.unique(group.rows, return_index=True)  # rows ascend
             single = first.size == group.rows.size
@@ -108,6 +109,30 @@ class JacobianAlong:
         self._constant[fixed] = np.array(ca.evalf(nonzeros[fixed.tolist()])).ravel()
         expressions = nonzeros[self._moving.tolist()]
         self._values = _Terms.of(model, expressions) or _Compiled(model, expressions)
+
+    @cached_property
+    def _kernel(self) -> JacobianKernel | None:
+        """The compiled kernel of a polynomial right-hand side; None where there is none."""
+        if not isinstance(self._values, _Terms):
+            return None
+        terms = [
+            (group.power, place, coefficient, states)
+            for group in self._values.monomials
+            for place, coefficient, states in zip(
+                self._moving[group.rows].tolist(), group.coefficients.tolist(), group.factors.T.tolist(), strict=True
+            )
+        ]
+        return jacobian_kernel(self._constant, terms)
+
+    def along(self, problem: Problem, z: Array, theta: Array) -> Array:
+        """Non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
+        parameters, weights = z[:, problem.parameter_index], problem.sampling(theta)
+        if weights is None or self._kernel is None:  # shooting and collocation, or a model of other functions
+            states = problem.samples(z, theta).reshape(len(z) * theta.size, -1)
+            return self(states, np.repeat(parameters, theta.size)).reshape(len(z), theta.size, -1)
+        result = np.empty((len(z), theta.size, self.indices.size))
+        self._kernel(self.size, z, weights, parameters, result)
+        return result
 
     def __call__(self, states: Array, parameters: Array) -> Array:
         """Non-zeros, (phases, non-zeros), at states (phases, size), with the parameter's value at each, (phases,)."""

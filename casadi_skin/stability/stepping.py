@@ -114,12 +114,10 @@ class SteppedFlow(ABC):
 
     def _linearised(self, orbits: Sequence[OrbitState], fractions: Array) -> Array:
         """J's non-zeros at fractions of the duration, shape (orbits, fractions, non-zeros)."""
-        theta, states = 2.0 * np.pi * self.fraction * fractions, []
-        for problem, those in groupby(orbits, key=lambda orbit: orbit.problem):
-            states.append(problem.samples(np.stack([orbit.z for orbit in those]), theta))
-        parameters = np.repeat([orbit.parameter for orbit in orbits], theta.size)
-        nonzeros = self.jacobian(np.concatenate(states).reshape(parameters.size, -1), parameters)
-        return nonzeros.reshape(len(orbits), theta.size, -1)
+        theta = 2.0 * np.pi * self.fraction * fractions
+        groups = groupby(orbits, key=lambda orbit: orbit.problem)
+        found = [self.jacobian.along(problem, np.stack([one.z for one in those]), theta) for problem, those in groups]
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
     def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""

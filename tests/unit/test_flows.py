@@ -85,6 +85,9 @@ class Given:
     def samples(self, z: Array, theta: Array) -> Array:
         return np.stack([self.sample(one, theta) for one in z])
 
+    def sampling(self, theta: Array) -> None:
+        return None
+
 
 # Pieces -------------------------------------------------------------------------------------------------------------
 

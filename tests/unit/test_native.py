@@ -20,6 +20,7 @@ from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials
+from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
 from casadi_skin.native import taylor
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
@@ -41,7 +42,7 @@ def fresh() -> Iterator[None]:
 
 
 def forget() -> None:
-    for kept in (library, splitting_kernel, taylor._functions):
+    for kept in (library, splitting_kernel, taylor._functions, native_jacobian._function):
         kept.cache_clear()
 
 
@@ -80,6 +81,50 @@ def test_kernel_and_numpy_agree_to_rounding(model: OdeModel, monkeypatch: pytest
     assert splitting_kernel() is not None
     compiled, plain = both_ways(model, 5, 3, monkeypatch)
     np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "model",
+    [
+        *(Chain(n, 1.0, 0.3, g).gauge_model() for n in (1, 2, 24) for g in (-1.0, 0.0)),
+        family_request(plane((4, 3)), 1, 1.0).coordinates.scaled,
+    ],
+    ids=lambda model: f"{model.name}, {model.size}",
+)
+def test_jacobians_along_orbits_by_the_kernel_are_those_at_their_states(
+    model: OdeModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Orbits in odd cosines, sampled by the kernel; and by the problem itself where there is none."""
+    problem, generator = TrigonometricProblem(model, 5), np.random.default_rng(4)
+    z, theta = generator.normal(size=(3, problem.size)), np.linspace(0.0, 2.0, 7)
+    along = JacobianAlong(model)
+    assert along._kernel is not None
+    found = along.along(problem, z, theta)
+    for one, values in zip(z, found, strict=True):
+        exact = np.array(
+            [cosines @ np.cos(np.outer(np.arange(1, 11, 2), theta)) for cosines in problem.coefficients(one)]
+        )
+        at_states = along(exact.T, np.full(7, one[problem.parameter_index]))
+        np.testing.assert_allclose(values, at_states, rtol=0, atol=1e-13 * np.max(np.abs(at_states)))
+    monkeypatch.setattr(JacobianAlong, "_kernel", None)
+    np.testing.assert_allclose(found, along.along(problem, z, theta), rtol=0, atol=1e-13 * np.max(np.abs(found)))
+
+
+@needs_compiler
+def test_the_kernel_of_jacobians_takes_terms_of_all_degrees() -> None:
+    generator = np.random.default_rng(6)
+    sites, nodes, phases = 4, 3, 6
+    values, weights = generator.normal(size=(2, sites * nodes + 2)), generator.normal(size=(nodes, phases))
+    constant, parameters = generator.normal(size=5), np.array([0.7, -1.3])
+    terms = [(power, place, generator.normal(), list(range(place))) for power in range(3) for place in range(5)]
+    expected = np.tile(constant, (2, phases, 1))
+    states = np.einsum("kam,mi->kia", values[:, : sites * nodes].reshape(2, sites, nodes), weights)
+    for power, place, coefficient, factors in terms:
+        expected[:, :, place] += coefficient * parameters[:, None] ** power * np.prod(states[:, :, factors], axis=2)
+    found = np.full(expected.shape, np.nan)
+    native_jacobian.JacobianKernel(constant, terms)(sites, values, weights, parameters, found)
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
 @needs_compiler
