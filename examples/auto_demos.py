@@ -214,6 +214,48 @@ def pen():
     return beside(together.follow("current", 0.15, stability=True).special_points, ("period doubling", 0.179163))
 
 
+def frc():
+    """FitzHugh and Nagumo's equations, forced by an oscillator: the response, and that to slower forcing."""
+
+    def rates(v, w, x, y, r, beta):
+        cubic, square = v * (v - 0.5) * (1 - v), x**2 + y**2
+        return (cubic - w) / 0.005, v - w - 0.5 - r * x, x + beta * y - x * square, -beta * x + y - y * square
+
+    def largest(orbit, what, state, auto):
+        values = orbit.evaluate(np.linspace(0.0, orbit.period, 4001))[:, state]
+        return Row(f"largest {what}", auto, values.max(), orbit.error * np.abs(values).max() + 1e-6 * np.ptp(values))
+
+    rest = find_orbit(
+        model("frc", "v w x y", rates, r=0.0, beta=100.0), lambda t: [0.5, 0, np.sin(100 * t), np.cos(100 * t)],
+        np.pi / 50,
+    )  # fmt: skip
+    forced = rest.follow("r", 0.2).orbits[-1]
+    yield largest(forced, "v, r = 0.2", 0, 0.503634)
+    yield largest(forced, "w, r = 0.2", 1, 2.03251e-3)
+    yield largest(forced.follow("beta", 24.6098).orbits[-1], "v, beta = 24.6098", 0, 0.531119)
+
+
+def pla():
+    """Plant's nerve cell: equilibria, and one of the long cycles born at the second Hopf point."""
+
+    def rates(V, xT, xK, yI, c, gI):
+        s = 127 / 105 * V - (12 * 30 - 115 * 75) / 105
+        am, ah, an = (50 - s) / 10 / (ca.exp((50 - s) / 10) - 1), 0.07 * ca.exp((25 - s) / 20), (55 - s) / 100
+        bm, bh, bn = 4 * ca.exp((25 - s) / 18), 1 / (ca.exp((55 - s) / 10) + 1), 0.125 * ca.exp((45 - s) / 80)
+        an = an / (ca.exp((55 - s) / 10) - 1)
+        inwards = (gI * (am / (am + bm)) ** 3 * yI + 0.01 * xT) * (30 - V)
+        outwards = (0.3 * xK**4 + 0.03 * c / (0.5 + c)) * (-75 - V) + 0.003 * (-40 - V)
+        slow = (1 / (ca.exp(0.15 * (-50 - V)) + 1) - xT) / 235, 3e-4 * (0.0085 * xT * (140 - V) - c)
+        gates = (an - (an + bn) * xK) / 12.5, (ah - (ah + bh) * yI) / 12.5
+        return inwards + outwards, slow[0], *gates, slow[1]
+
+    guess = [-2.329601, 0.9992162, 0.7373314, 0.006135948, 1.208853]
+    points = find_equilibrium(model("pla", "V xT xK yI c", rates, gI=50.0), guess).follow("gI", -120.0).special_points
+    yield from beside(points, ("hopf", 15.2265), ("fold", 2.58654), ("fold", 47.4501), ("hopf", -103.779))
+    cycle = points[-1].follow("gI", 1.25).orbits[-1]
+    yield Row("period, gI = 1.25", 9811.78, cycle.period, cycle.period_error)
+
+
 # Boundary-value problems ----------------------------------------------------------------------------------------------
 
 
@@ -267,9 +309,28 @@ def non():
     return beside(branch.special_points, ("fold", 14.0745))
 
 
+def nag():
+    """Nagumo's front between the saddles 0 and 1, along their eigenvectors at both ends: its speed c."""
+    u, v, a, c = (ca.SX.sym(s) for s in "uvac")
+    front = OdeModel("nag", ca.vertcat(u, v), 100 * ca.vertcat(v, c * v - u * (1 - u) * (u - a)), ca.vertcat(a, c))
+    leaves, comes = c / 2 + ca.sqrt(c**2 / 4 + a), c / 2 - ca.sqrt(c**2 / 4 + 1 - a)
+    ends = [front.start(v) - leaves * front.start(u), front.end(v) - comes * (front.end(u) - 1)]
+    problem = BoundaryValueProblem(front, ends, [u - 0.5], free=["c"], parameters={"a": 0.5, "c": 0.0})
+
+    def guess(t):
+        e = 1 / (1 + np.exp(-100 * (t - 0.5) / np.sqrt(2)))
+        return [e, e * (1 - e) / np.sqrt(2)]
+
+    start = problem.solve(guess)
+    for a, auto in ((0.25, 0.353553), (0.75, -0.353553)):
+        last = start.follow("a", a).solutions[-1]
+        yield Row(f"c, a = {a}", auto, last.parameters["c"], last.error)
+
+
 DEMOS = {
     "ab": ab, "abc": abc, "cusp": cusp, "lrz": lrz, "pp2": pp2, "pp3": pp3, "enz": enz, "chu": chu, "plp": plp,
     "lor": lor, "tor": tor, "pen": pen, "bvp": bvp, "lin": lin, "exp": exp, "int": integral, "non": non,
+    "frc": frc, "pla": pla, "nag": nag,
 }  # fmt: skip
 
 

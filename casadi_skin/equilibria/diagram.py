@@ -82,8 +82,9 @@ def follow_all(
 ) -> Diagram:
     """Follow all branches that leave a branch of equilibria, orbits or solutions, and those that leave these.
 
-    Cycles at Hopf points, both halves of the other branch at branch points, orbits of twice the period at period
-    doublings, within the values of the parameter that the branch was followed in. No branch is followed twice.
+    Cycles at Hopf points of equilibria, both halves of the other branch at branch points, orbits of twice the period
+    at period doublings, within the values of the parameter that the branch was followed in. No branch is followed
+    twice.
 
     Arguments:
         branch: where the diagram starts.
@@ -157,7 +158,7 @@ class Further:
                     continue
                 met.left = True
                 self.reached.append((f"{prefix}_{number}", point))
-                if point.kind not in self._kinds or depth >= self._depth:
+                if point.kind not in self._kinds or depth >= self._depth or not is_left(point):
                     continue
                 for suffix, space in zip(("", "b"), self._leaving(point, met), strict=False):
                     name = f"{prefix}_{number}{suffix}"
@@ -226,6 +227,11 @@ class Further:
                 yield space
         if not started:
             self.failures.append(f"{point.kind} at {first.parameter} = {here:.8g}: {reasons[0]}")
+
+
+def is_left(point: SpecialPoint) -> bool:
+    """Whether something leaves a special point: not where cycles that were followed shrink to an equilibrium."""
+    return point.kind != HOPF or isinstance(point.solution, Equilibrium)
 
 
 def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:

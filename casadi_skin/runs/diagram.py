@@ -12,7 +12,7 @@ import casadi_skin.figures as figures
 from casadi_skin.continuation.points import End
 from casadi_skin.critical_orbits.curve import curve_space
 from casadi_skin.equilibria.curve import UnfoldingError
-from casadi_skin.equilibria.diagram import LEAVING, Further
+from casadi_skin.equilibria.diagram import LEAVING, Further, is_left
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.figures.portrait import chosen_solutions
@@ -61,7 +61,8 @@ def further_spaces(
     further = Further(branches[-1], kinds, depth, {**options, "tolerance": tolerance}, halves)
     for name, point, space in further:
         if len(further.branches) == table.limit:
-            failures.append(f"[continuation] limit: more than {table.limit} branches belong to the diagram")
+            most = "one branch belongs" if table.limit == 1 else f"{table.limit} branches belong"
+            failures.append(f"[continuation] limit: more than {most} to the diagram")
             break
         yield f"{CYCLES if point.kind == HOPF else OTHER}{name}", space
         if branches[-1].space is space:
@@ -71,7 +72,7 @@ def further_spaces(
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
         crossing = point.kind == BRANCH_POINT and point.mu is None
-        if table.curve is not None and (point.kind in FOLLOWED or crossing) and not passed:
+        if table.curve is not None and (point.kind in FOLLOWED or crossing) and is_left(point) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space

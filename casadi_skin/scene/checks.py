@@ -155,6 +155,7 @@ def _check_continuation(scene: Scene) -> None:
     if "hopf" in table.switch and scene.equilibrium is None:
         beside = next(name for name in ("family", "orbit", "solution") if getattr(scene, name) is not None)
         raise refusal("[continuation] switch", f'"hopf" beside [{beside}]', '"branch point" and "period doubling"')
+    _check_multipliers(scene, table)
     if table.curve is not None and table.curve.further and scene.family is None:
         raise refusal("[continuation] curve", "further = true without [family]", "beside [family]")
     for item, kind in enumerate(table.switch, start=1):
@@ -164,6 +165,17 @@ def _check_continuation(scene: Scene) -> None:
         raise refusal("[continuation] curve", f"parameter = {toml_repr(table.parameter)} again", "another parameter")
     if table.parameter == SELECTED and scene.solution is not None:
         raise refusal("[continuation] parameter", toml_repr(SELECTED), "with [orbit] select, whose value it moves")
+
+
+def _check_multipliers(scene: Scene, table: ContinuationTable) -> None:
+    """Refuse to switch where multipliers decide, which nothing computes."""
+    needed = {"period doubling"} | ({"branch point"} if scene.orbit is not None else set())
+    for kind in table.switch:
+        if kind in needed and scene.stability is None:
+            raise refusal("[continuation] switch", f'"{kind}" without [stability]', "with [stability]")
+        if kind in needed and scene.equilibrium is not None and "hopf" not in table.switch:
+            accepted = 'beside "hopf", whose cycles have period doublings'
+            raise refusal("[continuation] switch", f'"{kind}" beside [equilibrium]', accepted)
 
 
 def _check_of_family(scene: Scene, table: ContinuationTable) -> None:

@@ -93,3 +93,22 @@ def test_pen_by_its_period_doubling() -> None:
     turn = np.array([2 * np.pi, 2 * np.pi, 0.0, 0.0])
     assert last.parameters["current"] == pytest.approx(shot(model, last, "current", doubles, turn), abs=1e-10)
     assert last.parameters["current"] == pytest.approx(0.177993541086789, abs=1e-11)
+
+
+def test_plp_by_its_folds_which_lie_on_one_curve() -> None:
+    def rates(s: Any, a: Any, rho: Any, a0: Any) -> tuple[Any, ...]:
+        r = s * a / (1 + s + 0.1 * s**2)
+        return 110 - s - rho * r, 0.2 * (a0 - a) - rho * r
+
+    model = stated(rates, "s a", rho=2.021628, a0=500.0)
+    points = find_equilibrium(model, [45.55974, 177.7987]).follow("rho", 6.0).special_points
+    first = next(p for p in points if p.kind == "hopf")
+    (fold,) = (p for p in first.follow("rho", 2.0).special_points if p.kind == "fold")
+    curve = fold.curve("a0", 480.0)
+    assert curve.at(a0=500.0, which=1).parameters["rho"] == pytest.approx(
+        5.00784, rel=1e-6
+    )  # the fold that AUTO prints
+    turn = int(np.argmin(curve["a0"]))
+    for orbit in (curve.solutions[turn - 1], curve.solutions[turn + 1]):
+        known = shot(model, orbit, "rho", has_product_one, np.zeros(2))
+        assert orbit.parameters["rho"] == pytest.approx(known, abs=1e-9)

@@ -36,6 +36,8 @@ def exact(demo: str, auto: float) -> float | None:
     if demo == "exp":
         z = brentq(lambda z: z * np.tanh(z) - 1.0, 1.0, 2.0, xtol=1e-15)
         return float(8.0 * (z**2 - 1.0))
+    if demo == "nag":
+        return float(np.copysign(0.5, auto) / np.sqrt(2))
     known = {("lrz", 24.7368): 470 / 19, ("cusp", 0.3849): 2 / np.sqrt(27), ("pp2", 0.6): 0.6, ("pp3", 0.75): 0.75}
     return known.get((demo, auto))
 

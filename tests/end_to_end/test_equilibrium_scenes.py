@@ -172,6 +172,14 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
             "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\nswitch=["hopf"]\n',
             '[continuation] switch: given "hopf" beside [orbit]; accepted: "branch point" and "period doubling"',
         ),
+        (
+            "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\nswitch=["branch point"]\n',
+            '[continuation] switch: given "branch point" without [stability]; accepted: with [stability]',
+        ),
+        (
+            "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\nswitch=["period doubling"]\n',
+            '[continuation] switch: given "period doubling" without [stability]; accepted: with [stability]',
+        ),
     ],
 )  # fmt: skip
 def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, rest: str, words: str) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
+from critical_models import cycles_with_fold
 from equilibrium_models import rosenzweig_macarthur, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, simulate
+from casadi_skin.cli import main
 
 
 def _from_zero(rhs: ca.SX, x: ca.SX, p: ca.SX) -> object:
@@ -75,3 +79,31 @@ def test_orbits_of_twice_the_period_belong_to_a_diagram_of_orbits() -> None:
     assert twice.period == pytest.approx(2.0 * once.period, rel=0.02)
     assert twice.floquet().stable
     assert not once.floquet().stable
+
+
+@pytest.mark.slow
+def test_nothing_is_said_to_leave_where_orbits_shrink_to_an_equilibrium(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cycles that fold, then end at a Hopf point: their diagram is one branch, and their fold alone has a curve."""
+    start = "from critical_models import cycles_with_fold\nmodel = cycles_with_fold()\n"
+    (tmp_path / "model.py").write_text(start, encoding="utf-8")
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(
+        '[model]\nfile = "model.py"\nname = "model"\nparameters = { mu = 0.1, a = 1.0 }\n'
+        "[orbit]\nstart = [1.05, 0.0]\nperiod = 6.28\n[figures]\nformats = []\n"
+        '[continuation]\nparameter = "mu"\nto = -0.3\ndepth = 1\ncurve = { parameter = "a", to = 1.05 }\n',
+        encoding="utf-8",
+    )
+    assert main(["run", str(scene), "--out", str(out)]) == 1  # -0.3 is not reached, and nothing else is wrong
+    assert capsys.readouterr().err.splitlines() == [
+        f"{scene}: [continuation]: the cycle shrinks to an equilibrium at a Hopf point"
+    ]
+    assert (out / "curve_1.csv").exists()
+    assert not (out / "curve_2.csv").exists()
+    values = {"mu": 0.1, "a": 1.0}
+    orbit = find_orbit(cycles_with_fold(), lambda t: [np.cos(t), np.sin(t)], 2.0 * np.pi, parameters=values)
+    diagram = orbit.follow("mu", -0.3).follow_all(depth=1, max_points=40)
+    assert [point.kind for point in diagram.special_points] == ["fold", "hopf"]
+    assert diagram.failures == ()
+    assert len(diagram) == 1
