@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
     from matplotlib.text import Text
 
 GAP = 4.0  # points between panels, and around all
@@ -39,8 +40,9 @@ def lay_out(figure: Figure, dpi: float, plain: bool) -> None:
     renderer: Any = canvas.get_renderer()  # type: ignore[no-untyped-call]
     renderer.mathtext_parser = _parser()
     if plain:
+        ruler = _Ruler(figure, renderer)
         for _ in range(2):  # ticks depend on places
-            _place(figure, renderer)
+            _place(figure, ruler)
     else:
         ConstrainedLayoutEngine().execute(figure)
     figure.set_dpi(before)
@@ -57,20 +59,45 @@ def _parser() -> Any:
     return RendererAgg(1, 1, POINTS).mathtext_parser  # type: ignore[no-untyped-call]
 
 
-def _place(figure: Figure, renderer: Any) -> None:
+class _Ruler:
+    """Widths and heights in points of the texts of a figure, which do not depend on places: each is measured once."""
+
+    def __init__(self, figure: Figure, renderer: Any) -> None:
+        self.figure, self.renderer, self.points = figure, renderer, figure.dpi / POINTS
+        self._known: dict[Any, tuple[float, float]] = {}
+
+    def of(self, artist: Text | Legend) -> tuple[float, float]:
+        """Of a text or a legend."""
+        if artist not in self._known:
+            self._known[artist] = self._measured(artist)
+        return self._known[artist]
+
+    def of_tick(self, label: str) -> tuple[float, float]:
+        """Of the label of a tick."""
+        from matplotlib.text import Text
+
+        if label not in self._known:
+            self._known[label] = self._measured(Text(text=label, figure=self.figure))
+        return self._known[label]
+
+    def _measured(self, artist: Text | Legend) -> tuple[float, float]:
+        box = artist.get_window_extent(self.renderer)
+        return box.width / self.points, box.height / self.points
+
+
+def _place(figure: Figure, ruler: _Ruler) -> None:
     """Places of all panels, and of the title of the figure."""
-    points = figure.dpi / POINTS
-    width, height = figure.bbox.width / points, figure.bbox.height / points
-    bottom = sum(legend.get_window_extent(renderer).height / points + GAP for legend in figure.legends)
+    width, height = figure.bbox.width / ruler.points, figure.bbox.height / ruler.points
+    bottom = sum(ruler.of(legend)[1] + GAP for legend in figure.legends)
     for title in figure.texts:  # the title alone
         title.set_y(1.0 - GAP / height)
-        height -= _size(title, renderer)[1] + GAP
+        height -= ruler.of(title)[1] + GAP
     specs = [spec for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
-    grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, renderer) for axes in figure.axes])
+    grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, ruler) for axes in figure.axes])
     columns, rows = [spec.colspan for spec in specs], [spec.rowspan for spec in specs]
     across = _spread(width, columns, rooms[:, :2], grid.get_width_ratios())
     down = height - _spread(height - bottom, rows, rooms[:, 2:], grid.get_height_ratios())
-    whole = figure.bbox.height / points
+    whole = figure.bbox.height / ruler.points
     for axes, (left, right), (upper, lower) in zip(figure.axes, across, down, strict=True):
         axes.set_position((left / width, lower / whole, (right - left) / width, (upper - lower) / whole))
 
@@ -93,32 +120,30 @@ def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) ->
     return np.array([(ends[span[0]] - cells[span[0]], ends[span[-1]]) for span in spans])
 
 
-def _room(axes: Axes, renderer: Any) -> tuple[float, float, float, float]:
+def _room(axes: Axes, ruler: _Ruler) -> tuple[float, float, float, float]:
     """What a panel needs at its left, right, upper and lower side, in points; its labels are put there."""
     from matplotlib.text import Annotation, Text
     from matplotlib.transforms import ScaledTranslation
 
     x, y, inches = axes.xaxis, axes.yaxis, axes.get_figure().dpi_scale_trans  # type: ignore[union-attr]
-    (wide, low), (left, high) = _ticks(x, renderer), _ticks(y, renderer)
+    (wide, low), (left, high) = _ticks(x, ruler), _ticks(y, ruler)
     beside, below = left + y.labelpad, low + x.labelpad
     y.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-beside / POINTS, 0.0, inches))
     x.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below / POINTS, inches))
     titles = [text for text in axes.get_children() if isinstance(text, Text) and text not in axes.texts]
-    above = [_size(title, renderer)[1] + TITLE_PAD for title in titles if title.get_text()]
+    above = [ruler.of(title)[1] + TITLE_PAD for title in titles if title.get_text()]
     outside = [text for text in axes.texts if isinstance(text, Annotation) and text.get_annotation_clip() is False]
-    beyond = [(text.get_window_extent(renderer).x1 - axes.bbox.x1) * POINTS / renderer.dpi for text in outside]
+    beyond = [(text.get_window_extent(ruler.renderer).x1 - axes.bbox.x1) / ruler.points for text in outside]
     return (
-        beside + _size(y.label, renderer)[0] if axes.get_ylabel() else left,
+        beside + ruler.of(y.label)[0] if axes.get_ylabel() else left,
         max(0.5 * wide, *beyond, 0.0),
         max(above, default=0.5 * high) + OFFSET_HEIGHT * bool(y.get_major_formatter().get_offset()),
-        below + _size(x.label, renderer)[1] if axes.get_xlabel() else low,
+        below + ruler.of(x.label)[1] if axes.get_xlabel() else low,
     )
 
 
-def _ticks(axis: Axis, renderer: Any) -> tuple[float, float]:
+def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
     """Width and height of the largest label of the ticks of an axis in points, with their distance from the axis."""
-    from matplotlib.text import Text
-
     if not any(axis.get_tick_params().get(name) for name in ("labelbottom", "labelleft")):
         return 0.0, 0.0
     low, high = sorted(axis.get_view_interval())
@@ -129,12 +154,6 @@ def _ticks(axis: Axis, renderer: Any) -> tuple[float, float]:
     ):
         labels = formatter.format_ticks(list(places))
         shown = {label for label, place in zip(labels, places, strict=True) if label and low <= place <= high}
-        sizes += [_size(Text(text=label, figure=axis.get_figure()), renderer) for label in shown]
+        sizes += [ruler.of_tick(label) for label in shown]
     (width, height), along = np.max(sizes, axis=0), axis is axis.axes.xaxis
     return float(width) + TICK_PAD * (not along), float(height) + TICK_PAD * along
-
-
-def _size(text: Text, renderer: Any) -> tuple[float, float]:
-    """Width and height of a text in points."""
-    box = text.get_window_extent(renderer)
-    return box.width * POINTS / renderer.dpi, box.height * POINTS / renderer.dpi

@@ -28,7 +28,7 @@ def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
     """
     height, width = pixels.shape[:2]
     rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
-    rows[:, 1:] = pixels[..., :3].reshape(height, -1)
+    rows[:, 1:].reshape(height, width, 3)[...] = pixels[..., :3]
     metre = round(dpi / INCH)
     stream.write(SIGNATURE)
     for kind, content in (

@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import casadi_skin.figures as figures
-from casadi_skin.figures.plane import plane_figure
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
@@ -28,7 +26,6 @@ from casadi_skin.results.stability_tables import (
     further_rows,
     tongue_rows,
 )
-from casadi_skin.runs.lattice_spectrum import write_lattice_spectrum
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 
@@ -84,7 +81,10 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
-        picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
+        if request.scene.chain is None:
+            from casadi_skin.figures.plane import plane_figure
+
+            picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
 
 
@@ -141,9 +141,13 @@ def _has_orbits(branch: Branch) -> bool:
 
 def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
-    if isinstance(request.model, Lattice):
-        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
-        return
+    if request.scene.chain is None:
+        from casadi_skin.lattice.lattice import Lattice
+        from casadi_skin.runs.lattice_spectrum import write_lattice_spectrum
+
+        if isinstance(request.model, Lattice):
+            write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+            return
     frequencies = linear_frequencies(request.model, request.parameters)
     rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
     write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
