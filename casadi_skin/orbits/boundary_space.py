@@ -37,7 +37,7 @@ from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.stability.trivial import trivial_at
 
 if TYPE_CHECKING:
@@ -362,10 +362,19 @@ class BoundarySpace:
         """
         name = str(self.method.flow) if by is None else by
         check_name("by", name, methods.FULL_PERIOD_FLOWS)
+        if self.closure is not None and by not in (None, "collocation"):
+            raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
         try:
             return [self._floquet(point, name) for point in points]
         except IntegrationError as error:
-            raise FlowError(str(error)) from error
+            raise FlowError(f"{error}{self._beyond_doubles(points)}") from error
+
+    def _beyond_doubles(self, points: Sequence[Point]) -> str:
+        """That sensitivities overflow along orbits with multipliers that no double holds, in words; empty elsewhere."""
+        largest = max(float(np.max(self._floquet(p, "collocation").log10_abs_multipliers)) for p in points)
+        if largest < LARGEST_LOGARITHM / math.log(10.0):
+            return ""
+        return f"; a multiplier of 1e{largest:+.0f} exceeds the largest double; accepted: by = 'collocation'"
 
     @cached_property
     def closure(self) -> Closure | None:

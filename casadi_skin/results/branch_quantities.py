@@ -22,6 +22,18 @@ FIXED = ("point", "requested", "fold", "period", "error", "parameter_error", "in
          "max_abs_multiplier", "stable", "unstable", "trivial_deviation")  # fmt: skip
 
 
+LOGARITHMS = (  # of multipliers that no double holds
+    Quantity(
+        "log10_max_abs_multiplier", "decimal logarithm of the largest modulus but for the trivial ones",
+        lambda p: float(np.max(p.floquet.log10_abs_multipliers[p.floquet.trivial :])),
+    ),
+    Quantity(
+        "log10_abs_multipliers", "decimal logarithms of the moduli of multipliers, the trivial ones first",
+        lambda p: p.floquet.log10_abs_multipliers, ("multiplier",), may_be_empty=True,
+    ),
+)  # fmt: skip
+
+
 def branch_quantities(branch: Branch) -> list[Quantity]:
     """Quantities of other solutions, columns of branch.csv in their order and variables of branch.nc.
 
@@ -63,6 +75,8 @@ def branch_quantities(branch: Branch) -> list[Quantity]:
     ]
     if branch.with_stability:
         quantities += _full_period_quantities()
+        if any(solution.floquet().beyond_doubles for solution in branch.solutions):
+            quantities += LOGARITHMS
     return quantities + _branch_arrays(names, solution.space.state_names) + multiplier_quantities(branch)
 
 

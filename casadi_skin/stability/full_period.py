@@ -10,6 +10,8 @@ Huge and tiny multipliers at once, and those that no double holds, come from a p
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,7 +89,9 @@ def by_cvodes(
     trivial = trivial_at(model, symmetry, start, parameters)
     rate = np.array(model.vector_field(0.0, start, parameters)).T * period
     along = moving(np.tile(rate, (2, 1)), start[None]) if trivial.count == 1 else None
-    return multipliers_of(matrix[None], trivial, tolerance, along=along)
+    found = multipliers_of(matrix[None], trivial, tolerance, along=along)
+    blurred = int(np.count_nonzero(found.log_moduli < np.log(local)))
+    return replace(found, blurred=blurred)
 
 
 def multipliers_of(

@@ -107,6 +107,11 @@ class Floquet(Result, ABC):
         with np.errstate(divide="ignore"):
             return np.asarray(np.log10(np.abs(self.multipliers)))
 
+    @property
+    def beyond_doubles(self) -> bool:
+        """Whether a multiplier exceeds the largest double, which stands for it."""
+        return bool(np.any(self.log10_abs_multipliers > LARGEST_LOGARITHM / np.log(10.0)))
+
     def warn(self) -> None:
         """Warn where the trivial multipliers have drifted by more than errors allow."""
         if self.trivial_deviation > self.allowed_deviation:
@@ -213,7 +218,8 @@ class FullPeriodFloquet(Floquet):
     """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1.
 
     `log_moduli` are natural logarithms of the moduli of the multipliers, which doubles may not hold; `lost` is whether
-    maps over intervals have lost digits of those that are far from 1.
+    maps over intervals have lost digits of those that are far from 1; `blurred` how many multipliers are smaller than
+    the errors of sensitivities, so that their logarithms are not known.
     """
 
     multipliers: ComplexArray
@@ -223,6 +229,7 @@ class FullPeriodFloquet(Floquet):
     allowed: float
     log_moduli: Array = field(default_factory=lambda: np.empty(0))
     lost: bool = False
+    blurred: int = 0
 
     @property
     def log10_abs_multipliers(self) -> Array:
@@ -231,8 +238,12 @@ class FullPeriodFloquet(Floquet):
     def warn(self) -> None:
         super().warn()
         if self.lost:
-            words = "several multipliers are far from 1, and the mesh does not resolve what grows and decays: not even"
+            words = "several multipliers are far from 1, and what grows and decays is not resolved: not even"
             warnings.warn(f"{words} their orders of magnitude are known", LostMultiplierWarning, stacklevel=4)
+        if self.blurred:
+            words = f"{self.blurred} of the multipliers by cvodes are smaller than errors of its sensitivities: their"
+            words += " orders of magnitude are not known; collocation has them"
+            warnings.warn(words, LostMultiplierWarning, stacklevel=4)
         huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
         if huge:
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"

@@ -8,7 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
+from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.product_spectrum import spectrum_of
 from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
 
@@ -124,3 +126,36 @@ def test_products_of_random_factors_have_the_eigenvalues_of_their_exact_product(
         exact = mp.eig(product, left=False, right=False)
         logs = sorted((float(mp.log(abs(value))) for value in exact), reverse=True)
     np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
+
+
+def decaying(exponents: list[float]) -> Orbit:
+    """x_k' = e_k (1 + 0.3 cos 2 pi t) (x_k - sin 2 pi t) + 2 pi cos 2 pi t, so that multipliers are exp(e_k)."""
+    t, p, x = ca.SX.sym("t"), ca.SX.sym("p"), ca.SX.sym("x", len(exponents))
+    rates = ca.vertcat(exponents[0] + p, *exponents[1:]) * (1 + 0.3 * ca.cos(2 * np.pi * t))
+    rhs = rates * (x - ca.sin(2 * np.pi * t)) + 2 * np.pi * ca.cos(2 * np.pi * t)
+    model = OdeModel("decaying", x, rhs, p, time=t, forcing_period=1.0, nominal=(0.0,))
+    return find_orbit(model, lambda s: np.sin(2 * np.pi * s) * np.ones(len(exponents)), corrector="newton")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+def test_tables_have_logarithms_where_doubles_hold_no_multiplier() -> None:
+    branch = decaying([800.0, -1.0]).follow("p", 1.0, max_step=0.5, stability=True, events=False)
+    table = branch.to_dataframe()
+    np.testing.assert_allclose(table["log10_max_abs_multiplier"] * np.log(10.0), 800.0 + branch["p"], rtol=1e-9)
+    assert list(table.columns).index("log10_max_abs_multiplier") > list(table.columns).index("trivial_deviation")
+    logarithms = branch.to_xarray()["log10_abs_multipliers"].values
+    np.testing.assert_allclose(logarithms.min(axis=1) * np.log(10.0), -1.0, rtol=1e-7)
+    usual = decaying([8.0, -1.0]).follow("p", 1.0, stability=True, events=False)
+    assert "log10_max_abs_multiplier" not in usual.to_dataframe()
+
+
+@pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+def test_multipliers_that_sensitivities_do_not_hold_are_named() -> None:
+    with pytest.raises(FlowError, match=r"a multiplier of 1e\+347 exceeds the largest double; accepted: by = 'colloc"):
+        decaying([800.0, -1.0]).floquet(by="cvodes")
+    with pytest.warns(LostMultiplierWarning, match="1 of the multipliers by cvodes are smaller than errors"):
+        floquet = decaying([-800.0, -1.0]).floquet(by="cvodes")
+    assert np.max(floquet.log10_abs_multipliers) * np.log(10.0) == pytest.approx(-1.0, rel=1e-7)
+    with pytest.raises(ValueError, match="by: given 'cvodes' with a boundary-value problem; accepted: collocation"):
+        turning([0.5, -1.0]).floquet(by="cvodes")
