@@ -26,7 +26,7 @@ from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, jacobian_o
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.search import Search
-from casadi_skin.equilibria.statics import ComplexArray
+from casadi_skin.equilibria.statics import ComplexArray, Statics
 from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import NotLocatedError
@@ -52,7 +52,37 @@ class Followed:
 
 def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
     """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
-    yield from _Search(space, before).between(before, after)
+    found = list(_Search(space, before).between(before, after))
+    if space.kind == HOPF and not space.equations.statics.exact and not any(p.special == TAKENS for p in found):
+        found += _by_differences(space, before, after)
+        found.sort(key=lambda point: float(before.tangent @ (point.z - before.z)))
+    yield from found
+
+
+def _by_differences(space: Followed, before: Point, after: Point) -> Iterator[Point]:
+    """The generalized Hopf point between two of a program, whose higher derivatives are differences.
+
+    None is sought where l1 at both ends is smaller than what twice the steps of differences change.
+    """
+
+    def l1(point: Point) -> float:
+        return float(np.sum(_lyapunov(space, point))) if _kappa(point) > 0.0 else np.inf
+
+    def noise(point: Point) -> float:
+        equations = space.equations
+        statics = replace(equations.statics, widening=2.0)
+        return abs(float(np.sum(_lyapunov(space, point, statics))) - l1(point))
+
+    ends = [l1(point) for point in (before, after)]
+    larger = before if abs(ends[0]) > abs(ends[1]) else after
+    if not ends[0] * ends[1] < 0.0 or max(np.abs(ends)) <= noise(larger):
+        return
+    _, point = _root(space, before, after, BAUTIN, l1)
+    if abs(l1(point)) > VANISHES * max(np.abs(ends)):  # a pole
+        return
+    slope = (ends[1] - ends[0]) / (after.z[-1] - before.z[-1])
+    moved = float(abs((noise(point) + abs(l1(point))) / slope))
+    yield replace(point, error=replace(point.error, parameter=point.error.parameter + moved))
 
 
 class _Search(Search):
@@ -221,14 +251,15 @@ def _tracked(space: Followed, at: complex) -> Test:
     return test
 
 
-def _lyapunov(space: Followed, point: Point) -> Array:
+def _lyapunov(space: Followed, point: Point, statics: Statics | None = None) -> Array:
     """The terms of the first Lyapunov coefficient at a point of a curve of Hopf points."""
+    statics = statics or space.equations.statics
     problem = cast(ExtendedSystem, point.problem)
     x, p = problem.state(point.z), problem.parameters(point.z)
-    A = space.equations.statics.jacobian(x, p)
+    A = statics.jacobian(x, p)
     near = cast(HopfSystem, problem)
     omega, q, adjoint = critical_pair(A, near.rate * float(np.sqrt(max(near.kappa(point.z), 0.0))))
-    return lyapunov_terms(space.equations.statics, x, p, A, omega, q, adjoint)
+    return lyapunov_terms(statics, x, p, A, omega, q, adjoint)
 
 
 def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point]:

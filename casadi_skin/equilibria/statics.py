@@ -52,6 +52,7 @@ class Statics:
 
     model: OdeModel
     given: Mapping[str, float]
+    widening: float = 1.0  # of the steps of differences, for their errors
 
     def __post_init__(self) -> None:
         if self.model.forced:
@@ -134,7 +135,7 @@ class Statics:
         def real(a: Array, b: Array) -> Array:
             if self.exact:
                 return np.array(self._second(x, p, a, b)).ravel()
-            h = SECOND * self._scale(x, a)
+            h = self.widening * SECOND * self._scale(x, a)
             return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
 
         return real(u.real, v.real) - real(u.imag, v.imag) + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
@@ -155,7 +156,7 @@ class Statics:
         """f_xxx a b c, shape (n,)."""
         if self.exact:
             return np.array(self._third(x, p, a, b, c)).ravel()
-        h, k = THIRD * self._scale(x, a), THIRD * self._scale(x, b)
+        h, k = (self.widening * THIRD * self._scale(x, along) for along in (a, b))
         ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
         return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
 

@@ -39,6 +39,31 @@ def test_folds_and_hopf_points_of_an_fmu_are_those_of_its_equations(tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_the_generalized_hopf_point_of_an_fmu_is_that_of_its_equations_within_its_error(tmp_path: Path) -> None:
+    """Higher derivatives are differences of its Jacobian: the error is what steps twice as long change."""
+
+    def rates(x: Any, y: Any, w: Any, mu: Any, b: Any) -> tuple[Any, Any, Any]:
+        s = x**2 + y**2
+        growth, turn = mu + (b - 0.3) * s - s**2 + 0.5 * w, 1 + b
+        return growth * x - turn * y, growth * y + turn * x + 0.2 * x**2, s + 0.4 * x * y - w
+
+    names = ("x", "y", "w", "mu", "b")
+    path = casadi_fmu(tmp_path, "bautin", rates, dict.fromkeys(names[:3], 0.0), {"mu": -0.5, "b": -0.6})
+    x, y, w, mu, b = (ca.SX.sym(name) for name in names)
+    same = OdeModel("bautin", ca.vertcat(x, y, w), ca.vertcat(*rates(x, y, w, mu, b)), ca.vertcat(mu, b))
+    found = []
+    for model in (import_fmu(path, parameters=["mu", "b"]), same):
+        start = find_equilibrium(model, np.zeros(3), parameters={"mu": -0.5, "b": -0.6})
+        (hopf,) = start.follow("mu", 0.5).special_points
+        (point,) = hopf.curve("b", 0.6).special_points
+        assert point.kind == "generalized hopf"
+        found.append(point)
+    mine, exact = found
+    assert abs(mine.parameters["b"] - exact.parameters["b"]) <= mine.error + exact.error < 1e-4
+    assert mine.error > 1e-7  # differences do not have more digits
+
+
+@pytest.mark.slow
 def test_a_fold_of_cycles_of_an_fmu_is_followed(tmp_path: Path) -> None:
     """r' = r (mu + a r^2 - r^4): the fold is along mu = -a^2/4."""
 
