@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import sys
 from collections.abc import Sequence
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
     from casadi_skin.runs.request import Request
 
 OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
+RARELY = (
+    50_000,
+    20,
+    50,
+)  # thresholds of the collector: what a run makes lives to its end, and looking at it took 3 per cent
 ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 
 
@@ -40,8 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
     from casadi_skin.progress import Progress
     from casadi_skin.runs.locking import in_use
 
-    with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
-        return _run_in(directory, existing, request, text, arguments, progress)
+    before = gc.get_threshold()
+    gc.set_threshold(*RARELY)
+    try:
+        with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
+            return _run_in(directory, existing, request, text, arguments, progress)
+    finally:
+        gc.set_threshold(*before)
 
 
 def _run_in(

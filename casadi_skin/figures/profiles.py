@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
 DEEPEST = -290.0  # log10 of sizes that are drawn as they are
+DECADES = 2.0  # that an axis spans whose whole powers of ten are ticks enough: each tick takes half a millisecond
 MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
 
 
@@ -84,7 +85,7 @@ def _draw_profiles(
 
     Sizes that would come near the smallest double are drawn as powers of ten.
     """
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import MaxNLocator, NullLocator
 
     coordinates = family(branch).coordinates
     mode_logs, signs = coordinates.linear_profile
@@ -107,6 +108,9 @@ def _draw_profiles(
             axes.yaxis.set_major_formatter(lambda power, _: rf"$10^{{{power:.0f}}}$")
         else:
             axes.set_yscale("log")
+            powers = np.concatenate([mode_logs, *logs.values()])
+            if np.nanmax(powers) - np.nanmin(powers) > DECADES:
+                axes.yaxis.set_minor_locator(NullLocator())
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
     panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)
     panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
