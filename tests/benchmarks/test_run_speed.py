@@ -41,9 +41,10 @@ def seconds(words: list[str], compiled: Path, repeats: int) -> float:
     [
         ("casadi-skin --help", ["--help"], 400),
         ("casadi-skin spectrum, README's scene", ["spectrum", README], 700),
-        ("casadi-skin check, README's scene", ["check", README], 4000),
-        ("casadi-skin run, README's scene", ["run", README], 26000),
-        ("casadi-skin run, six softening families", ["run", "families_softening.toml"], 70000),
+        ("casadi-skin check, README's scene", ["check", README], 700),
+        ("casadi-skin check --measure, README's scene", ["check", "--measure", README], 4000),
+        ("casadi-skin run, README's scene", ["run", README], 18000),
+        ("casadi-skin run, six softening families", ["run", "families_softening.toml"], 45000),
     ],
 )
 def test_commands(case: str, words: list[str], most: float, record: Record, unit: float, tmp_path: Path) -> None:
