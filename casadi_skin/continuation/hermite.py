@@ -73,7 +73,7 @@ def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Ar
     return interpolant(np.array(places), np.array(values), np.array(slopes))
 
 
-def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float], Array]:
+def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float | Array], Array]:
     """The polynomial of least degree through values and slopes, each (places, m), by divided differences.
 
     Written out, as scipy.interpolate takes a third of a family's time to load.
@@ -89,7 +89,7 @@ def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float]
             table = rise / apart
         coefficients.append(table[0])
 
-    def at(place: float) -> Array:
+    def at(place: float | Array) -> Array:
         height = coefficients[-1]
         for coefficient, node in zip(coefficients[-2::-1], nodes[-2::-1], strict=True):
             height = coefficient + (place - node) * height

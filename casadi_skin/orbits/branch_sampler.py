@@ -13,18 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Problem, SingularError, Solve
+from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.hermite import interpolant
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
+from casadi_skin.orbits.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues import Unresolved
 
 STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
-STEPS = 6  # of Newton's method
-SOLVED = 1e-8  # a step of Newton's method whose square is round-off
 NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
 NEIGHBOURS = 4  # points that an orbit is predicted from
 NEARER = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
@@ -55,17 +54,21 @@ class _Section:
         """Coordinates of its ends."""
         return self.offset, self.offset + float(self.places[-1] - self.places[0])
 
-    def place(self, coordinate: float) -> float:
-        """row . z at a coordinate."""
-        return float(self.places[0]) + (coordinate - self.offset)
+    def at(self, coordinates: Array) -> Array:
+        """row . z at coordinates."""
+        return np.asarray(self.places[0] + (coordinates - self.offset))
 
-    def predicted(self, place: float) -> tuple[Array, float]:
-        """The orbit by Hermite interpolation through the nearest points, and the distance of the two next to it."""
-        right = int(np.clip(np.searchsorted(self.places, place), 1, self.places.size - 1))
-        first = int(np.clip(right - NEIGHBOURS // 2, 0, max(self.places.size - NEIGHBOURS, 0)))
-        chosen = slice(first, first + NEIGHBOURS)
-        curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
-        return curve(place), float(self.places[right] - self.places[right - 1])
+    def predicted(self, places: Array) -> tuple[Array, Array]:
+        """Orbits by Hermite interpolation through the nearest points, and the distances of the two next to each."""
+        right = np.clip(np.searchsorted(self.places, places), 1, self.places.size - 1)
+        firsts = np.clip(right - NEIGHBOURS // 2, 0, max(self.places.size - NEIGHBOURS, 0))
+        found = np.empty((places.size, self.z.shape[1]))
+        for first in np.unique(firsts).tolist():
+            chosen, here = slice(first, first + NEIGHBOURS), firsts == first
+            curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
+            found[here] = curve(places[here, None])
+        found += np.multiply.outer((places - found @ self.row) / (self.row @ self.row), self.row)
+        return found, self.places[right] - self.places[right - 1]
 
     def neighbours(self, place: float) -> tuple[float, float]:
         """The places of the points on either side."""
@@ -92,6 +95,7 @@ class OrbitSampler:
         fraction: of the period that transition matrices are over.
         symplectic: whether transition matrices are.
         S_rate: the relative change of S per that of the free parameter.
+        converged: whether the points and their tangents are accurate enough to predict orbits from.
 
     `coordinates` are those of the points; `unknown` are the stretches between two of which one is not solved again.
     """
@@ -107,11 +111,12 @@ class OrbitSampler:
         fraction: float,
         symplectic: bool = True,
         S_rate: float = 1.0,
+        converged: bool = False,
     ) -> None:
         self.point_solver, self.flow = point_solver, flow
         self.fraction, self.symplectic = fraction, symplectic
         self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
-        self._S_rate = S_rate
+        self._S_rate, self._converged = S_rate, converged
         self.unknown = list[Unresolved]()
         self._sections = self._divided(points)
         places = [section.offset + section.places[1:] - section.places[0] for section in self._sections]
@@ -182,16 +187,22 @@ class OrbitSampler:
         hardest = max(range(len(points)), key=lambda i: (points[i].problem.resolution, i))
         problem = self._fine_enough(points, points[hardest])
         row = self._direction(problem, points)
-        z, slopes = [], []
-        for point in points:
-            solved, solve = self._solved(problem, point.problem.prolong(point.z, problem), row)
-            z.append(solved)
-            slopes.append(solve(np.append(np.zeros(problem.size - 1), 1.0)))
-        places = np.array(z) @ row
+        found = [self._with_slope(problem, point, row) for point in points]
+        z, slopes = (np.array(each) for each in zip(*found, strict=True))
+        places = z @ row
         if not np.all(np.diff(places) > 0.0):
             where = problem.whereabouts(z[0])
             raise OrbitNotFoundError(f"points are not in order near {where}: another branch crosses")
-        return _Section(problem, row, places, np.array(z), np.array(slopes), offset)
+        return _Section(problem, row, places, z, slopes, offset)
+
+    def _with_slope(self, problem: Problem, point: Point, row: Array) -> tuple[Array, Array]:
+        """A point in the unknowns of a problem, and its derivative by row . z."""
+        z, tangent = point.problem.prolong(point.z, problem), point.problem.prolong(point.tangent, problem)
+        along = float(row @ tangent)
+        if self._converged and along >= STEEPEST * np.sqrt(np.sum(self.point_solver.metric(problem, z) * tangent**2)):
+            return z, tangent / along
+        found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, row))
+        return found.z, found.along
 
     def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
         """The problem on the coarsest level that solves the hardest point, or beyond which only rounding is left."""
@@ -199,7 +210,8 @@ class OrbitSampler:
         coarser = problem
         while True:
             row = self._direction(problem, points)
-            solved, solve = self._solved(problem, hardest.problem.prolong(hardest.z, problem), row)
+            guess = hardest.problem.prolong(hardest.z, problem)
+            solved, solve = find_one(self.point_solver, problem, guess, row)
             estimate = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
             error = estimate.relative(problem.frequency(solved))
             finer = self.levels.finer(problem)
@@ -219,46 +231,26 @@ class OrbitSampler:
 
     # Orbits ---------------------------------------------------------------------------------------------------------
 
-    def _solved(self, problem: Problem, guess: Array, row: Array, allowed: float = np.inf) -> tuple[Array, Solve]:
-        """The orbit near a guess that has row . z in common with it, and the solver there, by Newton's method.
-
-        Raises OrbitNotFoundError where there is none within `allowed`, in the metric.
-        """
-        z, value = guess.copy(), float(row @ guess)
-        weights = self.point_solver.metric(problem, guess)
-        try:
-            for _ in range(STEPS):
-                residual, nonzeros = problem.evaluate(z)
-                solve = self.levels.solver(problem).factor(z, nonzeros, row)
-                step = solve(np.append(residual, row @ z - value))
-                z = z - step
-                size = float(np.sqrt(np.sum(weights * step**2)))
-                if size <= SOLVED:
-                    break
-                if not size <= 1.0:
-                    raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
-        except SingularError as error:
-            raise OrbitNotFoundError(str(error)) from error
-        moved = float(np.sqrt(np.sum(weights * (z - guess) ** 2)))
-        if size > SOLVED or moved > allowed:
-            raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
-        return z, solve
-
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates of one section (see `BranchSampler`)."""
         middle = float(np.mean(coordinates))
         number = min(range(len(self._sections)), key=lambda i: _away(self._sections[i], middle))
-        solved = [self._at(number, coordinate) for coordinate in coordinates.tolist()]
         section = self._sections[number]
         problem = section.problem
-        states = [OrbitState(problem, z) for z, _ in solved]
-        responses = np.array([self._response(problem, z, solve) for z, solve in solved])
+        guesses, distances = section.predicted(section.at(coordinates))
+        together = find_all(self.point_solver, problem, guesses, section.row, NEARBY * distances)
+        found = [
+            orbit or self._by_itself(number, coordinate)
+            for orbit, coordinate in zip(together, coordinates.tolist(), strict=True)
+        ]
+        states = [OrbitState(problem, orbit.z) for orbit in found]
+        responses = np.array([self._length(problem, orbit.z, orbit.response) for orbit in found])
         k, worst = len(states) // 2, int(np.argmax(responses))
         if responses[worst] <= UNEVEN * responses[k]:
             worst = k
         for i in {k, worst}:
-            states[i] = self._with_better(problem, *solved[i])
-        transitions = self.flow.transitions(states)
+            states[i] = self._with_better(problem, found[i])
+        transitions = self.flow.transitions(states, alike=True)
         errors = np.stack([flow_error(transition) for transition in transitions]) + _orbit_error(transitions[k])
         if worst != k:
             errors += (responses / responses[worst])[:, None, None] * _orbit_error(transitions[worst])
@@ -270,9 +262,9 @@ class OrbitSampler:
             Omega=np.array([state.Omega for state in states]),
         )
 
-    def _at(self, number: int, coordinate: float) -> tuple[Array, Solve]:
+    def _by_itself(self, number: int, coordinate: float) -> SectionOrbit:
         """The orbit at a coordinate of a section; where it is not found, orbits nearer to the points come first."""
-        place, share, added = self._sections[number].place(coordinate), 1.0, 0
+        place, share, added = float(self._sections[number].at(np.array(coordinate))), 1.0, 0
         while True:
             try:
                 return self._predicted_orbit(self._sections[number], place)
@@ -284,23 +276,21 @@ class OrbitSampler:
             before, after = self._sections[number].neighbours(place)
             for target in (before + share * (place - before), after - share * (after - place)):
                 try:
-                    z, solve = self._predicted_orbit(self._sections[number], target)
+                    orbit = self._predicted_orbit(self._sections[number], target)
                 except OrbitNotFoundError:
                     continue
-                slope = solve(np.append(np.zeros(z.size - 1), 1.0))
-                self._sections[number] = self._sections[number].denser(target, z, slope)
+                self._sections[number] = self._sections[number].denser(target, orbit.z, orbit.along)
                 share, added = 1.0, added + 1
 
-    def _predicted_orbit(self, section: _Section, place: float) -> tuple[Array, Solve]:
+    def _predicted_orbit(self, section: _Section, place: float) -> SectionOrbit:
         """The orbit at a place of a section near where its points predict it."""
-        guess, distance = section.predicted(place)
-        guess += (place - section.row @ guess) * section.row / (section.row @ section.row)
-        return self._solved(section.problem, guess, section.row, NEARBY * distance)
+        (guess,), (distance,) = section.predicted(np.array([place]))
+        solved = find_one(self.point_solver, section.problem, guess, section.row, NEARBY * float(distance))
+        return SectionOrbit.of(section.problem, *solved)
 
-    def _response(self, problem: Problem, z: Array, solve: Solve) -> float:
-        """Response of an orbit to residuals of size 1, in the metric."""
-        moved = solve(np.append(problem.probe, 0.0))
-        return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * moved**2)))
+    def _length(self, problem: Problem, z: Array, change: Array) -> float:
+        """Length of a change of an orbit, in the metric."""
+        return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * change**2)))
 
     def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
         """Vectors that span the trivial direction: q'' at phase zero, or the rate of positions there along the branch.
@@ -322,13 +312,14 @@ class OrbitSampler:
     def amplitude(self, coordinate: float) -> float:
         """S near a coordinate, between the points of the branch."""
         section = min(self._sections, key=lambda section: _away(section, coordinate))
-        z, _ = section.predicted(section.place(coordinate))
+        (z,), _ = section.predicted(section.at(np.array([coordinate])))
         return self._amplitude(float(z[section.problem.parameter_index]))
 
-    def _with_better(self, problem: Problem, z: Array, solve: Solve) -> OrbitState:
+    def _with_better(self, problem: Problem, orbit: SectionOrbit) -> OrbitState:
         """An orbit with a better one, whose difference shows the error that orbits of the section make."""
-        better = self.levels.refined(problem, z, self.point_solver.tangent(problem, z, solve))[1]
-        return OrbitState(problem, z, None if better is None else OrbitState(better.problem, better.z))
+        tangent = orbit.along / self._length(problem, orbit.z, orbit.along)
+        better = self.levels.refined(problem, orbit.z, tangent)[1]
+        return OrbitState(problem, orbit.z, None if better is None else OrbitState(better.problem, better.z))
 
 
 def _away(section: _Section, coordinate: float) -> float:

@@ -19,6 +19,7 @@ from casadi_skin.threads import one_thread
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force
+ACCURATE = 1e-7  # tolerance of points that orbits between them are predicted from as they are
 ROUNDS = 3  # of looking, each with orbits added where some were not found
 FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
 
@@ -44,7 +45,7 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
         for _ in range(ROUNDS):
-            sampler = _sampler(family, points, flow_tolerance)
+            sampler = _sampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE)
             diagram = find_changes(sampler, others if oscillate else None)
             lost = sampler.lost_between([(u.coordinate_start, u.coordinate_end) for u in diagram.unresolved])
             more = with_what_lies_between(family.point_solver, points, lost) if lost.any() else points
@@ -65,13 +66,13 @@ def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:
     Raises OrbitNotFoundError where these are no orbits.
     """
     with one_thread():
-        sampler = _sampler(family, points, FLOW_TOLERANCE)
+        sampler = _sampler(family, points, FLOW_TOLERANCE, False)
         if sampler.unknown:
             raise OrbitNotFoundError(sampler.unknown[0].reason)
         return find_changes(sampler, short=True)
 
 
-def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float) -> OrbitSampler:
+def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float, converged: bool) -> OrbitSampler:
     """Orbits and transition matrices anywhere between points of a family."""
     whole = family.whole
     request = replace(whole.request, tolerance=flow_tolerance)
@@ -85,4 +86,5 @@ def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float) -> 
         whole.symmetry.value,
         whole.coordinates.symplectic,
         whole.coordinates.S_rate,
+        converged,
     )

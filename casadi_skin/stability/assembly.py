@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from casadi_skin.bvp.problem import Array
+from casadi_skin.stability.decoupling import Indices
 from casadi_skin.stability.interpolation import Gap, Piece
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.rotation import Tracks
-from casadi_skin.stability.small_blocks import Edge, Segment
+from casadi_skin.stability.small_blocks import Block, Edge, Segment
 from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
 
 SAME = 0.05  # distance of two mu at the end of an interval that may be one
@@ -89,16 +93,18 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
     dropped: set[int] = set()
     added: dict[int, Edge] = {}
     gaps: list[Gap] = []
-    for coordinate, lefts, rights in _boundaries(order):
+    boundaries = list(_boundaries(order))
+    mu = _unstable_mu(order, boundaries)
+    for coordinate, lefts, rights in boundaries:
         loose_lefts = [i for i in lefts if order[i].end_edge is None]
         loose_rights = [i for i in rights if order[i].start_edge is None]
-        pairs = _match(order, coordinate, loose_lefts, loose_rights)
+        pairs = _match(mu, coordinate, loose_lefts, loose_rights)
         for i, j in pairs:
             union.join(i, j)
         matched = {i for pair in pairs for i in pair}
         for i in (i for i in (*loose_lefts, *loose_rights) if i not in matched and coordinate not in ends):
             others = [k for k in (rights if i in loose_lefts else lefts) if k not in (*loose_lefts, *loose_rights)]
-            twins = _match(order, coordinate, [i], others)
+            twins = _match(mu, coordinate, [i], others)
             if twins:  # the other side sees the edge at their common end
                 twin = twins[0][1]
                 union.join(i, twin)
@@ -137,20 +143,47 @@ def _boundaries(order: Sequence[Segment]) -> Iterator[tuple[float, list[int], li
         yield coordinate, lefts.get(coordinate, []), rights.get(coordinate, [])
 
 
+def _unstable_mu(
+    order: Sequence[Segment], boundaries: Sequence[tuple[float, list[int], list[int]]]
+) -> dict[tuple[int, float], ComplexArray]:
+    """The unstable mu of segments at these ends of their intervals, by number and coordinate."""
+    wanted = [(i, place) for place, lefts, rights in boundaries if lefts and rights for i in (*lefts, *rights)]
+    if not wanted:
+        return {}
+    blocks, places = [order[i].block for i, _ in wanted], np.array([[place] for _, place in wanted])
+    mu = _together(blocks, places, lambda cls, those, at: list(cls.mu_together(those, at)[:, 0]))
+    return {(i, place): order[i].unstable(values) for (i, place), values in zip(wanted, mu, strict=True)}
+
+
 def _match(
-    order: Sequence[Segment], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
+    mu: Mapping[tuple[int, float], ComplexArray], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
 ) -> list[tuple[int, int]]:
     """Segments with the same unstable mu at a coordinate."""
-    if not (lefts and rights):
-        return []
-    mu = {i: order[i].block.unstable_mu(order[i], coordinate) for i in (*lefts, *rights)}
     pairs = []
-    for i in lefts:
-        for value in mu[i]:
-            distance, nearest = min((float(np.min(np.abs(mu[j] - value))), j) for j in rights)
+    for i in lefts if rights else ():
+        for value in mu[i, coordinate]:
+            distance, nearest = min((float(np.min(np.abs(mu[j, coordinate] - value))), j) for j in rights)
             if distance <= SAME:
                 pairs.append((i, nearest))
     return pairs
+
+
+Evaluated = TypeVar("Evaluated")
+
+
+def _together(
+    blocks: Sequence[Block],
+    coordinates: Array,
+    evaluate: Callable[[type[Block], Sequence[Block], Array], Iterable[Evaluated]],
+) -> list[Evaluated]:
+    """What is evaluated of each block at coordinates, (blocks, points), of those that are alike together."""
+    kinds: dict[tuple[type[Block], Hashable], list[int]] = defaultdict(list)
+    for i, block in enumerate(blocks):
+        kinds[type(block), block.alike].append(i)
+    found: dict[int, Evaluated] = {}
+    for (kind, _), those in kinds.items():
+        found |= zip(those, evaluate(kind, [blocks[i] for i in those], coordinates[those]), strict=True)
+    return [found[i] for i in range(len(blocks))]
 
 
 # Tongues ------------------------------------------------------------------------------------------------------------
@@ -160,7 +193,7 @@ def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tra
     """The result that each group of segments is."""
     if not groups:
         return []
-    growths, deepest = np.array([depth(group.segments) for group in groups]).T
+    growths, deepest = depths(groups)
     nothing = np.zeros(len(groups))
     starts = places(pieces, np.array([g.start for g in groups]), np.array([_error(g.first_edge) for g in groups]))
     ends = places(pieces, np.array([g.end for g in groups]), np.array([_error(g.last_edge) for g in groups]))
@@ -200,24 +233,34 @@ def _meeting(group: Group, tracks: Tracks | None) -> tuple[int, int, int] | None
     return None
 
 
-def depth(segments: Sequence[Segment]) -> tuple[float, float]:
-    """Largest log |lambda(M)| on segments, and the coordinate of it."""
-    widest = max(segment.end - segment.start for segment in segments)
-    deepest, step = max(_deepest(segment, segment.start, segment.end) for segment in segments), widest / (SAMPLES - 1)
-    for _ in range(ZOOMS):
-        low, high = deepest[1] - step, deepest[1] + step
-        near = [segment for segment in segments if segment.start <= high and segment.end >= low]
-        found = [_deepest(segment, max(low, segment.start), min(high, segment.end)) for segment in near]
-        deepest, step = max(deepest, *found), 2.0 * step / (SAMPLES - 1)
-    return max(deepest[0], 0.0), deepest[1]
+def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
+    """Largest log |lambda(M)| on each group of segments, and the coordinates of it."""
+    segments = [segment for group in groups for segment in group.segments]
+    owners = np.repeat(np.arange(len(groups)), [len(group.segments) for group in groups])
+    starts, ends = (np.array([getattr(segment, name) for segment in segments]) for name in ("start", "end"))
+    steps, deepest = np.zeros(len(groups)), (np.full(len(groups), -np.inf), np.zeros(len(groups)))
+    np.maximum.at(steps, owners, ends - starts)
+    near, low, high = np.arange(len(segments)), starts, ends
+    for zoom in range(ZOOMS + 1):
+        at = np.linspace(low[near], high[near], SAMPLES, axis=1)
+        blocks = [segments[i].block for i in near.tolist()]
+        growth = np.array(_together(blocks, at, lambda cls, those, places: cls.growths_together(those, places)))
+        k = np.argmax(growth, axis=1)[:, None]
+        found, where = (np.take_along_axis(each, k, 1)[:, 0] for each in (growth, at))
+        deepest = _largest(owners[near], found, where, *deepest)
+        steps *= (2.0 if zoom else 1.0) / (SAMPLES - 1)
+        low, high = np.maximum(starts, (deepest[1] - steps)[owners]), np.minimum(ends, (deepest[1] + steps)[owners])
+        near = np.flatnonzero(low <= high)
+    return np.maximum(deepest[0], 0.0), deepest[1]
 
 
-def _deepest(segment: Segment, start: float, end: float) -> tuple[float, float]:
-    """Largest log |lambda(M)| at samples of a stretch, and the coordinate of it."""
-    at = np.linspace(start, end, SAMPLES)
-    growth = segment.block.growth(at)
-    k = int(np.argmax(growth))
-    return float(growth[k]), float(at[k])
+def _largest(owners: Indices, values: Array, places: Array, before: Array, where: Array) -> tuple[Array, Array]:
+    """The largest value of each owner, of these and the one before, and its place."""
+    every = np.concatenate([np.arange(before.size), owners])
+    values, places = np.concatenate([before, values]), np.concatenate([where, places])
+    order = np.lexsort((places, values, every))
+    last = order[np.append(np.diff(every[order]) > 0, True)]
+    return values[last], places[last]
 
 
 # Changes ------------------------------------------------------------------------------------------------------------

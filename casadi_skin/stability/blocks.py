@@ -10,6 +10,7 @@ happen: for mu that may meet others, that come near -1 or 0, or that are outside
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,25 +60,32 @@ class Blocks:
         """K, P and Q, or K alone, on the columns: (intervals, J, 3 or 1, m, m) -> (intervals, J, 3 or 1, c, c)."""
         return _parts(matrices, self.right, self.left)
 
-    def finer(self, i: int, chosen: Indices, matrices: Array) -> tuple[Numbers, Numbers, Numbers] | None:
-        """Chosen columns of one interval anew, from the matrices at the nodes of a higher degree.
+    def members(self) -> Iterator[tuple[Indices, Indices]]:
+        """Blocks by their numbers of mu, where `done`: their intervals (b,) and the places of columns, (b, m)."""
+        i, places = np.nonzero((self.columns >= 0) & self.done[:, None])
+        blocks = i * self.labels.shape[1] + self.labels[i, self.columns[i, places]]
+        order = np.argsort(blocks, kind="stable")
+        _, firsts, counts = np.unique(blocks[order], return_index=True, return_counts=True)
+        for count in np.unique(counts).tolist():
+            those = order[firsts[counts == count][:, None] + np.arange(count)]
+            yield i[those[:, 0]], places[those]
+
+    def finer(self, chosen: Indices, columns: Indices, matrices: Array) -> tuple[Numbers, Booleans]:
+        """Some columns of some intervals anew, from the matrices at the nodes of a higher degree.
 
         Arguments:
-            i: number of the interval.
-            chosen: mu of whole blocks, shape (c,).
-            matrices: shape (J, 3 or 1, m, m).
+            chosen: numbers of the intervals.
+            columns: mu of whole blocks, shape (intervals, c), -1 behind them.
+            matrices: shape (intervals, J, 3 or 1, m, m).
 
         Returns:
-            Their parts (J, 3 or 1, c, c) and bases; None where these are not found.
+            Their parts (intervals, J, 3 or 1, c, c), and for which intervals these are found.
         """
-        same = self.labels[i][:, None] == self.labels[i]
-        K = self.inverse[i] @ matrices[:, 0] @ self.basis[i]
-        where = chosen[None], self.near[i][None], self.basis[i][None], self.inverse[i][None]
-        right, left, fine = decoupled(K[None], same[None], *where, matrices[None])
-        if not fine[0]:
-            return None
-        right, left = _scaled(right, left)
-        return _parts(matrices[None], right, left)[0], right[0], left[0]
+        labels = self.labels[chosen]
+        same, basis, inverse = labels[:, :, None] == labels[:, None, :], self.basis[chosen], self.inverse[chosen]
+        K = inverse[:, None] @ matrices[:, :, 0] @ basis[:, None]
+        right, left, fine = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices)
+        return _parts(matrices, *_scaled(right, left)), fine
 
 
 def _parts(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
@@ -110,7 +118,8 @@ def blocks_of(matrices: Array) -> list[tuple[Indices, Blocks]]:
     for chosen in (np.flatnonzero(real.all(axis=1)), np.flatnonzero(~real.all(axis=1))):
         if chosen.size:
             basis = vectors[chosen].real if real[chosen[0]].all() else vectors[chosen]
-            found.append((chosen, _blocks(matrices[chosen], mu[chosen], basis.copy(), real[chosen])))
+            those = matrices if chosen.size == len(matrices) else matrices[chosen]
+            found.append((chosen, _blocks(those, mu[chosen], basis.copy(), real[chosen])))
     return found
 
 
@@ -137,7 +146,7 @@ def _blocks(matrices: Array, mu: ComplexArray, vectors: Numbers, real: Booleans)
     right = np.zeros((*K.shape[:3], columns.shape[1]), dtype=K.dtype)
     left = right.swapaxes(2, 3).copy()
     if fine.any():
-        i = np.flatnonzero(fine)
+        i = slice(None) if fine.all() else np.flatnonzero(fine)
         right[i], left[i], fine[i] = decoupled(K[i], same[i], columns[i], near[i], vectors[i], inverse[i], matrices[i])
     right[~fine], left[~fine] = 0.0, 0.0
     right, left = _scaled(right, left)

@@ -80,8 +80,13 @@ def excludes_zero(coefficients: Array, margin: float = 1.0) -> NDArray[np.bool_]
     return np.asarray(margin * np.abs(coefficients[0]) > np.sum(np.abs(coefficients[1:]), axis=0))
 
 
-def real_zeros(coefficients: Array) -> list[tuple[Array, Array]]:
-    """Zeros in [-1, 1] of each of several functions, and where they come near zero without a change of sign.
+def value(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
+    """Values at places x, each of the function numbered `of`; coefficients (degree + 1, functions)."""
+    return np.asarray(np.sum(basis(x, len(coefficients) - 1) * coefficients.T[of], axis=1))
+
+
+def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """Zeros in [-1, 1] of several functions, and where they come near zero without a change of sign.
 
     The second are real parts of conjugate zeros next to the real axis. Eigenvalues of the colleague matrix (Good 1961),
     all of one size at a time.
@@ -90,20 +95,25 @@ def real_zeros(coefficients: Array) -> list[tuple[Array, Array]]:
         coefficients: shape (degree + 1, functions).
 
     Returns:
-        For each function both lists of places in ascending order.
+        The function of each place, the places, and whether it changes its sign there.
     """
     sizes = np.abs(coefficients)
     significant = sizes > NEGLIGIBLE * np.max(sizes, axis=0)
     degrees = np.max(np.arange(len(sizes))[:, None] * significant, axis=0, initial=0)
-    found: list[tuple[Array, Array]] = [(np.empty(0), np.empty(0))] * sizes.shape[1]
+    owners, places = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=complex)]
     for degree in np.unique(degrees[degrees > 0]).tolist():
         chosen = np.flatnonzero(degrees == degree)
         values = np.linalg.eigvals(_colleagues(coefficients[: degree + 1, chosen]))
-        for row, k in zip(values, chosen.tolist(), strict=True):
-            near_axis = row[(np.abs(row.imag) <= NEARLY_REAL) & (np.abs(row.real) <= 1.0 + NEARLY_REAL)]
-            if near_axis.size:
-                found[k] = _sorted_out(coefficients[:, k], np.asarray(near_axis, dtype=complex))
-    return found
+        near_axis = (np.abs(values.imag) <= NEARLY_REAL) & (np.abs(values.real) <= 1.0 + NEARLY_REAL)
+        owners.append(chosen[np.nonzero(near_axis)[0]])
+        places.append(values[near_axis].astype(complex))
+    of, zeros = np.concatenate(owners), np.concatenate(places)
+    kept = zeros.imag >= 0.0
+    of, zeros = of[kept], zeros[kept]
+    crosses, x = zeros.imag == 0.0, zeros.real
+    x[crosses] = _polished(coefficients, of[crosses], x[crosses])
+    inside = ~crosses | (np.abs(x) <= 1.0 + SLACK)
+    return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
 
 
 def _colleagues(coefficients: Array) -> Array:
@@ -120,17 +130,13 @@ def _colleagues(coefficients: Array) -> Array:
     return matrices
 
 
-def _sorted_out(coefficients: Array, zeros: NDArray[np.complex128]) -> tuple[Array, Array]:
-    """Real zeros after a few steps of Newton's method, and real parts of the others, each sorted."""
-    near = np.sort(np.clip(zeros.real[zeros.imag > 0.0], -1.0, 1.0))
-    x = zeros.real[zeros.imag == 0.0]
-    degree = len(coefficients) - 1
-    slope = derivative(degree) @ coefficients
+def _polished(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
+    """Zeros after a few steps of Newton's method, each of the function numbered `of`."""
+    slopes = derivative(len(coefficients) - 1) @ coefficients
     step = np.full(x.shape, np.inf)
     for _ in range(POLISHING if x.size else 0):
-        powers = basis(x, degree)
-        value, change = powers @ coefficients, powers @ slope
-        new = np.divide(value, change, out=np.zeros_like(value), where=change != 0.0)
+        here, change = value(coefficients, of, x), value(slopes, of, x)
+        new = np.divide(here, change, out=np.zeros_like(here), where=change != 0.0)
         new = np.where(np.abs(new) < np.abs(step), new, 0.0)
         x, step = x - new, new
-    return np.sort(np.clip(x[np.abs(x) <= 1.0 + SLACK], -1.0, 1.0)), near
+    return x

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,12 +16,19 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.blocks import Blocks, blocks_of, comes_apart
-from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Indices
+from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Booleans, Indices, Numbers
 from casadi_skin.stability.interpolation import FAILURES, Gap, MatrixSeries, in_words
 from casadi_skin.stability.pairs import PairBlock, Pairs
 from casadi_skin.stability.rotation import Spectrum
-from casadi_skin.stability.small_blocks import Block, ComplexBlock, Segment, SingleBlock
-from casadi_skin.stability.zeros import Function
+from casadi_skin.stability.small_blocks import (
+    Block,
+    ComplexBlock,
+    Segment,
+    SingleBlock,
+    find_segments,
+    is_coarse,
+    single_functions,
+)
 
 SHORTEST = 1e-9  # of the series that an interval belongs to: a shorter one is given up
 ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
@@ -86,29 +93,36 @@ class Crossings:
 
 
 def find_crossings(
-    series: MatrixSeries, found: Crossings, work: float = np.inf, progress: Callable[[float], None] | None = None
+    series: Sequence[MatrixSeries],
+    found: Crossings,
+    work: float = np.inf,
+    progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Every instability along a series of matrices.
+    """Every instability along series of matrices of one size.
 
     Arguments:
-        series: matrices on an interval.
+        series: matrices on intervals, from small coordinates on.
         found: gets unstable segments with their edges; gaps where they are not found.
         work: `found.work` from which on nothing more is looked at; what remains are gaps.
         progress: called with the coordinate up to which everything is looked at.
     """
-    if not series.size:
-        return
-    waiting = _first(series, found)
+    waiting = [interval for each in series if each.size for interval in _first(each, found)]
+    known: list[Block] = []
     while waiting:
         if found.work >= work:
             found.gaps += [Gap(interval.start, interval.end, NOT_LOOKED_AT) for interval in waiting]
             break
         sums = np.cumsum([float(interval.series.size) ** 3 for interval in waiting])
         count = int(np.searchsorted(sums, BATCH_WORK)) + 1
-        halves = _generation(waiting[:count], found, series.size)
+        halves = _generation(waiting[:count], found, series[0].size, known)
         waiting = sorted([*halves, *waiting[count:]], key=lambda interval: interval.start)
         if progress is not None:
-            progress(waiting[0].start if waiting else series.end)
+            progress(waiting[0].start if waiting else series[-1].end)
+    find_segments(known)
+    for block in known:
+        found.segments += block.segments
+        if isinstance(block, PairBlock) and block.definite:
+            found.passages += block.meetings_without_instability()
 
 
 def _first(series: MatrixSeries, found: Crossings) -> list[Interval]:
@@ -143,11 +157,15 @@ class _Part:
     larger: list[Interval] = field(default_factory=list)
 
 
-def _generation(intervals: Sequence[Interval], found: Crossings, whole: int) -> list[Interval]:
-    """Look at intervals; returns their halves, or those of blocks in them, that are still to be looked at."""
+def _generation(intervals: Sequence[Interval], found: Crossings, whole: int, known: list[Block]) -> list[Interval]:
+    """Look at intervals; returns their halves, or those of blocks in them, that are still to be looked at.
+
+    The blocks of the others are added to those that are `known`.
+    """
     parts = [part for batch in _batches(intervals) for part in _looked_at(batch, found, whole)]
     _finish_pairs(parts)
-    Function.find_zeros([f for part in parts if not part.too_long for block in part.blocks for f in block.functions])
+    longer = [part for part in parts if not part.too_long and not part.interval.is_shortest]
+    find_segments([block for part in longer for block in part.blocks if block.is_coarse])
     waiting: list[Interval] = []
     for part in parts:
         if part.too_long and part.interval.is_shortest:
@@ -157,10 +175,7 @@ def _generation(intervals: Sequence[Interval], found: Crossings, whole: int) -> 
             waiting += part.interval.halves
         else:
             waiting += part.larger
-            for block in part.blocks:
-                found.segments += block.segments
-                if isinstance(block, PairBlock) and block.definite:
-                    found.passages += block.meetings_without_instability()
+            known += part.blocks
     return waiting
 
 
@@ -192,84 +207,164 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
     """Blocks of intervals of one size."""
     size = batch[0].series.size
     found.intervals[size] = found.intervals.get(size, 0) + len(batch)
-    matrices = np.stack([interval.series.at(interval.places) for interval in batch])
+    matrices, errors = _at_nodes(batch)
     for chosen, blocks in blocks_of(matrices):
         intervals = [batch[k] for k in chosen.tolist()]
+        those, changes = (matrices, errors) if chosen.size == len(batch) else (matrices[chosen], errors[chosen])
         if size == whole:
-            found.spectra += _spectra(intervals, matrices[chosen], blocks)
-        errors = np.stack([interval.series.errors_at(interval.places) for interval in intervals])
-        parts, changes = blocks.parts(matrices[chosen]), blocks.parts(errors)
-        x, y = np.linalg.norm(blocks.right, axis=2), np.linalg.norm(blocks.left, axis=3)
-        lengths = np.max(x, axis=1), np.max(y, axis=1)
-        for i, interval in enumerate(intervals):
-            part = _Part(interval, not blocks.done[i])
-            if blocks.done[i]:
-                _sort(part, blocks, i, parts[i], changes[i], (lengths[0][i], lengths[1][i]))
-            yield part
+            found.spectra += _spectra(intervals, those, blocks)
+        parts = [_Part(interval, not done) for interval, done in zip(intervals, blocks.done.tolist(), strict=True)]
+        _sort(parts, blocks, those, changes)
+        yield from parts
 
 
-def _sort(part: _Part, blocks: Blocks, i: int, parts: Array, changes: Array, lengths: tuple[Array, Array]) -> None:
-    """Put the blocks of an interval where they belong."""
-    interval, columns = part.interval, blocks.columns[i]
-    labels = np.where(columns >= 0, blocks.labels[i][columns], -1)
-    rough = []
-    for label in np.unique(labels[labels >= 0]).tolist():
-        members = np.flatnonzero(labels == label)
-        k = parts[:, :, members[:, None], members]
-        change = changes[:, :, members[:, None], members]
-        tails = _tails(k)
-        x, y = (float(np.linalg.norm(length[members])) for length in lengths)
-        noise = interval.series.noise * np.array([x * y, x * x, y * y])[: interval.series.noise.size]
-        if not blocks.real[i, columns[members]].all():
-            part.blocks.append(ComplexBlock(interval.start, interval.end, k, np.abs(change), noise, tails))
+def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
+    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
+    same: dict[int, list[int]] = defaultdict(list)
+    for i, interval in enumerate(batch):
+        same[id(interval.series)].append(i)
+    first = batch[0].series.coefficients
+    matrices = np.empty((len(batch), DEGREE + 1, *first.shape[1:]))
+    errors = np.empty_like(matrices)
+    for numbers in same.values():
+        series, shape = batch[numbers[0]].series, (len(numbers), *matrices.shape[1:])
+        places = np.concatenate([batch[i].places for i in numbers])
+        matrices[numbers], errors[numbers] = series.at(places).reshape(shape), series.errors_at(places).reshape(shape)
+    return matrices, errors
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """Matrices of several blocks of one number of mu, with what bounds their errors: see `Block`.
+
+    `owners` are the numbers of their intervals, `members` (blocks, m) the places of their mu among the columns.
+    """
+
+    owners: Indices
+    members: Indices
+    k: Numbers
+    changes: Numbers
+    noise: Array
+    tails: Array
+
+    def of(self, chosen: Booleans) -> _Matrices:
+        """Those of some blocks."""
+        if chosen.all():
+            return self
+        return _Matrices(*(getattr(self, each.name)[chosen] for each in fields(self)))
+
+    @property
+    def real(self) -> _Matrices:
+        """The same as real matrices."""
+        return replace(self, k=self.k.real, changes=self.changes.real)
+
+    @property
+    def rough(self) -> Booleans:
+        """Which have series that leave out too much."""
+        return _are_rough(self.k, self.tails)
+
+    def __iter__(self) -> Iterator[tuple[int, Indices, Numbers, Numbers, Array, Array]]:
+        owners = self.owners.tolist()
+        return zip(owners, self.members, self.k, self.changes, self.noise, self.tails, strict=True)
+
+
+def _sort(parts: Sequence[_Part], blocks: Blocks, matrices: Array, errors: Array) -> None:
+    """Put the blocks of intervals where they belong."""
+    rough: list[_Matrices] = []
+    for found, real in _by_size(parts, blocks, matrices, errors):
+        for i, _, k, changes, noise, tails in found.of(~real):
+            start, end = parts[i].interval.start, parts[i].interval.end
+            parts[i].blocks.append(ComplexBlock(start, end, k, np.abs(changes), noise, tails))
+        those = found.of(real).real
+        if not those.owners.size:
             continue
-        k, change = k.real, change.real
-        if members.size == 1:
-            block = SingleBlock(interval.start, interval.end, k, change, noise, tails)
-            if block.is_quiet:
-                continue
-            if block.is_coarse and _is_rough(k, tails) and not interval.is_shortest:
-                rough.append((members, change, noise))
+        shortest = np.array([part.interval.is_shortest for part in parts])[those.owners]
+        if those.members.shape[1] == 1:
+            rough.append(_singles(parts, those, shortest))
+            continue
+        if those.members.shape[1] > 2:
+            open_ones = ~are_definite(those.k)
+            those, shortest = those.of(open_ones), shortest[open_ones]
+        again = those.rough & ~shortest
+        rough.append(those.of(again))
+        for i, _, k, changes, noise, tails in those.of(~again):
+            if len(k[0, 0]) == 2:
+                parts[i].pairs.append((k, changes, noise, tails))
             else:
-                part.blocks.append(block)
-        elif members.size > 2 and is_definite(k):
-            pass
-        elif _is_rough(k, tails) and not interval.is_shortest:
-            rough.append((members, change, noise))
-        elif members.size == 2:
-            part.pairs.append((k, change, noise, tails))
-        else:
-            part.larger += _halves_of_block(interval, k, change, noise + tails)
-    if rough:
-        _refine(part, blocks, i, rough)
+                parts[i].larger += _halves_of_block(parts[i].interval, k, changes, noise + tails)
+    entries = [entry for each in rough for entry in each]
+    if entries:
+        _refine(parts, blocks, entries)
 
 
-def _refine(part: _Part, blocks: Blocks, i: int, rough: Sequence[tuple[Indices, Array, Array]]) -> None:
-    """Give series of a higher degree to some blocks of an interval, whose halves are then looked at on their own."""
-    interval = part.interval
-    members = np.concatenate([each for each, *_ in rough])
-    found = blocks.finer(i, blocks.columns[i][members], interval.series.at(interval.nodes(FINE)))
-    first = 0
-    for each, change, noise in rough:
-        inside = slice(first, first + each.size)
-        first += each.size
-        if found is not None:
-            k = found[0][:, :, inside, inside].real
-            tails = _tails(k)
-        if found is None or _is_rough(k, tails):
-            part.too_long = True
-            return
-        part.larger += _halves_of_block(interval, k, change, noise + tails)
+def _by_size(
+    parts: Sequence[_Part], blocks: Blocks, matrices: Array, errors: Array
+) -> Iterator[tuple[_Matrices, Booleans]]:
+    """The matrices of all blocks, by their numbers of mu, and which have real ones."""
+    values, changes = blocks.parts(matrices), blocks.parts(errors)
+    x = np.max(np.linalg.norm(blocks.right, axis=2), axis=1) ** 2
+    y = np.max(np.linalg.norm(blocks.left, axis=3), axis=1) ** 2
+    noise = np.stack([part.interval.series.noise for part in parts])
+    for i, members in blocks.members():
+        places = i[:, None, None], slice(None), slice(None), members[:, :, None], members[:, None, :]
+        k, change = (each[places].transpose(0, 3, 4, 1, 2) for each in (values, changes))
+        right, left = (np.sum(squares[i[:, None], members], axis=1) for squares in (x, y))
+        scales = np.stack([np.sqrt(right * left), right, left], axis=1)[:, : noise.shape[1]]
+        real = np.all(blocks.real[i[:, None], blocks.columns[i[:, None], members]], axis=1)
+        yield _Matrices(i, members, k, change, noise[i] * scales, _tails(k)), np.asarray(real)
 
 
-def _tails(k: Array) -> Array:
-    """Norms of what the series of the matrices of a block leave out, (J, 3 or 1, c, c) -> (3 or 1,)."""
-    coefficients = np.tensordot(chebyshev.transform(len(k) - 1), k, 1)
-    return np.asarray(np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2))))
+def _singles(parts: Sequence[_Part], those: _Matrices, shortest: Booleans) -> _Matrices:
+    """Make blocks of one mu, but for those that are stable on their whole intervals; those that need finer series."""
+    coefficients = np.tensordot(chebyshev.transform(DEGREE), those.k[..., 0, 0], (1, 1)).swapaxes(0, 1)
+    functions = single_functions(coefficients, those.changes[..., 0, 0], those.noise + those.tails)
+    loud = np.array([not (f.excludes_zero and g.excludes_zero and f(0.0) * g(0.0) <= 0.0) for f, g in functions])
+    again = loud & is_coarse(those.changes, those.noise, those.tails) & those.rough & ~shortest
+    kept = np.flatnonzero(loud & ~again)
+    for n in kept.tolist():
+        part = parts[int(those.owners[n])]
+        matrices = those.k[n], those.changes[n], those.noise[n], those.tails[n]
+        part.blocks.append(SingleBlock(part.interval.start, part.interval.end, *matrices, functions[n]))
+    return those.of(again)
 
 
-def _is_rough(k: Array, tails: Array) -> bool:
-    return bool(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(0, 2, 3))))
+def _refine(
+    parts: Sequence[_Part], blocks: Blocks, rough: Sequence[tuple[int, Indices, Numbers, Numbers, Array, Array]]
+) -> None:
+    """Give series of a higher degree to some blocks of intervals, whose halves are then looked at on their own."""
+    by_owner: dict[int, list[tuple[int, Indices, Numbers, Numbers, Array, Array]]] = defaultdict(list)
+    for entry in rough:
+        by_owner[entry[0]].append(entry)
+    numbers = np.array(sorted(by_owner))
+    counts = [sum(entry[1].size for entry in by_owner[i]) for i in numbers.tolist()]
+    columns = np.full((numbers.size, max(counts)), -1, dtype=np.int64)
+    for n, i in enumerate(numbers.tolist()):
+        columns[n, : counts[n]] = blocks.columns[i][np.concatenate([entry[1] for entry in by_owner[i]])]
+    matrices = np.stack([parts[i].interval.series.at(parts[i].interval.nodes(FINE)) for i in numbers.tolist()])
+    found, fine = blocks.finer(numbers, columns, matrices)
+    for n, i in enumerate(numbers.tolist()):
+        part, first = parts[i], 0
+        part.too_long = not fine[n]
+        for _, members, _, changes, noise, _ in by_owner[i]:
+            inside = slice(first, first + members.size)
+            first += members.size
+            k = found[n][:, :, inside, inside].real
+            tails = _tails(k[None])
+            part.too_long = part.too_long or bool(_are_rough(k[None], tails)[0])
+            if part.too_long:
+                break
+            part.larger += _halves_of_block(part.interval, k, changes, noise + tails[0])
+
+
+def _tails(k: Numbers) -> Array:
+    """Norms of what the series of the matrices of blocks leave out, (blocks, J, 3 or 1, m, m) -> (blocks, 3 or 1)."""
+    last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL :]
+    left_out = np.sum(np.abs(np.tensordot(last, k, (1, 1))), axis=0)
+    return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
+
+
+def _are_rough(k: Numbers, tails: Array) -> Booleans:
+    return np.asarray(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
 
 
 def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) -> tuple[Interval, Interval]:
@@ -310,19 +405,22 @@ def _spectra(batch: Sequence[Interval], matrices: Array, blocks: Blocks) -> Iter
         yield Spectrum(interval.start + half, mu[i], blocks.rates[i].astype(complex) / half, signatures[i])
 
 
-def is_definite(parts: Array) -> bool:
-    """Whether P and Q are definite, of opposite signs, on all of a block's interval: then its mu stay in (-1, 0)."""
-    if parts.shape[1] == 1:
-        return False
-    coefficients = np.tensordot(chebyshev.transform(DEGREE), parts, 1)
-    signs = []
-    for form in (coefficients[:, 1], coefficients[:, 2]):
-        values, vectors = np.linalg.eigh(0.5 * (form[0] + form[0].T))
-        if np.min(values) * np.max(values) <= 0.0:
-            return False
-        scale = vectors / np.sqrt(np.abs(values))
-        rest = scale.T @ form[1:] @ scale
-        if np.sum(np.linalg.norm(rest, axis=(1, 2))) >= 1.0:
-            return False
-        signs.append(np.sign(values[0]))
-    return bool(signs[0] * signs[1] < 0.0)
+def are_definite(parts: Array) -> Booleans:
+    """For which blocks P and Q are definite, of opposite signs, on all of the interval: their mu stay in (-1, 0)."""
+    if parts.shape[2] == 1:
+        return np.zeros(len(parts), dtype=bool)
+    coefficients = np.tensordot(chebyshev.transform(DEGREE), parts, (1, 1))
+    found, signs = np.ones(len(parts), dtype=bool), []
+    for form in (coefficients[:, :, 1], coefficients[:, :, 2]):
+        values, vectors = np.linalg.eigh(_symmetric(form[0]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = vectors / np.sqrt(np.abs(values))[:, None]
+            rest = scale.swapaxes(1, 2) @ form[1:] @ scale
+            bounded = np.sum(np.linalg.norm(rest, axis=(2, 3)), axis=0) < 1.0
+        found &= bounded & (np.min(values, axis=1) * np.max(values, axis=1) > 0.0)
+        signs.append(np.sign(values[:, 0]))
+    return np.asarray(found & (signs[0] * signs[1] < 0.0))
+
+
+def _symmetric(matrices: Array) -> Array:
+    return np.asarray(0.5 * (matrices + matrices.swapaxes(-1, -2)))

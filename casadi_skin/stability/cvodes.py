@@ -63,7 +63,11 @@ class CvodesFlow:
         return self.transitions([OrbitState(problem, z)])[0]
 
     def transitions(
-        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+        self,
+        orbits: Sequence[OrbitState],
+        tolerance: float | None = None,
+        banded: bool = False,
+        alike: bool = False,
     ) -> list[Transition]:
         """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
         local = MARGIN * self.tolerance

@@ -11,6 +11,7 @@ from casadi_skin.stability.interpolation import (
     BranchSampler,
     Gap,
     Interpolated,
+    MatrixSeries,
     Piece,
     interpolate,
     joined,
@@ -21,6 +22,9 @@ from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
 INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
 WORK = 2e9  # see `Crossings.work`: a minute or two
 SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
+INTERVALS = 16  # of a piece of the branch, as expected
+PIECES_WORK = 1e7  # m^3 over the intervals of pieces that are looked at together
+SHARE = 0.05  # of the work that is left, at most, for such pieces
 POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
 
 
@@ -78,13 +82,20 @@ def _looked_at(
 ) -> tuple[Interpolated, Crossings]:
     """Pieces of the branch one after the other, and the events on them, as far as the work allows."""
     known, found = Interpolated(), Crossings()
+    waiting: list[MatrixSeries] = []
     for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
+        waiting.append(piece.matrices)
         for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
-        find_crossings(piece.matrices, found, work - for_orbits, progress)
-        end = branch.sections[-1][1]
-        if found.work + for_orbits >= work and piece.matrices.end < end:
-            found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
-            break
+        expected = INTERVALS * len(waiting) * float(piece.matrices.size) ** 3
+        if expected >= min(PIECES_WORK, SHARE * (work - found.work - for_orbits)):
+            find_crossings(waiting, found, work - for_orbits, progress)
+            waiting = []
+            end = branch.sections[-1][1]
+            if found.work + for_orbits >= work and piece.matrices.end < end:
+                found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
+                break
+    if waiting:
+        find_crossings(waiting, found, work - SAMPLE_WORK * known.samples * float(waiting[0].size) ** 3, progress)
     found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
     return known, found
 

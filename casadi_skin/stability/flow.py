@@ -40,7 +40,8 @@ class Transition:
     `error` estimates the Frobenius norm of the error of Phi that the integration makes; `truncation` is a matrix
     like that error but for its sign, without round-off. Errors of the orbit itself, which leave Phi symplectic, are in
     neither: `pair` holds Phi along the orbit and along the better one, computed with the same steps, where it is known.
-    All of these matrices may be stored by the bands of their blocks, see `stability.banded`.
+    All of these matrices may be stored by the bands of their blocks, see `stability.banded`. `steps` is the number of
+    equal steps, 0 of flows without such.
     """
 
     matrix: Array
@@ -48,6 +49,7 @@ class Transition:
     error: float
     truncation: Array | None = None
     pair: tuple[Array, Array] | None = None
+    steps: int = 0
 
     def blocks(self) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D of Phi = [[A, B], [C, D]], each (n, n)."""
@@ -70,12 +72,17 @@ class FlowMap(Protocol):
         ...
 
     def transitions(
-        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+        self,
+        orbits: Sequence[OrbitState],
+        tolerance: float | None = None,
+        banded: bool = False,
+        alike: bool = False,
     ) -> list[Transition]:
         """Transition matrices along several orbits, to `tolerance` where it is not the flow's own.
 
-        Where `banded`, those of long chains may be stored by the bands of their blocks, see `stability.banded`. Raises
-        FlowError where the tolerance is out of reach for any of them.
+        Where `banded`, those of long chains may be stored by the bands of their blocks, see `stability.banded`. Where
+        `alike`, all are computed in one number of steps: their errors are smooth along a branch then. Raises FlowError
+        where the tolerance is out of reach for any of them.
         """
         ...
 

@@ -24,7 +24,7 @@ SKIPPED = 0.03  # of a section, at most: the stretch given up at a time in the m
 ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
 SMALLEST = 1e-300
 LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
-SHORTER, LONGER = 0.6, 2.5  # lengths of a piece after one that failed and after one that did not, at most
+SHORTER, LONGER = 0.6, 3.0  # lengths of a piece after one that failed and after one that did not, at most
 MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
 PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
 LEVEL = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
@@ -113,9 +113,11 @@ class MatrixSeries:
         places = chebyshev.nodes(self.errors.shape[0] - 1)
         x = np.clip(self.local(coordinates), -1.0, 1.0)
         right = np.clip(np.searchsorted(places, x), 1, places.size - 1)
-        weight = (x - places[right - 1]) / (places[right] - places[right - 1])
-        weight = weight[:, None, None, None]
-        return np.asarray((1.0 - weight) * self.errors[right - 1] + weight * self.errors[right])
+        weight, each = (x - places[right - 1]) / (places[right] - places[right - 1]), np.arange(x.size)
+        weights = np.zeros((x.size, places.size))
+        weights[each, right - 1], weights[each, right] = 1.0 - weight, weight
+        flat = weights @ self.errors.reshape(places.size, -1)
+        return np.asarray(flat.reshape(x.size, *self.errors.shape[1:]))
 
 
 @dataclass(frozen=True)

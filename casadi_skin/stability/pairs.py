@@ -8,7 +8,7 @@ instability are simple zeros of f+ and f-, however near they lie. Likewise with 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.decoupling import DEGREE, Booleans, Indices
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.small_blocks import SAFETY, Block, Edge, growth_of, real_growth
+from casadi_skin.stability.small_blocks import SAFETY, Block, Edge, growth_of, local_places, real_growth
 from casadi_skin.stability.zeros import Function
 
 FINE = 2 * DEGREE  # degree of functions that are products
@@ -55,19 +55,29 @@ class PairBlock(Block):
         """Whether its mu have one signature and are real."""
         return not self.meetings
 
-    def _values(self, x: Array) -> tuple[Array, Array, Array]:
-        """Mean of both mu, the square of half their difference, and the product of both mu (1 + mu), at places."""
-        values = chebyshev.basis(x, FINE) @ self._series
+    @property
+    def alike(self) -> Hashable:
+        return len(self.meetings)
+
+    @classmethod
+    def _values(cls, blocks: Sequence[PairBlock], x: Array) -> tuple[Array, Array, Array]:
+        """Mean of both mu, the square of half their difference, and the product of both mu (1 + mu).
+
+        At places of each of several blocks that are alike, (blocks, points).
+        """
+        values = chebyshev.basis(x, FINE) @ np.stack([block._series for block in blocks])
         mean, rho, meetings = values[..., 0], values[..., 1], values[..., 2:-2]
         if meetings.shape[-1] == 2:
             square = meetings[..., 0] * meetings[..., 1] / rho**2
         elif meetings.shape[-1] == 1:
             square = 0.25 * meetings[..., 0]
         else:
-            square = np.maximum(0.25 * discriminants(self.at(x)[:, 0]), 0.0)
+            k = np.stack([block.coefficients[:, 0].reshape(-1, 4) for block in blocks])
+            k = (chebyshev.basis(x, DEGREE) @ k).reshape(*x.shape, 2, 2)
+            square = np.maximum(0.25 * discriminants(k), 0.0)
         product = values[..., -2] * values[..., -1]
-        if any(function.is_nothing for function in self.ends):
-            product = np.abs(product)  # a second conserved quantity: one of them stays at -1 or 0
+        conserved = np.array([any(function.is_nothing for function in block.ends) for block in blocks])
+        product[conserved] = np.abs(product[conserved])  # a second conserved quantity: one stays at -1 or 0
         return mean, square, product
 
     @cached_property
@@ -98,26 +108,32 @@ class PairBlock(Block):
         right = vectors[:, chosen].real
         return mu, (-int(np.sign(right @ parts[1] @ right)),)
 
-    def states(self, x: Array) -> tuple[Booleans, Indices]:
-        mean, square, product = self._values(x)
+    @classmethod
+    def states_together(cls, blocks: Sequence[PairBlock], x: Array) -> tuple[Booleans, Indices]:
+        mean, square, product = cls._values(blocks, x)
         # Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) decides.
         both = mean + mean**2 + square > 0.0
         outside = np.where(product < 0.0, 1, np.where(both, 2, 0))
         return square < 0.0, np.where(square < 0.0, 2, outside)
 
     def mu(self, coordinates: Array) -> ComplexArray:
-        mean, square, _ = self._values(self.local(coordinates))
+        return np.asarray(self.mu_together([self], coordinates[None])[0], dtype=complex)
+
+    @classmethod
+    def mu_together(cls, blocks: Sequence[PairBlock], coordinates: Array) -> ComplexArray:
+        mean, square, _ = cls._values(blocks, local_places(blocks, coordinates))
         root = np.sqrt(square + 0j)
         return np.stack([mean + root, mean - root], axis=-1)
 
-    def growth(self, coordinates: Array) -> Array:
-        mean, square, product = self._values(self.local(coordinates))
+    @classmethod
+    def growths_together(cls, blocks: Sequence[PairBlock], coordinates: Array) -> Array:
+        mean, square, product = cls._values(blocks, local_places(blocks, coordinates))
         root = np.sqrt(square + 0j)
         mu = np.stack([mean + root, mean - root], axis=-1)
-        inside = np.min((mu * (1.0 + mu)).real, axis=1)
+        inside = np.min((mu * (1.0 + mu)).real, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             one = real_growth(product / inside)
-        return np.asarray(np.where(product < 0.0, one, np.max(growth_of(mu), axis=1)))
+        return np.asarray(np.where(product < 0.0, one, np.max(growth_of(mu), axis=-1)))
 
     def meetings_without_instability(self) -> list[tuple[float, float, float]]:
         """(coordinate, mu, distance) where the two mu of a definite pair meet within errors."""
@@ -125,7 +141,8 @@ class PairBlock(Block):
         slope = chebyshev.derivative(FINE) @ chebyshev.transform(FINE) @ discriminants(k)
         allowed = SAFETY * float(np.max(np.abs(self.errors[:, 0]))) + float(self.noise[0])
         found = []
-        for x in chebyshev.real_zeros(slope[:, None])[0][0].tolist():
+        _, zeros, crosses = chebyshev.real_zeros(slope[:, None])
+        for x in np.sort(zeros[crosses]).tolist():
             here = self.at(np.array([x]))[:, 0]
             distance = float(np.sqrt(max(discriminants(here)[0], 0.0)))
             if distance <= max(allowed, ROUNDED):
@@ -200,16 +217,17 @@ class Pairs:
             meetings = [self._discriminant(fine)]
         mean = 0.5 * (fine[:, :, 0, 0, 0] + fine[:, :, 0, 1, 1])
         series = np.tensordot(chebyshev.transform(FINE), np.stack([mean, rho], axis=2), (1, 1))
+        first, last = (Function.several(*each) for each in ends)
+        all_met = list(zip(*(Function.several(*each) for each in meetings), strict=True))
         found: list[PairBlock | None] = []
         for i in range(len(self.parts)):
             if not usable[i]:
                 found.append(None)
                 continue
-            first, last = (Function(c[:, i], e[i]) for c, e in ends)
-            met = tuple(Function(c[:, i], e[i]) for c, e in meetings if np.isfinite(c[0, i]))
+            met = tuple(function for function in all_met[i] if np.isfinite(function.coefficients[0]))
             where = float(self.starts[i]), float(self.ends[i])
             matrices = self.parts[i], self.errors[i], self.noise[i], self.tails[i]
-            found.append(PairBlock(*where, *matrices, (first, last), met, series[:, i]))
+            found.append(PairBlock(*where, *matrices, (first[i], last[i]), met, series[:, i]))
         return found
 
     def _ends(self, fine: Array) -> list[tuple[Array, Array]]:

@@ -60,11 +60,14 @@ class Tracks:
 
         None where it is not certain which angles meet.
         """
-        nearest, ordered = (self._meeting(angles, coordinate, angle, alone) for angles in self.angles)
+        right = int(np.clip(np.searchsorted(self.coordinates, coordinate), 1, self.coordinates.size - 1))
+        low, high = self.coordinates[right - 1 : right + 1].tolist()
+        weight = min(max((coordinate - low) / (high - low), 0.0), 1.0)
+        here = (1.0 - weight) * self.angles[:, right - 1] + weight * self.angles[:, right]
+        nearest, ordered = (self._meeting(angles, angle, alone) for angles in here)
         return nearest if nearest == ordered else None
 
-    def _meeting(self, angles: Array, coordinate: float, angle: float, alone: bool) -> tuple[int, int, int] | None:
-        here = np.array([np.interp(coordinate, self.coordinates, column) for column in angles.T])
+    def _meeting(self, here: Array, angle: float, alone: bool) -> tuple[int, int, int] | None:
         first = _nearest(here, angle)
         second = first if alone else _nearest(here, -angle)
         if first is None or second is None or (not alone and first == second):
@@ -77,10 +80,11 @@ class Tracks:
 def _nearest(angles: Array, wanted: float) -> int | None:
     """The angle nearest to one, modulo 2 pi; None where another one is nearly as near."""
     distance = np.abs((angles - wanted + np.pi) % TWO_PI - np.pi)
-    order = np.argsort(distance)
-    if distance.size > 1 and distance[order[0]] > CERTAIN * distance[order[1]]:
+    first = int(np.argmin(distance))
+    least, distance[first] = distance[first], np.inf
+    if distance.size > 1 and least > CERTAIN * np.min(distance):
         return None
-    return int(order[0])
+    return first
 
 
 def follow_angles(
@@ -101,41 +105,47 @@ def follow_angles(
     if not spectra or len(modes) != spectra[0].mu.size:
         return None
     first = duration * np.array([frequencies[k] for k in modes])
-    courses = [_course(first, spectra, start, assign) for assign in (_to_the_nearest, _in_cyclic_order)]
+    places = [(spectrum.coordinate, *spectrum.angles()) for spectrum in spectra]
+    courses = [_course(first, places, start, assign) for assign in (_to_the_nearest, _in_cyclic_order)]
     return Tracks(modes, np.array([start, *(spectrum.coordinate for spectrum in spectra)]), np.array(courses))
 
 
 Assignment = Callable[[Array, Array, Array], NDArray[np.int64]]
 
 
-def _course(first: Array, spectra: Sequence[Spectrum], start: float, assign: Assignment) -> Array:
-    """Angles from the first ones on, shape (1 + spectra, m)."""
+def _course(first: Array, places: Sequence[tuple[float, Array, Array]], start: float, assign: Assignment) -> Array:
+    """Angles from the first ones on, shape (1 + places, m), by coordinates with the angles and their rates there."""
     course, before, rates = [first], start, np.zeros(first.size)
-    for spectrum in spectra:
-        angles, slopes = spectrum.angles()
-        step = spectrum.coordinate - before
+    for coordinate, angles, slopes in places:
+        step = coordinate - before
         share = 0.5 if len(course) > 1 else 0.0  # of the step by the rates before it, which linear modes have none of
         ahead, back = course[-1] + share * step * rates, angles - (1.0 - share) * step * slopes
         distance = (back[None, :] - ahead[:, None] + np.pi) % TWO_PI - np.pi
         chosen = assign(course[-1], angles, distance)
         course.append(ahead + distance[np.arange(first.size), chosen] + (angles - back)[chosen])
-        before, rates = spectrum.coordinate, slopes[chosen]
+        before, rates = coordinate, slopes[chosen]
     return np.array(course)
 
 
 def _to_the_nearest(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
     """Which angle each one goes to where the sum of distances from what rates predict is smallest."""
+    moves = np.abs(distance)
+    nearest = np.argmin(moves, axis=1)
+    if np.unique(nearest).size == nearest.size:  # then no other sum is smaller
+        return np.asarray(nearest, dtype=np.int64)
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import min_weight_full_bipartite_matching  # scipy.optimize takes long to load
 
-    costs = csr_array(1.0 + np.abs(distance))  # with no entry zero, which would be none
+    costs = csr_array(1.0 + moves)  # with no entry zero, which would be none
     return np.asarray(min_weight_full_bipartite_matching(costs)[1], dtype=np.int64)
 
 
 def _in_cyclic_order(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
     """The same among assignments that keep the order around the circle."""
     first, second = np.argsort(before % TWO_PI), np.argsort(after % TWO_PI)
-    moves = np.array([np.sum(np.abs(distance[first, np.roll(second, turn)])) for turn in range(first.size)])
+    each = np.arange(first.size)
+    turned = (each - each[:, None]) % first.size  # row by row by one place more
+    moves = np.sum(np.abs(distance[first, second[turned]]), axis=1)
     chosen = np.empty(first.size, dtype=np.int64)
-    chosen[first] = np.roll(second, int(np.argmin(moves)))
+    chosen[first] = second[turned[np.argmin(moves)]]
     return chosen

@@ -6,8 +6,11 @@ One real mu lies in (-1, 0) where pi kappa < 0, and leaves through -1 or 0 where
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +54,18 @@ class Segment:
     is_complex: bool
     outside: int
 
+    def holds(self, edge: Edge) -> bool:
+        """Whether a place that is touched lies in it, or is, within its error, the place that is all of it."""
+        slack = edge.error if self.start == self.end and self.is_complex == (edge.kind != "real") else 0.0
+        return self.start - slack <= edge.coordinate <= self.end + slack
+
+    def unstable(self, mu: ComplexArray) -> ComplexArray:
+        """Those of the block's mu at a place that are unstable on it."""
+        if self.is_complex:
+            return mu
+        order = np.argsort(-(mu * (1.0 + mu)).real)
+        return np.asarray(mu[order[: self.outside]])
+
     def edge_at(self, coordinate: float) -> Edge | None:
         """The edge that errors allow at the end of its interval, where none is seen; None where they allow none."""
         width = self.block.edge_width(coordinate)
@@ -86,7 +101,12 @@ class Block:
     def __init__(self, start: float, end: float, parts: Numbers, errors: Array, noise: Array, tails: Array) -> None:
         self.start, self.end, self.parts, self.errors, self.tails = start, end, parts, errors, tails
         self.noise = noise + tails
-        self.is_coarse = bool(np.any(tails > noise + np.max(np.abs(errors), axis=(0, 2, 3))))
+        self._others = noise
+
+    @cached_property
+    def is_coarse(self) -> bool:
+        """Whether what the series leave out is more than the errors from elsewhere."""
+        return bool(is_coarse(self.errors[None], self._others[None], self.tails[None])[0])
 
     @cached_property
     def coefficients(self) -> Numbers:
@@ -112,9 +132,20 @@ class Block:
         """All mu of the block, shape (points, m)."""
         return np.asarray(np.linalg.eigvals(self.at(self.local(coordinates))[:, 0]), dtype=complex)
 
-    def growth(self, coordinates: Array) -> Array:
-        """log |lambda(M)| of the most unstable multiplier of the block at coordinates."""
-        return np.asarray(np.max(growth_of(self.mu(coordinates)), axis=1))
+    @property
+    def alike(self) -> Hashable:
+        """Blocks of one class for which this is the same are evaluated together."""
+        return id(self)
+
+    @classmethod
+    def mu_together(cls, blocks: Sequence[Any], coordinates: Array) -> ComplexArray:
+        """All mu of blocks that are alike, each at coordinates of its own, (blocks, points) -> (blocks, points, m)."""
+        return np.stack([block.mu(at) for block, at in zip(blocks, coordinates, strict=True)])
+
+    @classmethod
+    def growths_together(cls, blocks: Sequence[Any], coordinates: Array) -> Array:
+        """log |lambda(M)| of the most unstable multiplier of each, (blocks, points) -> (blocks, points)."""
+        return np.asarray(np.max(growth_of(cls.mu_together(blocks, coordinates)), axis=2))
 
     @property
     def is_blurred(self) -> bool:
@@ -137,11 +168,7 @@ class Block:
 
     def unstable_mu(self, segment: Segment, coordinate: float) -> ComplexArray:
         """Those mu of the block that are unstable on a segment, at a coordinate."""
-        mu = self.mu(np.array([coordinate]))[0]
-        if segment.is_complex:
-            return np.asarray(mu)
-        order = np.argsort(-(mu * (1.0 + mu)).real)
-        return np.asarray(mu[order[: segment.outside]])
+        return segment.unstable(self.mu(np.array([coordinate]))[0])
 
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
@@ -150,10 +177,39 @@ class Block:
 
     def states(self, x: Array) -> tuple[Booleans, Indices]:
         """Whether the mu outside are complex, and how many are outside, at places that are no edges."""
+        is_complex, outside = self.states_together([self], x[None])
+        return is_complex[0], outside[0]
+
+    @classmethod
+    def states_together(cls, blocks: Sequence[Any], x: Array) -> tuple[Booleans, Indices]:
+        """The same of blocks that are alike, (blocks, points) each."""
         raise NotImplementedError
+
+    @staticmethod
+    def find_states(blocks: Sequence[Block]) -> None:
+        """Find the states between edges of blocks that are alike and have as many edges."""
+        stops = np.stack([block._stops for block in blocks])
+        x = local_places(blocks, 0.5 * (stops[:, :-1] + stops[:, 1:]))
+        for block, *states in zip(blocks, *type(blocks[0]).states_together(blocks, x), strict=True):
+            block._states_between = states[0], states[1]
 
     def _edge(self, x: float, width: float, kind: str, mu: float, signatures: tuple[int, ...]) -> Edge:
         return Edge(self.coordinate(x), 0.5 * (self.end - self.start) * width, kind, mu, signatures)
+
+    @cached_property
+    def _edges_in_order(self) -> list[tuple[Edge, bool]]:
+        edges = ((self._at_an_end(edge), crosses) for edge, crosses in self.edges)
+        return sorted(edges, key=lambda item: item[0].coordinate)
+
+    @cached_property
+    def _stops(self) -> Array:
+        """The ends of the interval, with the edges between them."""
+        return np.array([self.start, *(edge.coordinate for edge, _ in self._edges_in_order), self.end])
+
+    @cached_property
+    def _states_between(self) -> tuple[Booleans, Indices]:
+        """Between each of the stops and the next."""
+        return self.states(self.local(0.5 * (self._stops[:-1] + self._stops[1:])))
 
     @cached_property
     def segments(self) -> list[Segment]:
@@ -163,18 +219,18 @@ class Block:
         what lies between edge and end is nothing. A place where no function changes its sign is an edge all the same
         where the states beside it differ: two equal mu pass -1 or 0 together.
         """
-        edges = sorted(
-            ((self._at_an_end(edge), crosses) for edge, crosses in self.edges), key=lambda item: item[0].coordinate
-        )
-        stops = np.array([self.start, *(edge.coordinate for edge, _ in edges), self.end])
-        lengths, (_, outside) = np.diff(stops), self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
-        differ = (outside[:-1] != outside[1:]) & (lengths[:-1] > 0.0) & (lengths[1:] > 0.0)
-        passed = [crosses or bool(differ[i]) for i, (_, crosses) in enumerate(edges)]
+        edges, stops = self._edges_in_order, self._stops
+        is_complex, outside = self._states_between
+        passed = [crosses for _, crosses in edges]
+        if not all(passed):
+            lengths = np.diff(stops)
+            differ = (outside[:-1] != outside[1:]) & (lengths[:-1] > 0.0) & (lengths[1:] > 0.0)
+            passed = [crosses or bool(differ[i]) for i, crosses in enumerate(passed)]
+            stops = stops[[True, *passed, True]]
+            is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
         crossed = [edge for (edge, _), passes in zip(edges, passed, strict=True) if passes]
-        places = [self.start, *(edge.coordinate for edge in crossed), self.end]
+        places = stops.tolist()
         bounds: list[Edge | None] = [None, *crossed, None]
-        stops = np.array(places)
-        is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
         found = [
             Segment(self, places[i], places[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
             for i in np.flatnonzero(outside).tolist()
@@ -182,7 +238,7 @@ class Block:
         ]
         for edge in (edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes):
             place = edge.coordinate
-            if not any(segment.start <= place <= segment.end for segment in found):
+            if not any(segment.holds(edge) for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
 
@@ -197,24 +253,30 @@ class Block:
 class ComplexBlock(Block):
     """Mu on one side of the real axis that do not come to it within the interval."""
 
-    def states(self, x: Array) -> tuple[Booleans, Indices]:
-        return np.ones(x.shape, dtype=bool), np.full(x.shape, self.parts.shape[-1])
+    @classmethod
+    def states_together(cls, blocks: Sequence[ComplexBlock], x: Array) -> tuple[Booleans, Indices]:
+        sizes = np.array([block.parts.shape[-1] for block in blocks])
+        return np.ones(x.shape, dtype=bool), np.tile(sizes[:, None], (1, x.shape[1]))
 
 
 class SingleBlock(Block):
-    """One real mu; `functions` are pi and kappa, of a map that is not symplectic mu and 1 + mu."""
+    """One real mu; its `functions` are those of `single_functions`."""
 
-    def __init__(self, start: float, end: float, parts: Array, errors: Array, noise: Array, tails: Array) -> None:
+    def __init__(
+        self,
+        start: float,
+        end: float,
+        parts: Array,
+        errors: Array,
+        noise: Array,
+        tails: Array,
+        functions: tuple[Function, Function],
+    ) -> None:
         super().__init__(start, end, parts, errors, noise, tails)
-        noise = self.noise
-        c = np.asarray(self.coefficients[:, :, 0, 0].real)
-        error = SAFETY * np.abs(errors[:, :, 0, 0]) + noise
-        if noise.size == 3:
-            self.functions = Function(c[:, 1], error[:, 1]), Function(c[:, 2], error[:, 2])
-        else:
-            shifted = c[:, 0].copy()
-            shifted[0] += 1.0
-            self.functions = Function(c[:, 0], error[:, 0]), Function(shifted, error[:, 0])
+        self.functions = functions
+
+    def mu(self, coordinates: Array) -> ComplexArray:
+        return np.asarray(self.at(self.local(coordinates))[:, 0, :, 0], dtype=complex)
 
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
@@ -227,12 +289,58 @@ class SingleBlock(Block):
                 found.append((self._edge(x, width, "real", mu, signatures), crosses))
         return sorted(found, key=lambda item: item[0].coordinate)
 
-    def states(self, x: Array) -> tuple[Booleans, Indices]:
-        outside = (self.functions[0](x) * self.functions[1](x) > 0.0).astype(np.int64)
-        if any(function.is_nothing for function in self.functions):
-            outside[:] = 0  # a second conserved quantity: it stays at -1 or 0
+    @classmethod
+    def states_together(cls, blocks: Sequence[SingleBlock], x: Array) -> tuple[Booleans, Indices]:
+        outside = (cls._products(blocks, x) > 0.0).astype(np.int64)
+        conserved = [any(function.is_nothing for function in block.functions) for block in blocks]
+        outside[conserved] = 0  # a second conserved quantity: they stay at -1 or 0
         return np.zeros(x.shape, dtype=bool), outside
 
-    def growth(self, coordinates: Array) -> Array:
-        x = self.local(coordinates)
-        return real_growth(self.functions[0](x) * self.functions[1](x))
+    @classmethod
+    def _products(cls, blocks: Sequence[SingleBlock], x: Array) -> Array:
+        """mu (1 + mu) at places in [-1, 1] of each, (blocks, points)."""
+        series = np.stack([[function.coefficients for function in block.functions] for block in blocks])
+        values = chebyshev.basis(x, DEGREE) @ series.swapaxes(1, 2)
+        return np.asarray(values[..., 0] * values[..., 1])
+
+    @property
+    def alike(self) -> Hashable:
+        return True
+
+    @classmethod
+    def growths_together(cls, blocks: Sequence[SingleBlock], coordinates: Array) -> Array:
+        return real_growth(cls._products(blocks, local_places(blocks, coordinates)))
+
+
+def local_places(blocks: Sequence[Block], coordinates: Array) -> Array:
+    """Places in [-1, 1] of coordinates of each block, (blocks, points)."""
+    starts, ends = (np.array([getattr(block, name) for block in blocks])[:, None] for name in ("start", "end"))
+    return np.asarray(np.clip((2.0 * coordinates - starts - ends) / (ends - starts), -1.0, 1.0))
+
+
+def single_functions(coefficients: Array, errors: Array, noise: Array) -> list[tuple[Function, Function]]:
+    """pi and kappa, of a map that is not symplectic mu and 1 + mu, of blocks of one mu.
+
+    Coefficients and errors at the nodes have shape (blocks, J, 3 or 1), `noise` (blocks, 3 or 1).
+    """
+    c, error = coefficients.swapaxes(0, 1), SAFETY * np.abs(errors) + noise[:, None]
+    if noise.shape[1] == 3:
+        return list(zip(*(Function.several(c[..., i], error[..., i]) for i in (1, 2)), strict=True))
+    shifted = c[..., 0].copy()
+    shifted[0] += 1.0
+    return list(zip(*(Function.several(values, error[..., 0]) for values in (c[..., 0], shifted)), strict=True))
+
+
+def is_coarse(errors: Array, noise: Array, tails: Array) -> Booleans:
+    """Which blocks have series that leave out more than the errors from elsewhere: (blocks, J, 3 or 1, m, m)."""
+    return np.asarray(np.any(tails > noise + np.max(np.abs(errors), axis=(1, 3, 4)), axis=1))
+
+
+def find_segments(blocks: Sequence[Block]) -> None:
+    """Find what `Block.segments` needs of several blocks together: that is cheaper."""
+    Function.find_zeros([function for block in blocks for function in block.functions])
+    kinds: dict[Hashable, list[Block]] = defaultdict(list)
+    for block in blocks:
+        kinds[type(block), block.alike, block._stops.size].append(block)
+    for those in kinds.values():
+        Block.find_states(those)

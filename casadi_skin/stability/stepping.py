@@ -124,13 +124,35 @@ class SteppedFlow(ABC):
         return self.transitions([OrbitState(problem, z)])[0]
 
     def transitions(
-        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False
+        self,
+        orbits: Sequence[OrbitState],
+        tolerance: float | None = None,
+        banded: bool = False,
+        alike: bool = False,
     ) -> list[Transition]:
         """Transition matrices of the full state along several orbits; raises FlowError where one cannot be had."""
+        results = self._in_batches(orbits, tolerance, banded)
+        while alike and len({found.steps for found in results}) > 1:
+            most = max(found.steps for found in results)
+            fewer = [i for i, found in enumerate(results) if found.steps < most]
+            again = self._in_batches([orbits[i] for i in fewer], tolerance, banded, self.step_numbers.index(most))
+            for i, found in zip(fewer, again, strict=True):
+                results[i] = found
+        if alike and results:
+            level = self.step_numbers.index(results[0].steps)
+            allowed = self.tolerance if tolerance is None else tolerance
+            self._level = self._lower(level, max(found.error for found in results), allowed)
+        return results
+
+    def _in_batches(
+        self, orbits: Sequence[OrbitState], tolerance: float | None, banded: bool, level: int | None = None
+    ) -> list[Transition]:
+        """Those of several orbits, batch by batch; each begins with the `level`, where one is given."""
         results: list[Transition] = []
         for first in range(0, len(orbits), self.batch):
             part = orbits[first : first + self.batch]
             half_width = self.half_width(part) if banded else None
+            self._level = self._level if level is None else level
             results += self._adapted(part, self.tolerance if tolerance is None else tolerance, half_width)
         return results
 
@@ -153,7 +175,8 @@ class SteppedFlow(ABC):
             pairs = self._pairs(waiting, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
-                done[int(places[k])] = Transition(matrices[k], self.fraction, total, errors[k], pairs.get(k))
+                known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
+                done[int(places[k])] = Transition(*known, self.step_numbers[level])
             if met.all():
                 self._level = self._lower(level, float(np.min(truncation)), tolerance)
                 return [done[i] for i in range(len(orbits))]

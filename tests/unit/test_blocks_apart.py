@@ -9,7 +9,7 @@ from casadi_skin.stability import chebyshev
 from casadi_skin.stability.assembly import DISAGREEMENT, groups_of
 from casadi_skin.stability.blocks import comes_apart
 from casadi_skin.stability.decoupling import DEGREE, PROBES, contracts
-from casadi_skin.stability.small_blocks import Segment, SingleBlock
+from casadi_skin.stability.small_blocks import Segment, SingleBlock, single_functions
 
 Array = np.ndarray
 ALONE = np.eye(3, dtype=bool)[None]
@@ -57,7 +57,10 @@ def test_two_that_meet_and_part_between_the_nodes_that_are_asked_do_not_come_apa
 def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> SingleBlock:
     parts = np.zeros((DEGREE + 1, 3, 1, 1))
     parts[:, 1, 0, 0], parts[:, 2, 0, 0] = pi, kappa
-    return SingleBlock(start, end, parts, np.full(parts.shape, error), np.zeros(3), np.zeros(3))
+    errors, none = np.full(parts.shape, error), np.zeros(3)
+    coefficients = np.tensordot(chebyshev.transform(DEGREE), parts[..., 0, 0], 1)
+    (functions,) = single_functions(coefficients[None], errors[None, ..., 0, 0], none[None])
+    return SingleBlock(start, end, parts, errors, none, none, functions)
 
 
 def test_an_edge_that_neither_of_two_intervals_has_is_not_invented() -> None:
