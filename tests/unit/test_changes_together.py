@@ -1,0 +1,93 @@
+"""What the search for changes of stability does for many at once is what it does for one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from casadi_skin import Chain, follow_family
+from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.section_orbits import SectionOrbit, find_all, find_one
+from casadi_skin.stability import chebyshev
+from casadi_skin.stability.decoupling import DEGREE
+from casadi_skin.stability.flow import OrbitState
+from casadi_skin.stability.rotation import _to_the_nearest
+from casadi_skin.stability.zeros import Function
+
+
+@pytest.fixture(scope="module")
+def family() -> tuple[Family, list[OrbitState]]:
+    """The first softening family of twelve sites, with orbits that need different numbers of steps."""
+    branch = follow_family(Chain(12, 1.0, 0.25, -1.0), 1, 3.0, stability=False)
+    assert isinstance(branch.space, Family)
+    return branch.space, [OrbitState(orbit.point.problem, orbit.point.z) for orbit in branch.orbits]
+
+
+def test_transition_matrices_alike_are_in_one_number_of_steps(family: tuple[Family, list[OrbitState]]) -> None:
+    space, orbits = family
+    flow = space.flow
+    free = flow.transitions(orbits, 1e-9)
+    assert len({found.steps for found in free}) > 1
+    alike = flow.transitions(orbits, 1e-9, alike=True)
+    assert len({found.steps for found in alike}) == 1
+    for one, other in zip(free, alike, strict=True):
+        assert np.linalg.norm(one.matrix - other.matrix) <= one.error + other.error
+        assert other.truncation is not None
+        assert np.linalg.norm(other.truncation) <= 1e-9
+
+
+def test_orbits_found_together_are_those_found_one_by_one(family: tuple[Family, list[OrbitState]]) -> None:
+    space, orbits = family
+    solver: PointSolver = space.point_solver
+    problem = max((orbit.problem for orbit in orbits), key=lambda problem: problem.resolution)
+    z = np.array([orbit.problem.prolong(orbit.z, problem) for orbit in orbits[4:12]])
+    row = solver.metric(problem, z[3]) * (z[-1] - z[0])
+    guesses = z * (1.0 + 1e-4 * np.cos(np.arange(z.shape[1])))
+    together = find_all(solver, problem, guesses, row, np.full(len(z), np.inf))
+    for guess, orbit in zip(guesses, together, strict=True):
+        alone = SectionOrbit.of(problem, *find_one(solver, problem, guess, row))
+        assert orbit is not None
+        assert orbit.z == pytest.approx(alone.z, abs=1e-12)
+        assert np.max(np.abs(problem.evaluate(orbit.z)[0])) < 1e-12
+        assert row @ orbit.z == pytest.approx(float(row @ guess), abs=1e-12)
+        for name in ("along", "response"):
+            mine, other = getattr(orbit, name), getattr(alone, name)
+            assert np.max(np.abs(mine - other)) <= 1e-6 * np.max(np.abs(other))
+    assert find_all(solver, problem, guesses, row, np.zeros(len(z))) == [None] * len(z)
+
+
+def test_zeros_found_together_are_those_of_the_polynomials() -> None:
+    """Products of factors with zeros that are known: none, one at an end, three, and two that only come near zero."""
+    x, zeros = chebyshev.nodes(DEGREE), [[], [1.0], [-0.71, 0.2, 0.2004], [0.3]]
+    values = np.array([np.prod([x - zero for zero in each], axis=0) * (2.0 + x) for each in zeros])
+    values[3] = (x - 0.3) ** 2 + 1e-12
+    errors = np.full((4, DEGREE + 1), 1e-11)
+    functions = Function.several(chebyshev.transform(DEGREE) @ values.T, errors)
+    assert [function.excludes_zero for function in functions] == [True, False, False, False]
+    Function.find_zeros(functions)
+    for function, expected in zip(functions, zeros, strict=True):
+        places = [place for place, _, _ in function.zeros]
+        assert places == pytest.approx(expected, abs=1e-9)
+        for place, width, crosses in function.zeros:
+            assert width == pytest.approx(function.width(place), rel=1e-9)
+            assert crosses == (expected != [0.3])
+    (_, width, _), *_ = functions[2].zeros
+    slope = (2.0 - 0.71) * (-0.71 - 0.2) * (-0.71 - 0.2004)
+    assert width == pytest.approx(1e-11 / abs(slope), rel=1e-3)
+    (_, width, _) = functions[3].zeros[0]
+    assert width == pytest.approx(np.sqrt(2.0 * 1e-11 / 2.0), rel=1e-3)
+
+
+def test_angles_go_where_the_sum_of_distances_is_smallest() -> None:
+    generator = np.random.default_rng(3)
+    for size in (2, 5, 9):
+        for spread in (0.01, 1.0):
+            distance = generator.uniform(-np.pi, np.pi, (size, size))
+            distance[np.arange(size), generator.permutation(size)] *= spread
+            rows, columns = linear_sum_assignment(np.abs(distance))
+            chosen = _to_the_nearest(np.zeros(size), np.zeros(size), distance)
+            assert sorted(chosen) == list(range(size))
+            best = np.sum(np.abs(distance[rows, columns]))
+            assert np.sum(np.abs(distance[np.arange(size), chosen])) == pytest.approx(best)
