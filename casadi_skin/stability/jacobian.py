@@ -124,15 +124,14 @@ class JacobianAlong:
         ]
         return jacobian_kernel(self._constant, terms)
 
-    def along(self, problem: Problem, z: Array, theta: Array) -> Array:
-        """Non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
+    def along(self, problem: Problem, z: Array, theta: Array, found: Array) -> None:
+        """Fill in the non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
         parameters, weights = z[:, problem.parameter_index], problem.sampling(theta)
         if weights is None or self._kernel is None:  # shooting and collocation, or a model of other functions
             states = problem.samples(z, theta).reshape(len(z) * theta.size, -1)
-            return self(states, np.repeat(parameters, theta.size)).reshape(len(z), theta.size, -1)
-        result = np.empty((len(z), theta.size, self.indices.size))
-        self._kernel(self.size, z, weights, parameters, result)
-        return result
+            found[:] = self(states, np.repeat(parameters, theta.size)).reshape(found.shape)
+        else:
+            self._kernel(self.size, z, weights, parameters, found)
 
     def __call__(self, states: Array, parameters: Array) -> Array:
         """Non-zeros, (phases, non-zeros), at states (phases, size), with the parameter's value at each, (phases,)."""

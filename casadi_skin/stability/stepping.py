@@ -114,10 +114,13 @@ class SteppedFlow(ABC):
 
     def _linearised(self, orbits: Sequence[OrbitState], fractions: Array) -> Array:
         """J's non-zeros at fractions of the duration, shape (orbits, fractions, non-zeros)."""
-        theta = 2.0 * np.pi * self.fraction * fractions
-        groups = groupby(orbits, key=lambda orbit: orbit.problem)
-        found = [self.jacobian.along(problem, np.stack([one.z for one in those]), theta) for problem, those in groups]
-        return found[0] if len(found) == 1 else np.concatenate(found)
+        theta, done = 2.0 * np.pi * self.fraction * fractions, 0
+        found = np.empty((len(orbits), theta.size, self.jacobian.indices.size))
+        for problem, those in groupby(orbits, key=lambda orbit: orbit.problem):
+            z = np.stack([orbit.z for orbit in those])
+            self.jacobian.along(problem, z, theta, found[done : done + len(z)])
+            done += len(z)
+        return found
 
     def transition(self, problem: Problem, z: Array) -> Transition:
         """Transition matrix of the full state along the orbit."""
@@ -169,8 +172,7 @@ class SteppedFlow(ABC):
             maps |= dict(zip(missing, found, strict=True))
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
-                truncation = np.linalg.norm(errors, axis=(1, 2))
-                round_off = ROUND_OFF * np.linalg.norm(matrices, axis=(1, 2))
+                truncation, round_off = _norms(errors), ROUND_OFF * _norms(matrices)
             met = truncation <= np.maximum(tolerance, round_off)
             pairs = self._pairs(waiting, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
             for k in np.flatnonzero(met).tolist():
@@ -240,6 +242,11 @@ def _combined(maps: Sequence[Array], weights: Array) -> Array:
         np.multiply(matrices, weight, out=term)
         total += term
     return np.asarray(total)
+
+
+def _norms(matrices: Array) -> Array:
+    """Frobenius norms, without arrays of the size of the matrices."""
+    return np.asarray(np.sqrt(np.einsum("kij,kij->k", matrices, matrices)))
 
 
 def _place(orbit: OrbitState, errors: Array, size: int) -> str:

@@ -187,7 +187,7 @@ def test_a_conservative_model_of_first_order_without_reversal_is_solved_on_the_f
     """Predator and prey with x_max = 2: the orbit, its period and its states against DOP853."""
     problem = gauss_problem(predator_and_prey(), 24, FULL, degree=6)
     # A guess from a small orbit about (1, p): x - 1 = e cos(theta), y - p = e sqrt(p) sin(theta).
-    theta = problem._phases()
+    theta = problem.phases()
     guess = np.stack([1 + 0.9 * np.cos(theta), 1 + 0.9 * np.sin(theta)], axis=1)
     z = np.concatenate([guess.ravel(), [0.9, 1.0, 0.0]])
     correction = NewtonCorrector(problem, max_iterations=30).correct(z, problem.parameter_row(), 1.0)
