@@ -50,13 +50,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def compiler_of_quick_runs(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Quick runs compile generated C without optimising it, in a quarter of the time."""
-    compiler = shutil.which(os.environ.get("CC", "cc"))
+    """Quick runs compile generated C without optimising it, in a quarter of the time.
+
+    The script that does so stays in pytest's cache: kernels are kept by compiler, and a new one would leave new ones.
+    """
+    compiler, cache = shutil.which(os.environ.get("CC", "cc")), pytestconfig.cache
     with pytest.MonkeyPatch.context() as patch:
         if compiler is not None and not slow_run(pytestconfig):
-            script = tmp_path_factory.mktemp("compiler") / "cc"
-            script.write_text(f'#!/bin/sh\nexec {compiler} "$@" -O0\n', encoding="utf-8")
-            script.chmod(0o755)
+            folder = tmp_path_factory.mktemp("compiler") if cache is None else cache.mkdir("compiler")
+            script, text = folder / "cc", f'#!/bin/sh\nexec {compiler} "$@" -O0\n'
+            if not script.exists() or script.read_text(encoding="utf-8") != text:
+                written = folder / f"cc.{os.getpid()}"
+                written.write_text(text, encoding="utf-8")
+                written.chmod(0o755)
+                written.replace(script)
             patch.setenv("CC", str(script))
         yield
 
