@@ -11,7 +11,45 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
+
+AGAIN = 0.01  # seconds after which a block that goes on is ended again
+
+
+@dataclass
+class TimeLimit:
+    """A limit in seconds, if any; whether it `is_over`, which may be asked after the block that it ended."""
+
+    seconds: float | None
+    is_over: bool = False
+
+    def __str__(self) -> str:
+        return f"time_limit: {self.seconds:g} s are over"
+
+
+@contextmanager
+def time_limited(limit: TimeLimit) -> Iterator[None]:
+    """End the block as SIGTERM ends it, once it has taken as long as it may; in the main thread."""
+    if limit.seconds is None:
+        yield
+        return
+
+    direct = signal.getsignal(signal.SIGTERM)
+
+    def on_alarm(number: int, frame: FrameType | None) -> None:
+        limit.is_over = True
+        if signal.getsignal(signal.SIGTERM) is direct:  # not held back: one that comes while arguments are
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)  # converted may be lost
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.signal(signal.SIGALRM, on_alarm)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, limit.seconds)
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager

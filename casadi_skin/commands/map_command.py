@@ -55,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     part = _part(arguments.part)
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
 
+    from casadi_skin.interrupts import TimeLimit, time_limited
     from casadi_skin.maps.run_map import Mapped, Ways, check_ways, compute_map
     from casadi_skin.progress import Progress
 
@@ -68,15 +69,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"map: --{error}") from None
     mapped = Mapped.of(read_text(arguments.scene), arguments.scene)
     directory = arguments.out or Path("results") / arguments.scene.stem
+    limit = TimeLimit(scene.time_limit)
     with Progress(arguments.quiet) as progress:
         try:
-            found = compute_map(mapped, directory, ways, progress)
+            with time_limited(limit):
+                found = compute_map(mapped, directory, ways, progress)
         except ImportError as error:
             raise InputError(f"map: --scheduler: {error}") from None
         except KeyboardInterrupt:
-            words = f"interrupted; what was computed is in {directory}; go on with --resume"
-            print(words, file=sys.stderr)
-            return INTERRUPTED
+            words = f"{arguments.scene}: {limit}" if limit.is_over else "interrupted"
+            print(f"{words}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
+            return FAILED if limit.is_over else INTERRUPTED
         except (ValueError, ArithmeticError) as error:
             if type(error).__module__.startswith("casadi_skin"):
                 raise

@@ -71,13 +71,17 @@ def _run_in(
         return DONE
 
     from casadi_skin.commands.summary import print_summary
+    from casadi_skin.interrupts import TimeLimit, time_limited
     from casadi_skin.runs.run import Run
 
-    run, stopped = Run(request, text, directory, progress), ""
+    run, stopped, limit = Run(request, text, directory, progress), "", TimeLimit(request.scene.time_limit)
     try:
-        status = DONE if run.execute() else FAILED
+        with time_limited(limit):
+            status = DONE if run.execute() else FAILED
     except KeyboardInterrupt:
         status, stopped = INTERRUPTED, "interrupted"
+        if limit.is_over:
+            status, stopped = FAILED, f"{arguments.scene}: {limit}"
     except OSError as error:
         status, stopped = FAILED, f"casadi-skin: {error.filename or directory}: {error.strerror or error}"
     progress.stop()

@@ -32,7 +32,8 @@ ATTEMPTS = 2  # at a cell
 
 def digest(scene: Scene) -> bytes:
     """Digest of a scene in its journal: the same for the same cells with the same results."""
-    requested = msgspec.structs.replace(scene, title="")
+    requested = msgspec.to_builtins(msgspec.structs.replace(scene, title=""))
+    del requested["time_limit"]
     return sha256(msgspec.json.encode(requested, order="sorted")).digest()
 
 

@@ -201,9 +201,9 @@ def _check_same(directory: Path, scene: Scene) -> None:
     except (SceneError, UnicodeDecodeError) as error:
         raise DirectoryError(f"{directory}: its {SCENE} cannot be read: {error}") from error
     if not scene.same_request(before):
-        tables = [name for name in scene.__struct_fields__ if name != "title"]
+        tables = [name for name in scene.__struct_fields__ if name not in ("title", "time_limit")]
         changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
         raise DirectoryError(
             f"{directory}: was begun with another scene ({', '.join(changed)} differs); accepted: the same scene but "
-            "for its title, or --overwrite"
+            "for its title and time_limit, or --overwrite"
         )

@@ -50,6 +50,8 @@ def plan_lines(request: Request, measure: bool) -> Lines:
         from casadi_skin.runs.export import plan_export
 
         lines += plan_export(request)
+    if scene.time_limit is not None:
+        lines.append(("time limit", f"{scene.time_limit:g} s"))
     return lines
 
 

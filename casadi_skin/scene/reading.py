@@ -169,7 +169,7 @@ def _check_keys(place: str, table: type[Table], given: object) -> None:
 
 def _unknown_names(raw: dict[str, Any]) -> Iterator[Unknown]:
     """Tables and keys that no scene has, in the order of the file."""
-    places = {name: f"[{name}]" for name in TABLES} | {"title": "title"}
+    places = {name: f"[{name}]" for name in TABLES} | {name: name for name in ("title", "time_limit")}
     for name, value in raw.items():
         if name not in places:
             near, accepted = nearest(name, places), ", ".join(places.values())

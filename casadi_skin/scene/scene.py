@@ -50,6 +50,10 @@ class Scene(Table, frozen=True):
     accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
     method: MethodTable = msgspec.field(default_factory=MethodTable)
     title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
+    time_limit: Annotated[
+        Annotated[float, Meta(gt=0.0, le=1e7)] | None,
+        Meta(title="Seconds that a run or a map may take", description="a number > 0 and <= 1e7"),
+    ] = None
 
     @property
     def sites(self) -> float | None:
@@ -82,8 +86,9 @@ class Scene(Table, frozen=True):
         return self.equilibrium is not None or (further and self.family is None)
 
     def same_request(self, other: "Scene") -> bool:
-        """Whether the other scene states the same request, whatever its title."""
-        mine, theirs = (msgspec.structs.replace(s, title=None, method=s.methods) for s in (self, other))
+        """Whether the other scene states the same request, whatever its title and its limit of time."""
+        given = {"title": None, "time_limit": None}
+        mine, theirs = (msgspec.structs.replace(s, method=s.methods, **given) for s in (self, other))
         return mine == theirs
 
 

@@ -259,6 +259,27 @@ def test_an_interrupted_run_writes_what_it_has(
     assert len(requested(out)) == 9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["run", "map"])
+def test_a_limit_of_time_ends_a_command_in_one_line(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axes = "[map]\ngamma = { from = 0.1, to = 0.2, points = 2 }\n" if command == "map" else ""
+    scene, out, whole = write_scene(tmp_path / "scene.toml", rest=axes), tmp_path / "out", tmp_path / "whole"
+    text = scene.read_text(encoding="utf-8")
+    options = ["--quiet", *(["--no-pictures"] if command == "map" else [])]
+    assert main([command, str(scene), "--out", str(whole), *options]) == 0
+    scene.write_text("time_limit = 1e-3\n" + text, encoding="utf-8")
+    assert main([command, str(scene), "--out", str(out), *options]) == 1
+    words = f"scene.toml: time_limit: 0.001 s are over; what was computed is in {out}; go on with --resume\n"
+    assert capsys.readouterr().err.endswith(words)
+    scene.write_text("time_limit = 1e6\n" + text, encoding="utf-8")
+    assert main([command, str(scene), "--out", str(out), "--resume", *options]) == 0
+    if command == "run":
+        assert (out / "family.csv").read_bytes() == (whole / "family.csv").read_bytes()
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
 def test_resume_wants_the_same_scene_but_for_its_title(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     scene = write_scene(tmp_path / "a.toml")

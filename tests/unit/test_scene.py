@@ -43,7 +43,7 @@ NAMES = (
     ),
     *("search", "export", "figures", "map", "accuracy", "method"),
 )
-TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title"
+TABLES = f"accepted: {', '.join(f'[{name}]' for name in NAMES)}, title, time_limit"
 
 
 def chain(**changes: str) -> str:
@@ -170,8 +170,15 @@ def test_scenes_are_frozen_and_hashable() -> None:
         scene.title = "other"  # type: ignore[misc]
 
 
-def test_same_request_ignores_the_title_alone() -> None:
+@pytest.mark.parametrize("given", ["'5'", "0", "-1.0", "inf", "nan", "true"])
+def test_limits_of_time_that_are_none_are_refused(given: str) -> None:
+    with pytest.raises(SceneError, match=r"time_limit: given .*; accepted: a number > 0 and <= 1e7$"):
+        parse_scene(f"time_limit = {given}\n" + CHAIN + FAMILY)
+
+
+def test_same_request_ignores_the_title_and_the_limit_of_time_alone() -> None:
     scene = parse_scene("title = 'a'\n" + CHAIN + FAMILY)
+    assert scene.same_request(parse_scene("time_limit = 5\n" + CHAIN + FAMILY))
     assert scene.same_request(parse_scene("title = 'b'\n" + CHAIN + FAMILY))
     assert scene.same_request(parse_scene(CHAIN + FAMILY + "[method]\nflow = 'splitting'"))
     assert not scene.same_request(parse_scene(chain(g="-1.5") + FAMILY))
