@@ -20,7 +20,7 @@ from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate
 from casadi_skin.critical_orbits.normal_forms import on_circle
-from casadi_skin.critical_orbits.systems import KAPPA, PUSH, Critical
+from casadi_skin.critical_orbits.systems import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
@@ -55,6 +55,7 @@ class OrbitCurveSpace(BoundarySpace):
     critical: Critical | None = None
     orbits: BoundarySpace | None = None
     repeats: bool = False
+    problem_class = CriticalProblem
 
     @property
     def stability_included(self) -> bool:

@@ -21,11 +21,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 
+LINEARISED = 0.1  # weight of linearised states beside those of the orbit in the length of a step
 KAPPA, SHIFT, PUSH = "cosine of the angle", "shift along the orbit", "push along the null vector"
 
 
@@ -38,6 +40,19 @@ class _Joined(OdeModel):
     @property
     def rounding(self) -> float:
         return self.inner.rounding
+
+
+class CriticalProblem(BoundaryProblem):
+    """An extended problem along a curve: its steps are long where the orbit changes little and its linearisation does.
+
+    As where the plane of a torus's functions turns, whose phase is held against a vector that does not.
+    """
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        weights, model = super().metric(z, parameter_scale), self.statement.model
+        assert isinstance(model, _Joined)
+        weights[: self.states].reshape(self.columns, -1)[:, model.inner.full_size :] *= LINEARISED**2
+        return weights
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import casadi as ca
 import numpy as np
@@ -85,6 +85,7 @@ class BoundarySpace:
     settings: ContinuationSettings | None = None
     leaves: bool = False
     left: ParentBranch | None = None
+    problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     S_rate: float = field(default=1.0, init=False)
@@ -110,7 +111,7 @@ class BoundarySpace:
         sizes = self.sizes
 
         def build(intervals: int) -> Problem:
-            return BoundaryProblem(
+            return self.problem_class(
                 self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
             )
 

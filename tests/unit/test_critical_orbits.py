@@ -142,6 +142,27 @@ def test_tori_pass_the_strong_resonances_and_end_at_one_to_one_and_one_to_two() 
 
 
 @pytest.mark.slow
+def test_tori_are_followed_where_their_plane_turns_by_more_than_a_right_angle() -> None:
+    """Two coordinates with the angle 2 pi (0.3 + 0.05 cos k) in a plane that turns by k about one of its diagonals."""
+    x, y, a, k = symbols("x y a k")
+    w, axis = ca.SX.sym("w", 3), np.sqrt(0.5) * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
+    R = ca.SX.eye(3) + ca.sin(k) * ca.DM(axis) + (1 - ca.cos(k)) * ca.DM(axis @ axis)
+    u, turn = R.T @ w, 0.3 + 0.05 * ca.cos(k)
+    growth, pull = a - u[0] ** 2 - u[1] ** 2, 1 - x**2 - y**2
+    rates = ca.vertcat(growth * u[0] - turn * u[1], turn * u[0] + growth * u[1], -u[2])
+    rhs = ca.vertcat(pull * x - y, pull * y + x, R @ rates)
+    model = OdeModel("turning", ca.vertcat(x, y, w), rhs, ca.vertcat(a, k))
+    guess = lambda t: [*circle(t)[:2], 0.0, 0.0, 0.0]  # noqa: E731
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"a": -0.1, "k": 0.0}, corrector="newton")
+    (torus,) = orbit.follow("a", 0.1, stability=True).special_points
+    curve = torus.curve("k", 3.0)
+    _codimension_two(curve, {"1:3 resonance": np.arccos(2.0 / 3.0)})
+    assert curve.complete
+    assert len(curve) < 80  # 140 where steps are as short as the phase of the plane turns
+    assert np.max(np.abs(curve["a"])) < 1e-9
+
+
+@pytest.mark.slow
 def test_two_folds_of_cycles_meet_at_a_cusp() -> None:
     """r' = r (mu + b s - s^3) with s = r^2 - 1: folds along 27 mu^2 = 4 b^3."""
     x, y, mu, b = symbols("x y mu b")
