@@ -86,6 +86,8 @@ class EdgeWalk:
         self.detail = ""
         self._opens = False
         self._missed = WELL
+        for value in (to, self._other_goal):
+            self.at_value(value, S)  # refused where the model has no such value
         self._first = self._found(start, S, self._guess(orbit), None)
 
     def __iter__(self) -> Iterator[EdgePoint]:

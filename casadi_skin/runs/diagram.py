@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import casadi_skin.figures as figures
+from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End
 from casadi_skin.critical_orbits.curve import curve_space
 from casadi_skin.equilibria.curve import UnfoldingError
@@ -137,9 +138,10 @@ def write_diagram(
 
 
 def special_columns(branch: Branch) -> list[str]:
-    """Columns of special_points.csv of a diagram."""
+    """Columns of special_points.csv of a diagram; the period that orbits have free is a column of its own."""
     fixed = ("branch", "kind", "error", "period", "frequency", "coefficient", "criticality")
-    names = [branch.parameter, *(name for name in branch.solutions[0].parameters if name != branch.parameter)]
+    known = [name for name in branch.solutions[0].parameters if name not in branch.space.free or name != PERIOD]
+    names = [branch.parameter, *(name for name in known if name != branch.parameter)]
     return ["branch", "kind", *unique_names(names, fixed), *fixed[2:]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -187,20 +187,10 @@ def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Ex
     outputs, conserved, symmetries, energy = (
         {name: next(moved) for name in group} for group in (model.outputs, model.conserved, model.symmetries, energy)
     )
-    extended = replace(
-        model,
-        rhs=rhs,
-        parameters=p,
-        outputs=outputs,
-        conserved=conserved,
-        symmetries=symmetries,
-        hamiltonian=energy.get(HAMILTONIAN),
-        normalisation=None,
-        nominal=None,
-        parameter_labels=(*model.parameter_names, SELECTED),
-        checked=False,  # these are the same declarations
-    )
-    return extended, selected
+    own = {entry.name: getattr(model, entry.name) for entry in fields(OdeModel)}  # a lattice becomes a plain model
+    own |= {"rhs": rhs, "parameters": p, "outputs": outputs, "conserved": conserved, "symmetries": symmetries}
+    own |= {"hamiltonian": energy.get(HAMILTONIAN), "normalisation": None, "nominal": None, "checked": False}
+    return OdeModel(**own | {"parameter_labels": (*model.parameter_names, SELECTED)}), selected
 
 
 def _known(condition: tuple[Expression, float] | None) -> tuple[Expression, float]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from casadi_skin import Bond, Lattice, Site, follow_family
 from casadi_skin.cli import main
 
 CHAIN = """
@@ -116,3 +118,23 @@ def test_an_endless_lattice_runs_and_what_needs_all_its_sites_is_refused(
     (tmp_path / "stable.toml").write_text(endless + family + "[stability]\n")
     assert main(["check", str(tmp_path / "stable.toml")]) == 2
     assert "[stability]: given with a linear tail (edge, or more than 100000 cells)" in capsys.readouterr().err
+
+
+def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(tmp_path: Path) -> None:
+    """The orbit with y_2 = 0.6 at rest against the family of the lowest mode at the same amplitude."""
+    lattice = (
+        "[lattice]\ncells = [3]\nparameters = { k = 1.0, b = 1.0 }\n"
+        '[[lattice.site]]\nname = "a"\nonsite = "k*y + b*y^3"\n'
+        '[[lattice.bond]]\nfrom = "a"\nto = "a"\noffset = [1]\nforce = "d"\n'
+    )
+    orbit = "[orbit]\nstart = [0.1, 0.14, 0.1, 0, 0, 0]\nperiod = 4.9\nselect = { y_2 = 0.14 }\nsymmetric = true\n"
+    rest = '[continuation]\nparameter = "select"\nto = 0.6\n[figures]\nformats = []\n'
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(lattice + orbit + rest, encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    with (out / "branch.csv").open(encoding="utf-8", newline="") as file:
+        *_, last = csv.DictReader(file)
+    assert float(last["y_2_max"]) == 0.6
+    S = 0.36 + 2.0 * float(last["y_1_max"]) ** 2
+    model = Lattice([3], [Site("a", "k*y + b*y^3")], [Bond("a", "a", [1], "d")], parameters={"k": 1.0, "b": 1.0})
+    assert float(last["period"]) == pytest.approx(follow_family(model, 1, S, at=[S]).at(S=S).period, rel=1e-7)

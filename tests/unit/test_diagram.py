@@ -99,6 +99,8 @@ def test_nothing_is_said_to_leave_where_orbits_shrink_to_an_equilibrium(
     assert capsys.readouterr().err.splitlines() == [
         f"{scene}: [continuation]: the cycle shrinks to an equilibrium at a Hopf point"
     ]
+    header = (out / "special_points.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "branch,kind,mu,a,error,period,frequency,coefficient,criticality"
     assert (out / "curve_1.csv").exists()
     assert not (out / "curve_2.csv").exists()
     values = {"mu": 0.1, "a": 1.0}

@@ -81,7 +81,10 @@ def test_edges_that_coincide_at_a_crossing_are_followed_as_a_resonance() -> None
 @pytest.mark.slow
 def test_a_window_between_krein_collisions_closes_where_their_edge_folds() -> None:
     """Mode 2 of four sites: the discriminant of the pair, by shooting, has the maximum 0 there, over S."""
-    curve = follow_family(Chain(4, 0.5, 0.38, 1.0), 2, 1.0, stability=True).edge(1).curve("gamma", 0.39)
+    edge = follow_family(Chain(4, 0.5, 0.38, 1.0), 2, 1.0, stability=True).edge(1)
+    with pytest.raises(ValueError, match=r"gamma: given 1\.2; accepted: -1 <= gamma <= 1"):
+        edge.curve("gamma", 1.2)
+    curve = edge.curve("gamma", 0.39)
     (fold,) = curve.folds
     assert curve.kind == "complex"
     gamma = fold.parameters["gamma"]
