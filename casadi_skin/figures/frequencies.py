@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 FLAT = 0.02  # of the height of a picture: a change of frequency that it does not show
 APART = 30.0  # ratio of shifts that one linear scale does not show
-NEAR = 1e-2  # of the largest S: where logarithmic scales begin
+NEAR, SHORT = 1e-2, 0.1  # of the largest S, and of that of the shortest family: where logarithmic scales begin
 LABELS = 24  # as many as fit one above the other beside the frequencies
 
 
@@ -109,9 +109,10 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
         axes.set_ylabel(r"frequency shift $\Omega - \omega_j$")
         label_ends(axes, branches, ends)
         return
-    limits = 0.1 * NEAR * sizes.min(), 2.0 * sizes.max()
+    left = min(NEAR * right, SHORT * float(ends[:, 0].min()))
+    limits = 0.1 * float(np.min(sizes * left / ends[:, 0])), 2.0 * float(sizes.max())
     label = r"frequency shift $|\Omega - \omega_j|$"
-    axes.set(xscale="log", yscale="log", xlim=(NEAR * right, right), ylim=limits, ylabel=label)
+    axes.set(xscale="log", yscale="log", xlim=(left, right), ylim=limits, ylabel=label)
     for branch, end, size in zip(branches, ends, sizes, strict=True):
         name = f"$j = {family(branch).coordinates.mode_number}$"
         axes.annotate(name, (end[0], size), (6, 0), textcoords="offset points", va="center", annotation_clip=False)

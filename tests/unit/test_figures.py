@@ -355,6 +355,23 @@ def test_import_is_cheap() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_a_family_that_ends_early_is_in_the_frame_of_logarithmic_shifts(plain: Branch) -> None:
+    short = follow_family(SOFT, 8, 1e-4, tolerance=1e-4)
+    axes = frequency_figure([plain, short]).axes[1]
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert len(axes.texts) == 2
+    for text in axes.texts:
+        S, shift = text.xy
+        assert left < S <= right
+        assert low < shift < high
+    for line in family_lines(axes):
+        S, shifts = points(line).T
+        seen = left <= S
+        assert np.count_nonzero(seen) > 1
+        assert np.all((shifts[seen] > low) & (shifts[seen] < high))
+
+
 def test_modes_that_hardly_move_are_shown_by_their_shifts_too(plain: Branch, soft: Branch) -> None:
     first = follow_family(SOFT, 1, 0.02, tolerance=1e-4)
     last = follow_family(SOFT, 8, 0.02, tolerance=1e-4)
