@@ -130,8 +130,9 @@ def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
         x = orbit.evaluate(at % orbit.period)[0]
         return np.asarray(np.array(jacobian(at, x, p)) @ w)
 
-    times = np.unique(np.mod(t, orbit.period))
-    found = solve_ivp(rate, (0.0, orbit.period), critical_vector(orbit, -1.0), "LSODA", times, rtol=1e-6, atol=1e-9)
     turn = np.floor(t / orbit.period * (1.0 + 1e-14)).astype(int)
-    along = np.array([np.interp(np.mod(t, orbit.period), times, column) for column in found.y]).T
+    within = np.clip(t - turn * orbit.period, 0.0, orbit.period)  # np.mod may be on the other side by rounding
+    times = np.unique(within)
+    found = solve_ivp(rate, (0.0, orbit.period), critical_vector(orbit, -1.0), "LSODA", times, rtol=1e-6, atol=1e-9)
+    along = np.array([np.interp(within, times, column) for column in found.y]).T
     return np.asarray(np.where(turn % 2 == 0, 1.0, -1.0)[:, None] * along)
