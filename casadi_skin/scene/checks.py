@@ -169,6 +169,9 @@ def _check_continuation(scene: Scene) -> None:
 
 def _check_multipliers(scene: Scene, table: ContinuationTable) -> None:
     """Refuse to switch where multipliers decide, which nothing computes."""
+    if table.depth and not table.switch and scene.orbit is not None and scene.stability is None:
+        given = f"{table.depth} beside [orbit] without [stability]"
+        raise refusal("[continuation] depth", given, "with [stability]")
     needed = {"period doubling"} | ({"branch point"} if scene.orbit is not None else set())
     for kind in table.switch:
         if kind in needed and scene.stability is None:

@@ -177,6 +177,10 @@ def test_check_tells_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
             '[continuation] switch: given "branch point" without [stability]; accepted: with [stability]',
         ),
         (
+            "cubic", '[orbit]\nstart=[0,0]\nperiod=1\n[continuation]\nparameter="p"\nto=1\ndepth=2\n',
+            "[continuation] depth: given 2 beside [orbit] without [stability]; accepted: with [stability]",
+        ),
+        (
             "cubic", '[equilibrium]\nstart=[0,0]\n[continuation]\nparameter="p"\nto=1\nswitch=["period doubling"]\n',
             '[continuation] switch: given "period doubling" without [stability]; accepted: with [stability]',
         ),

@@ -91,7 +91,7 @@ def test_nothing_is_said_to_leave_where_orbits_shrink_to_an_equilibrium(
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(
         '[model]\nfile = "model.py"\nname = "model"\nparameters = { mu = 0.1, a = 1.0 }\n'
-        "[orbit]\nstart = [1.05, 0.0]\nperiod = 6.28\n[figures]\nformats = []\n"
+        "[orbit]\nstart = [1.05, 0.0]\nperiod = 6.28\n[stability]\n[figures]\nformats = []\n"
         '[continuation]\nparameter = "mu"\nto = -0.3\ndepth = 1\ncurve = { parameter = "a", to = 1.05 }\n',
         encoding="utf-8",
     )
