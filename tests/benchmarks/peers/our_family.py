@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from family_case import Array, Family, FamilyCase
 
+from casadi_skin.continuation.points import ContinuationSettings
 from casadi_skin.orbits import family as computed
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import family_request
+from casadi_skin.orbits.request import FamilyRequest, family_request
 
 # Name in the table: keywords of family_request. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {
@@ -20,12 +21,28 @@ VARIANTS: dict[str, dict[str, str]] = {
     for walker in ("arclength", "series")
 }
 
+FEWER = 4.0  # times the longest steps: 18 points in place of 52
+
+
+@dataclass(frozen=True)
+class FewerPoints(FamilyRequest):
+    """A request with fewer points along the family, each of them as accurate."""
+
+    def continuation_settings(self) -> ContinuationSettings:
+        """The same with longer steps."""
+        usual = super().continuation_settings()
+        longest = {name: FEWER * getattr(usual, name) for name in ("max_step", "max_parameter_step")}
+        return replace(usual, aim_angle=1.7 * usual.aim_angle, guard_angle=2.0 * usual.guard_angle, **longest)
+
 
 def our_walk(
-    case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool
+    case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool, fewer: bool = False
 ) -> Callable[[], tuple[Orbit, ...]]:
     """A walk over the family; what is built once serves every call."""
-    space = computed.Family(family_request(case.chain, 1, case.at[-1], at=case.at, tolerance=tolerance, **keywords))  # type: ignore[arg-type]
+    request = family_request(case.chain, 1, case.at[-1], at=case.at, tolerance=tolerance, **keywords)  # type: ignore[arg-type]
+    if fewer:
+        request = FewerPoints(**{each.name: getattr(request, each.name) for each in fields(FamilyRequest)})
+    space = computed.Family(request)
 
     def follow() -> tuple[Orbit, ...]:
         walk = Following(space, stability, events=False)
@@ -39,9 +56,11 @@ def our_walk(
     return follow
 
 
-def our_family(case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool) -> Callable[[], Family]:
+def our_family(
+    case: FamilyCase, tolerance: float, keywords: dict[str, str], stability: bool, fewer: bool = False
+) -> Callable[[], Family]:
     """The same walk, its points as the other programs give theirs."""
-    walk = our_walk(case, tolerance, keywords, stability)
+    walk = our_walk(case, tolerance, keywords, stability, fewer)
 
     def follow() -> Family:
         orbits = walk()

@@ -15,6 +15,7 @@ from importlib.util import find_spec as installed
 from pathlib import Path
 
 import auto_family
+import jaxcont_family
 import numpy as np
 import pytest
 import solve_bvp_family
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.benchmark
 
 REPEATS = {24: 7, 48: 3}  # counted runs by length of the chain
 ASKED = 1e-8  # error of Omega at the S asked for; settings are the cheapest that round to it
-PACKAGES = ("casadi", "numpy", "scipy", "bifpy")
+PACKAGES = ("casadi", "numpy", "scipy", "bifpy", "jaxcont", "jax")
 UNSTABLE = 1.01  # largest |multiplier| from which its error is compared: nearer 1 it is the root of that of the flow
 OUR_TOLERANCE = 1e-8
 HEADING = (
@@ -117,6 +118,16 @@ def test_reference_against_digits_computed_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("stability", [False, True], ids=["without", "with"])
+def test_ours_with_fewer_points(table: Table, stability: bool) -> None:
+    name = "this, newton, series"
+    follow = our_family(table.case, OUR_TOLERANCE, VARIANTS[name], stability, fewer=True)
+    found = table.add(f"{name}, fewer points{', multipliers' if stability else ''}", follow)
+    assert found.worst < 1e-8
+    assert found.worst_multiplier is None or found.worst_multiplier < 1e-7
+    assert not found.stable_multiplier
+
+
+@pytest.mark.parametrize("stability", [False, True], ids=["without", "with"])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_ours(table: Table, name: str, stability: bool) -> None:
     follow = our_family(table.case, OUR_TOLERANCE, VARIANTS[name], stability)
@@ -126,15 +137,16 @@ def test_ours(table: Table, name: str, stability: bool) -> None:
     assert not found.stable_multiplier
 
 
+@pytest.mark.parametrize("points", ["few", "many"])
 @pytest.mark.parametrize(
     "formulation", [f for f in Formulation if f is not Formulation.PHYSICAL], ids=lambda value: value.name.lower()
 )
-def test_auto(table: Table, formulation: Formulation, tmp_path: Path) -> None:
+def test_auto(table: Table, formulation: Formulation, points: str, tmp_path: Path) -> None:
     if message := auto_family.missing():
         pytest.skip(message)
     program = auto_family.AutoProgram(tmp_path, table.case, formulation)
-    settings = auto_family.BEST[formulation]
-    found = table.add(f"AUTO-07p, {formulation.value}", lambda: program.follow(settings))
+    settings = (auto_family.BEST if points == "few" else auto_family.MANY_POINTS)[formulation]
+    found = table.add(f"AUTO-07p, {formulation.value}, {points} points", lambda: program.follow(settings))
     assert found.worst < 3e-8
     assert found.worst_multiplier is None or found.worst_multiplier < 1e-6
 
@@ -152,6 +164,13 @@ def test_multipliers_of_auto_in_physical_coordinates(tmp_path: Path) -> None:
         of_stable.append(found.stable_multiplier or 0.0)
     assert of_stable[0] < 1e-6
     assert of_stable[1] > 1e3 * of_stable[0]  # digits lost to the envelope, not to the discretisation
+
+
+def test_jaxcont(table: Table) -> None:
+    if message := jaxcont_family.missing():
+        pytest.skip(message)
+    found = table.add("JaxCont, odd cosines", jaxcont_family.JaxContWalk(table.case).family)
+    assert found.worst < 3e-8
 
 
 @pytest.mark.parametrize("name", solve_bvp_family.BEST)
