@@ -22,6 +22,7 @@ from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.passed_resonances import PassedResonance, passed_resonances
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import (
@@ -185,6 +186,18 @@ class Branch(Result):
     def unresolved(self) -> tuple[Unresolved, ...]:
         """Stretches of a family on which changes of stability may be missing, with the reason."""
         return () if self.stability_diagram is None else self.stability_diagram.unresolved
+
+    @cached_property
+    def passed_resonances(self) -> tuple[PassedResonance, ...] | None:
+        """Stretches of a family that may have gone past an internal resonance too narrow to be resolved.
+
+        Two runs of other tolerances may have other folds there and nowhere else. Computed on first use; None where it
+        is not sought: without odd cosines, with an eliminated tail, or where the Jacobian is not symmetric.
+        """
+        if not (isinstance(self.space, Family) and self.space.coordinates.is_whole):
+            return None
+        points = [solution.point for solution in self.solutions]
+        return passed_resonances(self.space.point_solver.levels, points, self.S.tolist())
 
     def first_instability(self, growth: float = 0.0) -> Place | None:
         """The place where a family first becomes unstable, with the error of S.
