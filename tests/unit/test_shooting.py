@@ -179,7 +179,7 @@ def test_a_model_of_first_order_without_reversal_is_found_on_the_full_period() -
     problem, reference = ShootingProblem(model, 13, FULL), gauss_problem(model, 24, FULL, degree=6)
     guesses = []
     for p in (problem, reference):
-        theta = 2 * np.pi * np.arange(17) / 16 if isinstance(p, ShootingProblem) else reference._phases()
+        theta = 2 * np.pi * np.arange(17) / 16 if isinstance(p, ShootingProblem) else reference.phases()
         states = np.stack([1 + 0.9 * np.cos(theta), 1 + 0.9 * np.sin(theta)], axis=1)
         guess = np.concatenate([states.ravel(), [0.9, 1.0, 0.0]])
         correction = NewtonCorrector(p, 1e-11, max_iterations=30).correct(guess, p.parameter_row(), 1.0)
