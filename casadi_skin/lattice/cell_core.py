@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -10,6 +11,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.bvp.statement import named_values
+from casadi_skin.bvp.trigonometric import cosine_matrix
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
@@ -18,18 +20,23 @@ from casadi_skin.lattice.nonlinear_core import Core, core_model, core_of
 from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.methods import TRIGONOMETRIC
-from casadi_skin.orbits.coordinates import normalised
+from casadi_skin.orbits.coordinates import Localised, normalised
 from casadi_skin.orbits.linear_modes import linear_modes
 from casadi_skin.orbits.method import Method
-from casadi_skin.orbits.model_coordinates import ModelCoordinates
+from casadi_skin.orbits.model_coordinates import DEEPEST, ModelCoordinates
 
+BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
+DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
+WITHIN_SCALES = 0.95  # of the span of scales that positions may have
 CLOSE = 1e-4  # relative distance of two lambda below which their difference is a slope
 
 
 class CellCoreWithTail(ModelCoordinates):
     """The cells at the edge are unknown; the rest is linear and eliminated."""
 
-    def __init__(self, lattice: LongLattice, core: Core, number: int, amplitude_max: float) -> None:
+    def __init__(
+        self, lattice: LongLattice, core: Core, number: int, amplitude_max: float, stability_sites: int | None = None
+    ) -> None:
         self.lattice, self.core, self.edge_mode = lattice, core, lattice.modes[number - 1]
         whole, p = lattice.of_cells(core.cells + 1), len(lattice.sites)
         model, weights = core_model(lattice, whole), whole.structure.log_weights
@@ -39,7 +46,8 @@ class CellCoreWithTail(ModelCoordinates):
         squares = linear_modes(force, model.state, model.name).squares
         nearest = int(np.argmin(np.abs(squares - self.edge_mode.square))) + 1
         super().__init__(model, nearest, None, amplitude_max)
-        self.mode_number = number
+        self.mode_number, self._amplitude_max, self._stability_sites = number, amplitude_max, stability_sites
+        self._cuts: dict[int, CellsAtEdge] = {}
 
     def _check_mode(self) -> None:
         """The mode is that of the edge, and oscillates; a short lattice may have another at its other end."""
@@ -69,6 +77,75 @@ class CellCoreWithTail(ModelCoordinates):
     def check_whole(self, purpose: str = "what is asked for") -> None:
         words = f"{purpose} is that of all sites, accepted: a Lattice of fewer cells"
         raise ValueError(f"cells: given {self.lattice.cells} with a linear tail; {words}")
+
+    # Stability of localised perturbations --------------------------------------------------------------------------
+
+    @cached_property
+    def localised(self) -> Localised | None:
+        if not self.symplectic:
+            return None
+        p, most = len(self.lattice.sites), self.lattice.cells - 1
+        if self.lattice.lean != 0.0:  # scales of positions are doubles
+            most = min(most, WITHIN_SCALES * DEEPEST / -abs(self.lattice.lean))
+        first = self.core.cells + math.ceil(BESIDE_CORE / p)
+        tried = [first * 2**k for k in range(DOUBLINGS + 1)]
+        if self._stability_sites is not None:
+            tried = [math.ceil(self._stability_sites / p)]
+        sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
+        ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
+        return Localised(sites, tuple(zip(ends[::2], ends[1::2], strict=True)), self.lattice.at_last, p)
+
+    def cut(self, sites: int) -> tuple[EdgeCells, int]:
+        return EdgeCells(self._cells_at_edge(sites)), self.mode_number
+
+    def _cells_at_edge(self, sites: int) -> CellsAtEdge:
+        if sites not in self._cuts:
+            core = Core(sites // len(self.lattice.sites), self.core.slowest)
+            self._cuts[sites] = CellsAtEdge(self.lattice, core, self.mode_number, self._amplitude_max)
+        return self._cuts[sites]
+
+    def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
+        assert isinstance(problem, CoreWithTailProblem)
+        H, p, cut = problem.resolution, len(self.lattice.sites), self._cells_at_edge(sites)
+        core = z[: problem.states].reshape(-1, H)
+        cells = self._tail_coefficients(problem, z, sites // p - self.core.cells)
+        order = slice(None, None, -1) if self.lattice.at_last else slice(None)
+        tail = cells[:, order].reshape(H, -1).T @ cosine_matrix(H)
+        both = np.concatenate([tail, core] if self.lattice.at_last else [core, tail])
+        at_edge = -1 if self.lattice.at_last else 0
+        unit = self.scale[at_edge] / cut.scale[at_edge]  # of the two gauges
+        return np.concatenate([unit * both.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
+
+    def _tail_coefficients(self, problem: CoreWithTailProblem, z: Array, cells: int) -> Array:
+        """Coefficients of the odd cosines in cells of the tail, from the core on, shape (harmonics, cells, sites)."""
+        lattice, s, (inlet, outlet) = self.lattice, self.tail.coupling, (self.lattice.inlet, self.lattice.outlet)
+        places = self.parameter(problem.resolution).places(float(z[problem.Omega_index]))
+        values, site = problem.values(z), problem.coefficients(z)[self.attached]
+        found, p = np.empty((problem.resolution, cells, len(lattice.sites))), len(lattice.sites)
+        for h, place in enumerate(places):
+            matrix, right, near = np.zeros((p + 1, p + 1)), np.zeros(p + 1), float(site[h])
+            matrix[:p, :p] = lattice.cell - self.tail.square(place) * np.eye(p)
+            matrix[inlet, p] = -s
+            angles = self._far_vectors(place, (float(values.across[h]), float(values.down[h])), cells)
+            for k, (across, down) in enumerate(angles):
+                matrix[p, inlet], matrix[p, p], right[outlet] = -across, down, s * near
+                motion = np.linalg.solve(matrix, right)
+                found[h, k], near = motion[:p], float(motion[inlet])
+        return found * (lattice.bond_sign ** (np.arange(cells) + 1.0))[None, :, None]
+
+    def _far_vectors(self, place: Place, first: tuple[float, float], cells: int) -> list[tuple[float, float]]:
+        """Amplitudes across the bonds behind each of so many cells of the tail, and before them, up to factors."""
+        endless = not np.isfinite(self.lattice.cells)
+        if endless and place.off == 0.0:  # pinned: no wave decays, and amplitudes are linear in the distance
+            P, v, found = self.tail.transfer(place.edge), np.array(first), []
+            for _ in range(cells):
+                v = np.array([[P[1, 1], -P[0, 1]], [-P[1, 0], P[0, 0]]]) @ v
+                v /= np.linalg.norm(v)
+                found.append((float(v[0]), float(v[1])))
+            return found
+        if endless:
+            return [self.tail.vector(place)] * cells
+        return [self.lattice.tail(self.core.cells + k + 1).vector(place) for k in range(cells)]
 
     @property
     def description(self) -> str:
@@ -214,6 +291,30 @@ class CellCoreWithTail(ModelCoordinates):
         return float(tail.squares(middle) / math.cos(tail.angle(middle)) ** 2)
 
 
+class CellsAtEdge(CellCoreWithTail):
+    """So many cells at the edge by themselves, without the bond to those beyond: all positions are unknowns."""
+
+    localised = None
+
+    def transcription(self, resolution: int) -> None:  # type: ignore[override]
+        return None
+
+    @property
+    def is_whole(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeCells:
+    """Cells at the edge of a long lattice as a model that has coordinates for its families."""
+
+    coordinates: CellsAtEdge
+
+    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> CellsAtEdge:
+        """Those given, whatever the mode and the method."""
+        return self.coordinates
+
+
 def long_lattice_coordinates(
     lattice: LongLattice, mode: int | str, amplitude_max: float, method: Method
 ) -> CellCoreWithTail:
@@ -227,7 +328,11 @@ def long_lattice_coordinates(
     if method.tail == "full":
         raise ValueError('tail: given "full" with a LongLattice; accepted: eliminated')
     core = core_of(lattice, lattice.modes[number - 1], amplitude_max)
-    return CellCoreWithTail(lattice, core, number, amplitude_max)
+    sites, p = method.stability_sites, len(lattice.sites)
+    if sites is not None and not core.cells < sites / p < lattice.cells:
+        accepted = f"more sites than those of {core.cells} cells, where forces are nonlinear, and fewer than all"
+        raise ValueError(f"stability_sites: given {sites}; accepted: {accepted}")
+    return CellCoreWithTail(lattice, core, number, amplitude_max, sites)
 
 
 def _cell_motion(

@@ -146,6 +146,11 @@ class CellTail:
         near, far = np.sin(c * theta), np.sin((c - 1.0) * theta) * at_edge
         return near * first - far * self.wall, near * second - far
 
+    def vector(self, place: Place) -> tuple[float, float]:
+        """Amplitude across the bond and that of the core's site, up to a factor."""
+        across, down = self._vector(place, place.off)
+        return float(across), float(down)
+
     def angle(self, place: Place) -> float:
         """phi, with tan(phi) the amplitude across the bond over that of the core's site; continuous about a gap."""
         below, above = self.sides(place.gap)

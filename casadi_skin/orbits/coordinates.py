@@ -37,11 +37,13 @@ class Localised:
         sites: numbers of sites at the edge to be tried, until all that decays into the tail is decided.
         bands: lowest and highest frequency of each linear band of the tail.
         cut_first: whether the tail is before the first of these sites; else it is behind the last.
+        cell: number of sites of a cell of the tail.
     """
 
     sites: tuple[int, ...]
     bands: tuple[tuple[float, float], ...]
     cut_first: bool
+    cell: int = 1
 
 
 class Coordinates(ABC):
@@ -118,7 +120,7 @@ class Coordinates(ABC):
         """Where stability is that of localised perturbations alone, their sites; None where it is that of all."""
         return None
 
-    def cut(self, sites: int) -> tuple[Any, str]:
+    def cut(self, sites: int) -> tuple[Any, int | str]:
         """The model of so many sites at the edge alone, and the mode of the same family there."""
         raise NotImplementedError
 

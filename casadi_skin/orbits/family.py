@@ -338,8 +338,9 @@ class Family:
             first, better = cut.accelerations([state, state.better or state])
             (transition,) = flow.transitions([state], self.tolerance)
             found = localised_floquet(
-                transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first
-            )
+                transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first,
+                localised.cell,
+            )  # fmt: skip
             if not found.unresolved.size:
                 break
         return found

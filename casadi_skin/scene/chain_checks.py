@@ -36,10 +36,12 @@ def check_infinite(scene: Scene) -> None:
 
 def check_long_lattice(scene: Scene) -> None:
     """Refuse what needs every site of a lattice with a linear tail."""
-    names = ("spectrum", "stability", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")
+    names = ("spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")
     for name in names:
         if getattr(scene, name) is not None:
             raise refusal(f"[{name}]", "with a linear tail (edge, or more than 100000 cells)", "with all sites unknown")
+    if scene.stability is not None and scene.stability.vectors:
+        raise refusal("[stability] vectors", "true with a linear tail", "false: all sites take part in them")
 
 
 def _check_gauge(chain: ChainTable, mode: int) -> None:

@@ -20,7 +20,7 @@ from casadi_skin.stability.perturbation import eigenvalue_errors
 from casadi_skin.stability.reduction import ComplexArray, Eigensystems, Reflections, eigensystems, half_cosines
 from casadi_skin.stability.result import ReversibleFloquet
 
-CORNER = 4  # sites at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
+CORNER = 4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
 SAFETY = 2.0
 WAVE = 1e-3  # what the cut may change of a mu that belongs to a wave: measured 0.03 to 0.5, falling as 1/sites
 
@@ -63,6 +63,7 @@ def localised_floquet(
     bands: tuple[tuple[float, float], ...],
     Omega: float,
     cut_first: bool,
+    cell: int = 1,
 ) -> LocalisedFloquet:
     """Localised multipliers of a symplectic transition matrix of a cut variational problem.
 
@@ -73,6 +74,7 @@ def localised_floquet(
         bands: lowest and highest frequency of each band of the tail.
         Omega: frequency of the orbit.
         cut_first: whether the cut is at the first site; else it is at the last.
+        cell: sites of a cell of the tail.
 
     Returns:
         The multipliers, with errors of flow, orbit, rounding and cut.
@@ -96,7 +98,8 @@ def localised_floquet(
     errors = eigenvalue_errors(systems, parts, norms, round_off_of([transition], matrix))[0][0]
     if bound:
         errors = errors + _by_deviation(systems, similar[0], trivial)
-    cut = _by_cut(systems, reflections[0].u[0] if bound else None, slice(0, CORNER) if cut_first else slice(-CORNER, n))
+    corner = slice(0, CORNER * cell) if cut_first else slice(-CORNER * cell, n)
+    cut = _by_cut(systems, reflections[0].u[0] if bound else None, corner)
     mu, local = systems.values[0], cut <= tolerance * np.maximum(1.0, np.abs(systems.values[0]))
     if not bound:  # the velocity of the flow may decay enough to be localised all the same
         local &= np.abs(mu - trivial) > errors + cut

@@ -115,9 +115,18 @@ def test_an_endless_lattice_runs_and_what_needs_all_its_sites_is_refused(
     printed = " ".join(capsys.readouterr().out.split())
     assert "inf cells of 1, 1 bonds a cell; ends fixed; a linear tail behind the last cells" in printed
     assert "edge modes 1.03127 (pinned to a band), 2.22182 (pinned to a band)" in printed
-    (tmp_path / "stable.toml").write_text(endless + family + "[stability]\n")
-    assert main(["check", str(tmp_path / "stable.toml")]) == 2
-    assert "[stability]: given with a linear tail (edge, or more than 100000 cells)" in capsys.readouterr().err
+    for name, text in (("stable", endless), ("stable_short", short)):
+        (tmp_path / f"{name}.toml").write_text(text + family + "[stability]\n")
+        assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
+    for quantity, allowed in (("max_abs_multiplier", 1e-8), ("localised", 0.0)):
+        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("stable", "stable_short"))
+        assert mine == pytest.approx(theirs, rel=allowed)
+    (tmp_path / "vectors.toml").write_text(endless + family + "[stability]\nvectors = true\n")
+    assert main(["check", str(tmp_path / "vectors.toml")]) == 2
+    assert "[stability] vectors: given true with a linear tail" in capsys.readouterr().err
+    (tmp_path / "moving.toml").write_text(endless + family + "[dynamics]\nduration = 1.0\n")
+    assert main(["check", str(tmp_path / "moving.toml")]) == 2
+    assert "[dynamics]: given with a linear tail (edge, or more than 100000 cells)" in capsys.readouterr().err
 
 
 def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from casadi_skin.lattice.cell_tail import CellTail
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime
+from casadi_skin.stability.localised import LocalisedFloquet
 
 DIMER = ([Site("a", "y + g*y^3"), Site("b", "y + g*y^3")], [Bond("a", "b", (0,), "u*d", GAINS), Bond("b", "a", (1,))])
 VALUES = {"u": 0.4, "gamma": 0.4, "g": 1.0}
@@ -150,6 +151,61 @@ def test_the_edge_breather_of_a_dimer_agrees_with_harmonic_balance() -> None:
         np.testing.assert_allclose(np.abs(orbit.evaluate(0.0)[0, -6:]), np.abs(a.sum(axis=0)[-6:]), atol=1e-9)
 
 
+# Stability of localised perturbations -------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cell", "boundary", "mode", "values", "S", "cells", "count"),
+    [
+        (DIMER, "fixed", 3, {**VALUES, "g": -1.0}, 1.5, (60, 80), 2),  # a complex pair at the last cell
+        (RESONATORS, "free", 4, {"gamma": 0.3}, 1.0, (50, 60), 2),  # on the circle; masses and nonlinear bonds
+    ],
+)
+def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
+    cell: Any, boundary: str, mode: int, values: dict[str, float], S: float, cells: tuple[int, int], count: int
+) -> None:
+    """Which come nearer the longer they are; by their own families and variational systems."""
+    endless = long(cell, math.inf, boundary, **values)
+    found = follow_family(endless, mode, S, at=(S,), tolerance=1e-9).at(S=S).floquet()
+    assert isinstance(found, LocalisedFloquet)
+    assert found.mu.size == count
+    assert found.stable == (cell is RESONATORS)
+    assert np.max(found.mu_error) < 1e-8
+    distances = []
+    for number in cells:
+        whole = endless.of_cells(number)
+        chosen = nearest(whole, long(cell, number, boundary, **values).modes[mode - 1].square)
+        all_mu = follow_family(whole, chosen, S, at=(S,), tolerance=1e-9).at(S=S).floquet().mu  # type: ignore[attr-defined]
+        distances.append(np.min(np.abs(found.mu[:, None] - all_mu), axis=1))
+    assert np.all(distances[1] <= np.maximum(distances[0], 2e-9))
+    assert np.max(distances[1]) < 1e-7
+    fewer = follow_family(endless, mode, S, at=(S,), tolerance=1e-9, stability_sites=found.sites + 30)
+    other = fewer.at(S=S).floquet()
+    assert isinstance(other, LocalisedFloquet)
+    assert other.sites != found.sites
+    assert np.all(np.abs(other.mu - found.mu) <= other.mu_error + found.mu_error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cells", [math.inf, 400])
+def test_stability_of_a_chain_declared_as_a_lattice_is_that_of_the_chain(cells: float, tmp_path: Path) -> None:
+    """Pinned, where the orbit fills the tail, and bound; the result is saved and read back."""
+    cell, at = ([Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]), (0.2, 3.0)
+    branch = follow_family(long(cell, cells, gamma=0.25, g=-1.0), "first", 3.0, at=at, tolerance=1e-9)
+    chain = Chain(cells, 1.0, 0.25, -1.0)
+    other = follow_family(chain, "first", 3.0, at=at, tolerance=1e-9, stability_sites=190)
+    for S in at:
+        mine, theirs = branch.at(S=S).floquet(), other.at(S=S).floquet()
+        assert isinstance(mine, LocalisedFloquet)
+        assert isinstance(theirs, LocalisedFloquet)
+        assert mine.sites == theirs.sites == 190
+        np.testing.assert_allclose(mine.mu, theirs.mu, rtol=0, atol=float(np.max(mine.mu_error + theirs.mu_error)))
+        np.testing.assert_allclose(mine.continuous.arcs, theirs.continuous.arcs, rtol=1e-12)
+    save_result(branch.at(S=3.0), tmp_path / "orbit.json")
+    np.testing.assert_array_equal(read_result(tmp_path / "orbit.json").floquet().mu, branch.at(S=3.0).floquet().mu)
+
+
 # Linear modes and refusals --------------------------------------------------------------------------------------------
 
 
@@ -193,8 +249,11 @@ def test_modes_and_harmonics_without_a_linear_tail_are_refused() -> None:
         ValueError, match="mode: given one with 3 times the frequency of the mode, which the tail carries"
     ):
         follow_family(low, 1, 1.0)
+    uneven = DIMER[0], [*DIMER[1], Bond("b", "a", (1,), "d^3", GAINS)]  # a cubic bond of another ratio of gains
     with pytest.raises(ValueError, match="with a linear tail; stability is that of all sites, accepted: a Lattice"):
-        follow_family(long(DIMER, math.inf, **VALUES), 3, 0.1, stability=True)
+        follow_family(long(uneven, math.inf, **VALUES), 3, 0.1, stability=True)
+    with pytest.raises(ValueError, match=r"stability_sites: given 20; accepted: more sites than those of \d+ cells"):
+        follow_family(long(DIMER, math.inf, **VALUES), 3, 0.1, stability=True, stability_sites=20)
     leaning = long(DIMER, math.inf, edge="first", **{**VALUES, "u": 0.6, "gamma": 0.9})
     with pytest.raises(ValueError, match=r"mode: given one that falls by 0 a cell; accepted: 2000 nonlinear sites"):
         follow_family(leaning, 1, 0.1)
