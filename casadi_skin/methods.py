@@ -31,6 +31,7 @@ def _registry(**methods: tuple[str, str]) -> Registry:
 
 
 TRIGONOMETRIC, SHOOTING = "trigonometric", "shooting"
+FEWEST_COSINES = 4  # odd cosines that a family begins with
 GAUSS, SPLITTING, COLLOCATION = "gauss", "splitting", "collocation"  # the defaults
 COLLOCATION_TABLES = _registry(
     gauss=("Gauss-Legendre collocation on intervals", "bvp.butcher:gauss_table"),

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.coordinates import Localised
     from casadi_skin.stability.localised import LocalisedFloquet
 
-HARMONICS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps

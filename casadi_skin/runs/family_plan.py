@@ -24,7 +24,8 @@ UNKNOWNS = {
 class FamilyPlan:
     """Modes and methods of families as they are chosen for the model, and the words for its symmetry and coordinates.
 
-    `localised` is the number of sites that localised multipliers begin with, where stability is of that kind.
+    `localised` is the number of sites that localised multipliers begin with, where stability is of that kind, and
+    `sites` that of a chain whose sites are all unknowns.
     """
 
     modes: Sequence[int]
@@ -33,6 +34,7 @@ class FamilyPlan:
     transcription: str
     flow: str
     localised: int | None = None
+    sites: int | None = None
 
 
 def chain_lines(scene: Scene) -> Lines | None:
@@ -49,7 +51,7 @@ def chain_lines(scene: Scene) -> Lines | None:
     if scene.spectrum is not None and chain.alpha + stiffness(chain.sites, chain.gamma, 1) <= 0.0:
         return None
     flow, transcription = scene.methods.flow or "", scene.methods.transcription or ""
-    plan = FamilyPlan(modes, methods.QUARTER_PERIOD, methods.EVERY_SITE, transcription, flow)
+    plan = FamilyPlan(modes, methods.QUARTER_PERIOD, methods.EVERY_SITE, transcription, flow, sites=int(chain.sites))
     spectrum = [SPECTRUM] if scene.spectrum is not None else []
     return [chain_line(int(chain.sites), chain.alpha, chain.gamma, chain.g), *spectrum, *family_lines(scene, plan)]
 
@@ -90,7 +92,7 @@ def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None, 
         ("symmetry", plan.symmetry),
         ("coordinates", plan.coordinates),
         ("transcription", f"{plan.transcription}: {UNKNOWNS.get(plan.transcription, 'positions and velocities')}"),
-        *(measured or [])[:-1],
+        *(measured[:-1] if measured else _unknowns(plan)),
     ]
     built = f"scaled model, collocation equations, {scene.method.corrector} corrector"
     if stability is not None:
@@ -106,6 +108,15 @@ def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None, 
         which = "every orbit" if scene.accuracy.certify == "all" else "the orbits asked for"
         lines.append(("proofs", f"of {which}, in balls"))
     return [*lines, *_of_families(scene), measured[-1] if measured else ("cost", TO_MEASURE)]
+
+
+def _unknowns(plan: FamilyPlan) -> Lines:
+    """The number of unknowns at the start, where it needs no equations."""
+    if plan.sites is None or plan.transcription != methods.TRIGONOMETRIC:
+        return []
+    cosines = methods.FEWEST_COSINES
+    words = f"{cosines * plan.sites + 2} at the start ({cosines} odd cosines a site, Omega and S)"
+    return [("unknowns", f"{words}; more where the tolerance asks for it")]
 
 
 def _wanted(scene: Scene, modes: Sequence[int]) -> str:

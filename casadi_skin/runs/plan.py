@@ -109,6 +109,7 @@ def _dynamics(request: Request) -> str:
 def _family_lines(request: Request, measure: bool) -> Lines:
     first, family = request.families[0], Family(request.families[0])
     localised, method = first.coordinates.localised, first.method
+    full = first.coordinates.description == methods.EVERY_SITE
     plan = FamilyPlan(
         [int(known.mode) for known in request.families],
         family.symmetry.reason,
@@ -116,6 +117,7 @@ def _family_lines(request: Request, measure: bool) -> Lines:
         str(method.transcription),
         str(method.flow),
         None if localised is None else localised.sites[0],
+        int(request.model.sites) if full and isinstance(request.model, Chain) else None,
     )
     return family_lines(request.scene, plan, _measured(request, family) if measure else None, NO_CHANGES)
 
