@@ -23,9 +23,10 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes
-from casadi_skin.orbits.branch_points import ONE_PLACE, branch_points_between
+from casadi_skin.orbits.branch_points import branch_points_between
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
+from casadi_skin.orbits.crossing_place import ONE_PLACE
 from casadi_skin.orbits.method import TWO_PI, Method
 from casadi_skin.orbits.period_limit import joined_words, limit_between, resting_phases, resting_places, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
@@ -161,7 +162,8 @@ class BoundarySpace:
         """
         crossed = []
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
-            crossed = [self._solved(point, before) for point in branch_points_between(self.point_solver, before, after)]
+            found = branch_points_between(self.point_solver, before, after)
+            crossed = [point if several else self._solved(point, before) for point, several in found]
         first: Point | None = before
         for point in crossed:
             left = None if first is None else self.point_solver.along(first, point, 1.0 - BESIDE)

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem, SingularError
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.crossed_branches import Bordered, closed, crossings, outer_eigenvalues, quiet
+from casadi_skin.orbits.crossing_place import ONE_PLACE, crossing_places
 from casadi_skin.orbits.special_points import BRANCH_POINT
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 HALVINGS = 36
 NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side
 FINER = 6  # levels that are tried
-ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in one place
 TWICE = 1e-2  # of a step: one eigenvalue that passes zero twice within it is not seen
 PLACES = 80  # on a stretch: more are needed only where rounding hides the branch, as on its way to infinity
 PARTED = 0.4823  # of a stretch: where it is parted, seldom at a branch point
@@ -99,13 +99,13 @@ class _Stretch:
         row = self.point_solver.metric(self.problem, guess) * slope
         return closed(self.problem, self.problem.evaluate(guess)[1], row)
 
-    def roots(self, low: float = 0.0, high: float = 1.0) -> list[float]:
-        """The fractions of the way at which branches cross, in order; raises SingularError."""
+    def roots(self, low: float = 0.0, high: float = 1.0) -> list[tuple[float, int]]:
+        """The fractions of the way at which branches cross, in order, and how many do; raises SingularError."""
         count, way = crossings(self.bordered(low), self.bordered(high)), high - low
         if count < 2 or way < ONE_PLACE:
-            found = [self._place(low, high, count)] if count else []
-            before = (found[0] - low) / way if found else None
-            after = (high - found[0]) / way if found else None
+            found = [(self._place(low, high, count), count)] if count else []
+            before = (found[0][0] - low) / way if found else None
+            after = (high - found[0][0]) / way if found else None
             if (
                 way < TWICE
                 or len(self.known) > PLACES
@@ -136,22 +136,24 @@ class _Stretch:
         return middle
 
 
-def branch_points_between(point_solver: PointSolver, before: Point, after: Point) -> list[Point]:
+def branch_points_between(point_solver: PointSolver, before: Point, after: Point) -> list[tuple[Point, bool]]:
     """The branch points between two points in order, on the level of resolution that their null vectors need.
 
-    Where the corrector fails on a level they are those of the level before.
+    Each with whether it is one of several that cross there, which `crossing_places` has found. Where the corrector
+    fails on a level they are those of the level before.
     """
     problem: Problem | None = after.problem
-    found: list[Point] = []
+    found: list[tuple[Point, bool]] = []
     for _ in range(FINER):
         assert problem is not None
         stretch = _Stretch.of(point_solver, before, after, problem)
         try:
-            located = [_point(stretch, after, root, found) for root in stretch.roots()]
+            coarser = [point for point, _ in found]
+            located = [_points(stretch, after, root, count, coarser) for root, count in stretch.roots()]
         except SingularError:
             break
-        found = [point for point in located if point is not None]
-        if all(point.error.parameter <= point_solver.settings.tolerance for point in found):
+        found = [one for points in located for one in points]
+        if all(point.error.parameter <= point_solver.settings.tolerance for point, _ in found):
             break
         problem = point_solver.levels.finer(problem)
         if problem is None:
@@ -159,17 +161,29 @@ def branch_points_between(point_solver: PointSolver, before: Point, after: Point
     return found
 
 
-def _point(stretch: _Stretch, after: Point, root: float, coarser: Sequence[Point]) -> Point | None:
-    """The branch point at a fraction of the way, with the difference to that of the coarser level for its error."""
-    problem, place = stretch.problem, stretch.problem.parameter_index
+def _points(
+    stretch: _Stretch, after: Point, root: float, count: int, coarser: Sequence[Point]
+) -> list[tuple[Point, bool]]:
+    """The branch points at a fraction of the way, each with whether it is one of several that cross there."""
+    tolerance = stretch.point_solver.settings.tolerance
+    if count > 1:
+        places = crossing_places(stretch.problem, stretch.at, root, count, tolerance / stretch.length)
+        if places:
+            return [(_as_point(stretch, after, one.z, one.slope, one.error, coarser), True) for one in places]
     state = next((found for off in (0.0, 1e-8, -1e-8, 1e-6, -1e-6) if (found := stretch.at(root + off))), None)
     if state is None:
-        return None
-    z, slope = stretch.curve.at(root * stretch.length), stretch.curve.slope(root * stretch.length)
-    z = np.where(np.arange(z.size) == place, z, state[0])
+        return []
+    z, slope = stretch.curve.at(root * stretch.length), stretch.length * stretch.curve.slope(root * stretch.length)
+    z = np.where(np.arange(z.size) == stretch.problem.parameter_index, z, state[0])
+    return [(_as_point(stretch, after, z, slope, NOISE, coarser), False)]
+
+
+def _as_point(stretch: _Stretch, after: Point, z: Array, slope: Array, own: float, coarser: Sequence[Point]) -> Point:
+    """A branch point; its error is its own, of the fraction of the way, and the difference to the coarser level."""
+    problem, place = stretch.problem, stretch.problem.parameter_index
     tangent = slope / np.sqrt(np.sum(stretch.point_solver.metric(problem, z) * slope**2))
     apart = min((abs(float(z[place]) - point.parameter) for point in coarser), default=1.0)
-    moved = 2.0 * apart + NOISE * stretch.length * abs(float(tangent[place]))
+    moved = 2.0 * apart + own * abs(float(slope[place])) + EPSILON * abs(float(z[place]))
     error = replace(after.error, parameter=moved / problem.parameter_size(z))
     step = stretch.point_solver.settings.first_step
     return Point(problem, z, np.asarray(tangent), error, step, 0, walked=False, special=BRANCH_POINT)

@@ -27,6 +27,10 @@ pull = ca.vertcat(a * x, (a - 2) * y) - (x**2 + y**2) * ca.vertcat(x, y)
 odd = OdeModel("odd", ca.vertcat(x, y), pull, a)
 alternates = [odd.end(x) + odd.start(x), odd.end(y) + odd.start(y)]
 flip = BoundaryValueProblem(odd, alternates, parameters={"a": -0.3})
+w, z, p = (ca.SX.sym(n) for n in "wzp")
+rate = -((p * 3.141592653589793) ** 2)
+both = OdeModel("twins", ca.vertcat(u, v, w, z), ca.vertcat(v, rate * u + u**2, z, rate * w + w**2), p)
+twins = BoundaryValueProblem(both, [both.start(u), both.end(u), both.start(w), both.end(w)], parameters={"p": 0.5})
 loop = BoundaryValueProblem(driven, ends, interval=(0, 6.283185307179586), parameters={"a": 0.4})
 """
 
@@ -38,7 +42,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def scene(tmp_path: Path, name: str, rest: str) -> str:
     (tmp_path / "model.py").write_text(MODEL, encoding="utf-8")
-    guess = "u = 0.0, v = 0.0" if name == "column" else "x = 0.0, y = 0.0"
+    guess = {"column": "u = 0.0, v = 0.0", "twins": "u = 0.0, v = 0.0, w = 0.0, z = 0.0"}.get(name, "x = 0.0, y = 0.0")
     text = f'[model]\nfile = "model.py"\nname = "{name}"\n[solution]\nguess = {{ {guess} }}\n{rest}'
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     return str(tmp_path / "scene.toml")
@@ -73,6 +77,17 @@ def test_bent_columns_and_the_load_at_which_they_bend(tmp_path: Path) -> None:
     assert float(bent["lam"]) == 15.0
     largest = max(float(bent["u_max"]), -float(bent["u_min"]))  # of a pendulum, which takes 2 K / sqrt(lam) for half
     assert 2.0 * ellipk(np.sin(0.5 * largest) ** 2) / np.sqrt(15.0) == pytest.approx(1.0, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_two_branches_that_cross_in_one_place_are_one_point_of_a_scene(tmp_path: Path) -> None:
+    """At p = 1 and 2, where sin(p pi x) solves the linear problem of both."""
+    rest = '[continuation]\nparameter = "p"\nto = 2.3\n'
+    assert main(["run", scene(tmp_path, "twins", rest), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    points = rows(tmp_path / "out" / "special_points.csv")
+    assert [point["kind"] for point in points] == ["branch point"] * 2
+    for exact, point in enumerate(points, start=1):
+        assert abs(float(point["p"]) - exact) <= float(point["error"]) < 1e-9
 
 
 @pytest.mark.slow

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
 from equilibrium_models import symbols
 from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+from scipy.special import j0, y0
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel
 
@@ -91,7 +95,75 @@ def test_two_branches_that_cross_in_one_place_are_found() -> None:
     points = problem.solve([0.0, 0.0]).follow("p", 2.7).special_points
     assert [point.kind for point in points] == ["branch point"] * 2
     for exact, point in enumerate(points, start=1):
-        assert abs(point.parameters["p"] - exact) <= max(point.error, 1e-9) < 1e-6
+        assert abs(point.parameters["p"] - exact) <= point.error < 1e-8
+
+
+def copies(fields: Sequence[Callable[[ca.SX, ca.SX], ca.SX]]) -> BoundaryValueProblem:
+    """u'' = f(u, y), u = 0 at both ends, for each f; the constant y with y + y^3 = p bends the branch of zeros."""
+    count = len(fields)
+    x, y, p = ca.SX.sym("x", 2 * count), ca.SX.sym("y"), ca.SX.sym("p")
+    rows = [row for k, f in enumerate(fields) for row in (x[2 * k + 1], f(x[2 * k], y))]
+    model = OdeModel("copies", ca.vertcat(x, y), ca.vertcat(*rows, 0), p)
+    held = [end(x[2 * k]) for k in range(count) for end in (model.start, model.end)]
+    return BoundaryValueProblem(model, [*held, model.start(y) + model.start(y) ** 3 - p], parameters={"p": 0.5})
+
+
+def linear(y: ca.SX) -> ca.SX:
+    return -((np.pi * y) ** 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "fields",
+    [
+        [lambda u, y: linear(y) * u + u**2] * 2,
+        [lambda u, y: linear(y) * u + u**2, lambda u, y: linear(y) * u + u**3, lambda u, y: linear(y) * u - u**2],
+        [lambda u, y: linear(y) * u + u**2, lambda u, y: -(np.pi**2) * (1.0 + 100.0 * (y - 1.0)) * u + u**3],
+    ],
+    ids=["two", "three", "one a hundred times as fast"],
+)
+def test_where_several_branches_cross_in_one_place_it_has_the_digits_of_the_mesh(
+    fields: list[Callable[[ca.SX, ca.SX], ca.SX]],
+) -> None:
+    """At y = 1, so that p = 2, where sin(pi x) solves every linear problem."""
+    points = copies(fields).solve([0.0, 0.0] * len(fields) + [0.4]).follow("p", 2.05).special_points
+    assert [point.kind for point in points] == ["branch point"]
+    assert abs(points[0].parameters["p"] - 2.0) <= points[0].error < 1e-10
+    y = float(points[0].solution.evaluate(np.array([0.3]))[0, -1])
+    assert abs(y - 1.0) < 1e-10  # the solution there is one of the branch
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shift", [1e-6, 1e-7, 1e-10])
+def test_branches_that_cross_next_to_each_other_are_apart_or_within_the_error(shift: float) -> None:
+    """At y = 1 - shift and y = 1; the tolerance is 1e-8."""
+    fields = [lambda u, y: linear(y) * u + u**2, lambda u, y: linear(y + shift) * u + u**3]
+    points = copies(fields).solve([0.0] * 4 + [0.4]).follow("p", 2.7).special_points
+    places = [1.0 - shift + (1.0 - shift) ** 3, 2.0]
+    assert len(points) == (1 if shift < 1e-9 else 2)
+    for k, place in enumerate(places):
+        point = points[k % len(points)]
+        assert abs(point.parameters["p"] - place) <= point.error < 1e-8
+
+
+@pytest.mark.slow
+def test_where_two_branches_cross_the_digits_are_those_of_bessel_functions() -> None:
+    """u'' = -(p pi exp(p t))^2 u has the solutions J0 and Y0 of pi exp(p t)."""
+    u, v, w, x, y, p = symbols("u v w x y p")
+    rate = -((p * np.pi * y) ** 2)
+    rows = ca.vertcat(v, rate * u + u**2, x, rate * w + w**2, p * y)
+    model = OdeModel("growing", ca.vertcat(u, v, w, x, y), rows, p)
+    held = [end(one) for one in (u, w) for end in (model.start, model.end)]
+    problem = BoundaryValueProblem(model, [*held, model.start(y) - 1], parameters={"p": 0.5})
+    points = problem.solve([0.0, 0.0, 0.0, 0.0, 1.0]).follow("p", 1.2).special_points
+
+    def crossed(value: float) -> float:
+        a, b = np.pi, np.pi * np.exp(value)
+        return float(j0(a) * y0(b) - y0(a) * j0(b))
+
+    assert len(points) == 2
+    for point, (low, high) in zip(points, [(0.6, 0.8), (1.0, 1.2)], strict=True):
+        assert abs(point.parameters["p"] - brentq(crossed, low, high, xtol=1e-15)) <= point.error + 1e-14 < 1e-10
 
 
 @pytest.mark.slow
