@@ -253,8 +253,9 @@ class TrigonometricProblem(OrbitProblem):
         return np.asarray(self.samples(z[None], theta)[0])
 
     def samples(self, z: Array, theta: Array) -> Array:
-        values = z[:, : self.states].reshape(-1, self.resolution) @ self.sampling(theta)
-        return np.asarray(values.reshape(len(z), self.model.size, theta.size).swapaxes(1, 2))
+        # One product an orbit: the last bit of a larger one depends on how many there are.
+        values = z[:, : self.states].reshape(len(z), self.model.size, self.resolution) @ self.sampling(theta)
+        return np.asarray(values.swapaxes(1, 2))
 
     def sampling(self, theta: Array) -> Array:
         return _sampling(self.resolution, theta.tobytes())
