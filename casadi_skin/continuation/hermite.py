@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 
 HISTORY = 4  # points that a prediction is made from
+HULL_MARGIN = 1e-9  # of the largest bound on values without a zero: rounding is far below
 ALIGNED = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
@@ -53,6 +54,10 @@ class LocalCurve:
         """All sigma in (0, end] at which component `index` equals `value`, ascending."""
         polynomial = [self.cubic[index], self.quadratic[index], self.t0[index], self.z0[index] - value]
         scale = max(abs(c) for c in polynomial)
+        a, b, c, d = polynomial[0] * end**3, polynomial[1] * end**2, polynomial[2] * end, polynomial[3]
+        hull = (d, d + c / 3.0, d + (2.0 * c + b) / 3.0, d + c + b + a)  # Bernstein coefficients bound the values
+        if min(hull) > HULL_MARGIN * max(hull) > 0.0 or max(hull) < HULL_MARGIN * min(hull) < 0.0:
+            return []
         roots = np.roots([0.0 if abs(c) < 1e-300 * scale else c for c in polynomial])
         real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
         return sorted(float(s) for s in real if 0.0 < s <= end)
