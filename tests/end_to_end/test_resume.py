@@ -59,6 +59,7 @@ at = [1.5]
 tolerance = 1e-6
 """
 KINDS = {"points alone": FAMILY, "with stability": STABLE, "cycles of a model": CYCLES}
+QUICK = [pytest.param(kind, marks=pytest.mark.slow if kind == "points alone" else ()) for kind in KINDS]
 AGAIN = "; what follows it is dropped and computed again\n"
 Resume = Callable[[bytes], tuple[Path, int]]
 
@@ -85,7 +86,7 @@ def write_model(folder: Path, scene: str, stiffness: float = 1.0) -> Path:
     return folder / "scene.toml"
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(scope="module", params=QUICK)
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A scene beside the results of its whole run, and beside the journal that the run had at its end."""
     folder = tmp_path_factory.mktemp("scene")

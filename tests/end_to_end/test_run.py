@@ -233,7 +233,7 @@ def interrupted_from_outside(number: signal.Signals, scene: Path, out: Path) -> 
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("chain", "interrupt"),
     [(SHORT, partial(ended, records=20)), pytest.param(LONG, interrupted_from_outside, marks=pytest.mark.slow)],

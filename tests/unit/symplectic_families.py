@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from scipy.linalg import expm
 
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
 
@@ -82,19 +82,22 @@ class SymplecticFamily:
 
     def transition(self, s: float) -> Array:
         """Phi at a coordinate."""
-        entries = [block(s) for block in self.blocks]
-        A, B = (block_diag(*(entry[i] for entry in entries)) for i in (0, 1))
-        n = len(A)
-        zero = np.zeros((n, n))
-        Phi = expm(0.5 * np.block([[zero, B], [-A, zero]]))
+        blocks = [block(s) for block in self.blocks]
+        ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
+        n = int(ends[-1])
+        generator, mixed = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+        for (A, B), first, last in zip(blocks, ends[:-1], ends[1:], strict=True):
+            generator[first:last, n + first : n + last] = B
+            generator[n + first : n + last, first:last] = -A
+        Phi = expm(0.5 * generator)
         if self.swapped:
-            Phi = np.block([[zero, np.eye(n)], [-np.eye(n), zero]]) @ Phi
+            Phi = np.concatenate([Phi[n:], -Phi[:n]])
         k = np.arange(n)
-        mix = np.cos(1.0 + np.add.outer(k**2, 3.0 * k)) / n
-        turn = expm(0.3 * (1.0 + s) * mix)
-        generator = np.random.default_rng(hash(s) % 2**32)
-        wrong = self.noise * generator.uniform(-1.0, 1.0, Phi.shape)
-        return Phi @ block_diag(np.linalg.inv(turn), turn.T) + wrong
+        turn = expm(0.3 * (1.0 + s) * np.cos(1.0 + np.add.outer(k**2, 3.0 * k)) / n)
+        mixed[:n, :n], mixed[n:, n:] = np.linalg.inv(turn), turn.T
+        if not self.noise:
+            return Phi @ mixed
+        return Phi @ mixed + self.noise * np.random.default_rng(hash(s) % 2**32).uniform(-1.0, 1.0, Phi.shape)
 
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates."""

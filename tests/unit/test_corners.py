@@ -37,7 +37,9 @@ def test_orientation_is_the_sign_of_the_determinant(sites: int, transcription: s
     assert signs == {-1.0, 1.0}
 
 
-@pytest.mark.parametrize(("tolerance", "walker"), SETTINGS)
+@pytest.mark.parametrize(
+    ("tolerance", "walker"), [*SETTINGS[:3:2], *(pytest.param(*s, marks=pytest.mark.slow) for s in SETTINGS[1::2])]
+)
 def test_excursion_whose_two_sides_predict_one_another_is_followed(tolerance: float, walker: str) -> None:
     """Both sides are 1e-3 of a step apart; the family returns as it was, half a period later."""
     branch = follow_family(CHAIN, 1, 0.2, tolerance=tolerance, walker=walker)

@@ -295,6 +295,7 @@ def test_edges_of_tongues_of_a_chain_are_followed_in_gamma(
         branch.edge(70)
 
 
+@pytest.mark.slow
 def test_edges_of_lames_equation_are_followed_in_the_coupling() -> None:
     """Two equal Duffing oscillators in phase: Lame's equation of degree 2, whose edges are known in closed form.
 
@@ -399,6 +400,7 @@ def test_pairs_of_special_points_between_two_orbits_are_not_missed(half: bool, s
     assert not any(start <= value <= start + apart for value in ordinary)
 
 
+@pytest.mark.slow
 def test_a_branch_point_of_cycles_is_followed_in_two_parameters_where_a_mirror_keeps_it() -> None:
     """Across the circle eta' = (a - k^2) eta - eta^3: a mirror symmetry is lost along a = k^2, for eta^2 = a - k^2."""
     model = across_circle(lambda xi, eta, a, k: (-xi, (a - k**2) * eta - eta**3), half=False)

@@ -297,7 +297,7 @@ def test_an_escape_is_named_and_what_was_computed_is_kept(method: str) -> None:
 
 def test_a_step_that_is_too_long_is_an_error_not_a_result() -> None:
     with pytest.raises(EvolutionError, match=r"symplectic: the state was followed to t = .* it is not finite then"):
-        evolve(Chain(3, 1.0, 0.2, 1.0), [0.5, 0.1, 0.3], None, [500.0], "symplectic", step=3.0)
+        evolve(Chain(3, 1.0, 0.2, 1.0), [0.5, 0.1, 0.3], None, [100.0], "symplectic", step=3.0)
 
 
 GOOD = {"positions": [0.1, 0.2, 0.3], "velocities": [0.0, 0.0, 0.1], "t": [0.0, 1.0]}

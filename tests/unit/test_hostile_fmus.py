@@ -13,6 +13,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ UNZIP = Path(unzip.__file__)
 HERE = sys.executable
 
 
+@cache
 def interpreters() -> list[str]:
     """This Python, and those of other versions from 3.11 on that the machine has."""
     found = {sys.version_info[:2]: HERE}
@@ -78,26 +80,24 @@ def files(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("interpreter", interpreters())
 @pytest.mark.parametrize(
     "name", ["../evil.txt", "/evil.txt", "resources/../../evil.txt", "a\\..\\..\\evil.txt", "c:evil.txt"]
 )
-def test_a_second_name_leads_nowhere_else(interpreter: str, name: str, tmp_path: Path) -> None:
+def test_a_second_name_leads_nowhere_else(name: str, tmp_path: Path) -> None:
     """Python 3.12 and newer put the name of extra field 0x7075 in place of the one that archives show elsewhere."""
     archive = archive_with(tmp_path / "evil.fmu", "resources/good.txt", name)
-    before = files(tmp_path)
-    said = unpacked_by(interpreter, archive, tmp_path / "deep" / "folder")
-    replaced = subprocess.run(
-        [interpreter, "-c", f"import zipfile; print(zipfile.ZipFile({str(archive)!r}).infolist()[1].filename)"],
-        capture_output=True, text=True, check=True,
-    ).stdout.strip()  # fmt: skip
-    if replaced == "resources/good.txt":  # Python 3.11 takes no second name
-        assert said == "written"
-        assert files(tmp_path / "deep") == {"folder/modelDescription.xml", "folder/resources/good.txt"}
-    else:
-        assert said.endswith(f"refused: the file {replaced!r} would leave the folder it is unpacked in")
-        assert files(tmp_path / "deep") == set()
-    assert files(tmp_path) - before <= {f"deep/{name}" for name in files(tmp_path / "deep")}
+    show = f"import zipfile; print(zipfile.ZipFile({str(archive)!r}).infolist()[1].filename)"
+    for number, interpreter in enumerate(interpreters()):
+        before, deep = files(tmp_path), tmp_path / f"deep{number}"
+        said = unpacked_by(interpreter, archive, deep / "folder")
+        replaced = subprocess.run([interpreter, "-c", show], capture_output=True, text=True, check=True).stdout.strip()
+        if replaced == "resources/good.txt":  # Python 3.11 takes no second name
+            assert said == "written"
+            assert files(deep) == {"folder/modelDescription.xml", "folder/resources/good.txt"}
+        else:
+            assert said.endswith(f"refused: the file {replaced!r} would leave the folder it is unpacked in")
+            assert files(deep) == set()
+        assert files(tmp_path) - before <= {f"{deep.name}/{found}" for found in files(deep)}
 
 
 def test_the_other_interpreters_do_replace_names(tmp_path: Path) -> None:
@@ -112,16 +112,16 @@ def test_the_other_interpreters_do_replace_names(tmp_path: Path) -> None:
         assert "../evil.txt" in done.stdout
 
 
-@pytest.mark.parametrize("interpreter", interpreters())
-def test_two_files_of_one_name_and_names_that_are_none(interpreter: str, tmp_path: Path) -> None:
+def test_two_files_of_one_name_and_names_that_are_none(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "twice.fmu", "w") as archive:
         archive.writestr("resources/a", b"1")
         archive.writestr("resources//a", b"2")
-    assert unpacked_by(interpreter, tmp_path / "twice.fmu", tmp_path / "one").endswith(
-        "refused: 'resources/a' is in it more than once; accepted: once"
-    )
     empty = archive_with(tmp_path / "empty.fmu", "resources/good.txt", "")  # Python 3.12 warns of it
-    assert unpacked_by(interpreter, empty, tmp_path / "two") == "written"
+    for number, interpreter in enumerate(interpreters()):
+        assert unpacked_by(interpreter, tmp_path / "twice.fmu", tmp_path / f"one{number}").endswith(
+            "refused: 'resources/a' is in it more than once; accepted: once"
+        )
+        assert unpacked_by(interpreter, empty, tmp_path / f"two{number}") == "written"
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -166,16 +166,16 @@ def states(count: int) -> str:
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        (variables(600_000), "refused, more than 100000 variables"),
-        (variables(10) + states(2_001), "refused, more than 2000 states"),
-        ("<a/>" * 1_000_001, "refused, more than 1000000 elements"),
-        ("<a>" * 200 + "</a>" * 200, "refused, more than 100 elements within each other"),
-        ("<a>" + " " * (1 << 26) + "</a>", r"refused, 6710\d+ bytes; accepted: up to 67108864"),
+        (lambda: variables(600_000), "refused, more than 100000 variables"),
+        (lambda: variables(10) + states(2_001), "refused, more than 2000 states"),
+        (lambda: "<a/>" * 1_000_001, "refused, more than 1000000 elements"),
+        (lambda: "<a>" * 200 + "</a>" * 200, "refused, more than 100 elements within each other"),
+        (lambda: "<a>" + " " * (1 << 26) + "</a>", r"refused, 6710\d+ bytes; accepted: up to 67108864"),
     ],
 )
-def test_too_much_of_anything_is_refused_before_it_is_read(body: str, words: str, tmp_path: Path) -> None:
+def test_too_much_of_anything_is_refused_before_it_is_read(body: Callable[[], str], words: str, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "much.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", description(body))
+        archive.writestr("modelDescription.xml", description(body()))
     begun = time.perf_counter()
     with pytest.raises(ValueError, match=f"^[^\n]*modelDescription.xml cannot be read: {words}$"):
         import_fmu(tmp_path / "much.fmu")
@@ -211,10 +211,10 @@ def spoilt(good: Path, folder: Path, harm: str) -> Path:
     ("harm", "words"),
     [
         ("abort();", r"ends the process that calls it \(SIGABRT\); accepted: one that comes back"),
-        ("raise(SIGSEGV);", r"ends the process that calls it \(SIGSEGV\)"),
+        pytest.param("raise(SIGSEGV);", r"ends the process that calls it \(SIGSEGV\)", marks=pytest.mark.slow),
         ("_exit(0);", r"ends the process that calls it \(exit status 0\)"),
-        ("for (;;) pause();", r"does not answer within 2 s; accepted: one that does, or a longer time_limit"),
-        pytest.param("for (;;) {}", r"does not answer within 2 s", marks=pytest.mark.slow),
+        ("for (;;) pause();", r"does not answer within 1 s; accepted: one that does, or a longer time_limit"),
+        pytest.param("for (;;) {}", r"does not answer within 1 s", marks=pytest.mark.slow),
     ],
 )
 def test_a_binary_that_never_comes_back_is_refused(
@@ -222,7 +222,7 @@ def test_a_binary_that_never_comes_back_is_refused(
 ) -> None:
     path = spoilt(good, tmp_path, harm)
     with pytest.raises(ValueError, match=f"^{path}: its binary {words}"):
-        import_fmu(path, time_limit=2.0)
+        import_fmu(path, time_limit=1.0)
 
 
 def test_a_good_binary_is_tried_once_for_each_file_and_question(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:

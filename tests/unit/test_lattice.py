@@ -111,7 +111,9 @@ def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: fl
     assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
 
 
-@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), (32, 0.1043149731)])
+@pytest.mark.parametrize(
+    ("sites", "energy"), [(8, 0.5320603626), pytest.param(32, 0.1043149731, marks=pytest.mark.slow)]
+)
 def test_the_pi_mode_of_fput_loses_stability_at_the_published_energy(sites: int, energy: float) -> None:
     S = 0.3 if sites == 8 else 0.06
     branch = follow_family(fput(sites, "periodic"), mode="last", amplitude_max=S, tolerance=1e-9, stability=True)

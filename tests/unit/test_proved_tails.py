@@ -24,7 +24,9 @@ def family(chain, S, mode="first"):
     return follow_family(chain, mode=mode, amplitude_max=S, tolerance=1e-11)
 
 
-@pytest.mark.parametrize(("gamma", "g", "mode"), [(0.5, 1.0, "last"), (-0.55, -1.0, "first")])
+@pytest.mark.parametrize(
+    ("gamma", "g", "mode"), [(0.5, 1.0, "last"), pytest.param(-0.55, -1.0, "first", marks=pytest.mark.slow)]
+)
 def test_infinite_and_long_chains_are_proved_and_hold_what_all_sites_give(gamma, g, mode):
     whole = family(Chain(60, 1.0, gamma, g), 2.0, mode).at(S=2.0).certify()
     for sites in (INFINITE, 5000):
