@@ -215,6 +215,10 @@ class TaylorRecursion:
             put, right_side = self._kernel.put, self._kernel.right_side
         put(0, z)
         put(1, slope)
+        compiled = getattr(solve, "addresses", None)
+        if self._kernel is not None and compiled is not None:
+            self._kernel.solve_all(*compiled)
+            return self._coefficients.copy()
         for k in range(2, self.orders + 1):
             put(k, solve(right_side(k)))
         return self._coefficients.copy()

@@ -19,7 +19,7 @@ typedef struct {
 typedef struct {
     int64_t nodes, sites, orders, size, highest; /* highest power of p */
     const double *second_derivative, *at_zero;   /* (nodes, nodes), and weights of the nodes in a value at phase zero */
-    double *unknowns, *curvature, *start, *powers, *squared, *right; /* right: (size - 1) entries */
+    double *unknowns, *curvature, *start, *powers, *squared, *right; /* right: size entries */
     terms force, norm;
 } series;
 
@@ -147,4 +147,16 @@ EXPORTED void casadi_skin_taylor_right(series *s, int64_t k)
         s->right[i] /= s->squared[0];
     first(s, &s->norm, s->start, s->sites, 1, k, s->right + states);
     s->right[states] = -s->right[states];
+}
+
+/* All orders from the third on, by solutions in the place of their right-hand sides. */
+EXPORTED void casadi_skin_taylor_series(series *s, void (*solve)(const void *, double *, int64_t, double *),
+                                        const void *layout, double *factors)
+{
+    for (int64_t k = 2; k <= s->orders; k++) {
+        casadi_skin_taylor_right(s, k);
+        solve(layout, factors, 1, s->right);
+        memcpy(s->unknowns + k * s->size, s->right, (size_t)s->size * sizeof(double));
+        casadi_skin_taylor_put(s, k);
+    }
 }

@@ -37,14 +37,16 @@ class _Series(ctypes.Structure):
 
 
 @cache
-def _functions() -> tuple[Any, Any] | None:
-    """Those that take over an order and that give the right-hand side of one; None without a compiler."""
+def _functions() -> tuple[Any, Any, Any] | None:
+    """Those that take over an order, give the right-hand side of one, and solve all; None without a compiler."""
     found = library("taylor")
     if found is None:
         return None
     for function in (found.casadi_skin_taylor_put, found.casadi_skin_taylor_right):
         function.argtypes, function.restype = [ctypes.POINTER(_Series), INTEGER], None
-    return found.casadi_skin_taylor_put, found.casadi_skin_taylor_right
+    every = found.casadi_skin_taylor_series
+    every.argtypes, every.restype = [ctypes.POINTER(_Series), *[POINTER] * 3], None
+    return found.casadi_skin_taylor_put, found.casadi_skin_taylor_right, every
 
 
 class TaylorKernel:
@@ -68,7 +70,7 @@ class TaylorKernel:
     ) -> None:
         functions = _functions()
         assert functions is not None
-        self._put, self._right = functions
+        self._put, self._right, self._every = functions
         orders, size = unknowns.shape
         nodes = at_zero.size
         sites, highest = (size - 2) // nodes, max((term[0] for term in (*force, *norm)), default=0)
@@ -110,6 +112,10 @@ class TaylorKernel:
         """Right-hand side of order k, shape (size,); its array is used again."""
         self._right(self._address, k)
         return self._right_side
+
+    def solve_all(self, solve: int, layout: int, factors: int) -> None:
+        """All orders beyond the first two, by a compiled solver at these addresses, see `native.bordered`."""
+        self._every(self._address, solve, layout, factors)
 
 
 def taylor_kernel(

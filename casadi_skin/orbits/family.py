@@ -17,7 +17,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import check_name
 from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
-from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Buffers, Indices, Problem, Scalar
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -76,7 +76,6 @@ class Family:
         self.request = request
         self._recursions: dict[int, TaylorRecursion] = {}
         self._cuts: dict[int, Family] = {}
-        self._rhs_of: dict[int, ca.Function] = {}  # by the number of points at which it is evaluated
 
     @property
     def model(self) -> Any:
@@ -104,9 +103,10 @@ class Family:
     # Equations ------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def rhs(self) -> ca.Function:
-        """Function (q, parameter) -> acceleration and its derivatives."""
-        return self.coordinates.solved.rhs_and_jacobian()
+    def _rhs(self) -> Buffers:
+        """Acceleration by position and parameter."""
+        solved = self.coordinates.solved
+        return Buffers(ca.Function("rhs", [solved.state, solved.parameters], [ca.densify(solved.rhs)]))
 
     @cached_property
     def symmetry(self) -> SymmetryClass:
@@ -363,11 +363,8 @@ class Family:
         """q'' at phase zero, shape (orbits, scaled positions)."""
         groups = groupby(orbits, key=lambda orbit: orbit.problem)
         states = [problem.samples(np.stack([one.z for one in those]), np.zeros(1)) for problem, those in groups]
-        starts = np.concatenate(states)[:, 0].T
-        parameters = np.array([[orbit.parameter for orbit in orbits]])
-        if len(orbits) not in self._rhs_of:
-            self._rhs_of[len(orbits)] = self.rhs.map(len(orbits))
-        return np.array(self._rhs_of[len(orbits)](starts, parameters)[0]).T
+        starts = zip(np.concatenate(states)[:, 0], orbits, strict=True)
+        return np.stack([self._rhs(start, np.array(orbit.parameter))[0].copy() for start, orbit in starts])
 
     def on_all_positions(self, point: Point) -> Point:
         """A point of a family whose tail is eliminated, as a point of `whole`."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError, Solve
+from casadi_skin.native.bordered import BorderedKernel, bordered_kernel
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -71,6 +72,13 @@ class BandLayout:
             entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
         )
 
+    def kernel(self, problem: Problem) -> BorderedKernel | None:
+        """The compiled kernel of this layout; None where there is none."""
+        parts = self.inside, self.right, self.below, self.corner
+        places = [(part.source, part.target) for part in parts]
+        sizes = problem.states, problem.size, self.width
+        return bordered_kernel(sizes, places, problem.pattern, (SINGULAR, ACCURATE))
+
     def fill(self, storage: Array, right: Array, below: Array, corner: Array, nonzeros: Array) -> None:
         """Put the non-zeros of the Jacobian where they belong."""
         for entries, array in ((self.inside, storage), (self.right, right), (self.below, below), (self.corner, corner)):
@@ -113,6 +121,23 @@ class _BandFactors:
         n, columns = self._lu.shape[1], b.reshape(b.shape[0], -1)
         inner, _ = self._band_solve(self._lu, self._width, self._width, columns[:n], self._pivots)
         return self.completed(inner, columns[n:]).reshape(b.shape)
+
+
+class CompiledFactors:
+    """The same by the compiled kernel; `orientation` is the sign of the determinant."""
+
+    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
+        self.kernel, self.memory, self.orientation = kernel, memory, orientation
+
+    @property
+    def addresses(self) -> tuple[int, int, int]:
+        """Where the compiled solver, its layout and the factors begin."""
+        return self.kernel.solve_address, self.kernel.address, self.memory.ctypes.data
+
+    def __call__(self, b: Array) -> Array:
+        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
+        self.kernel.solve(self.memory, x)
+        return x.T.reshape(b.shape)
 
 
 @dataclass(frozen=True)
@@ -172,6 +197,7 @@ class BorderedSolver:
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
         self._band = BandLayout.of(problem)
+        self._kernel = None if self._band is None else self._band.kernel(problem)
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
@@ -221,7 +247,12 @@ class BorderedSolver:
         return solve
 
     def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
-        if self._band is not None:
+        if self._kernel is not None:
+            x, memory = np.array(self._probes.T[None, ::-1], order="C"), self._kernel.memory()
+            orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
+            if orientation is not None:
+                return CompiledFactors(self._kernel, memory, float(orientation[0]))
+        elif self._band is not None:
             factors, probes = self._factor_band(self._band, z, nonzeros, row)
             if self._accurate(probes, nonzeros, row):
                 return factors

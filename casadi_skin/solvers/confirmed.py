@@ -36,6 +36,8 @@ class ConfirmedCorrector:
 
     def on(self, problem: Problem) -> ConfirmedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
+        if problem is self.problem:
+            return self
         other = copy.copy(self)
         other.problem, other._newton = problem, self._newton.on(problem)
         return other

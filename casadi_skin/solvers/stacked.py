@@ -1,7 +1,8 @@
 """Newton steps at several states of one banded problem, as `BorderedSolver` takes them one by one.
 
-LAPACK factorises the bands one after the other; all else is done in arrays over the states, for which numpy needs a
-fraction of the time that it needs for one state after the other.
+A compiled kernel takes them one after the other. Without one, LAPACK factorises the bands one after the other, and all
+else is done in arrays over the states, for which numpy needs a fraction of the time that it needs for one state after
+the other.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class StackedSolver:
         self._by_rows = np.argsort(rows, kind="stable")
         self._columns = columns[self._by_rows]
         self._starts = np.searchsorted(rows[self._by_rows], np.arange(problem.size - 1))
+        self._kernel = layout.kernel(problem)
 
     @staticmethod
     def of(problem: Problem) -> StackedSolver | None:
@@ -50,6 +52,16 @@ class StackedSolver:
 
     def steps(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
         """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
+        if self._kernel is not None:
+            x = np.zeros((len(z), 3, z.shape[1]))
+            x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
+            orientation = self._kernel.steps(z, nonzeros, rows, x)
+            newton, response, along = x.swapaxes(0, 1)
+            return None if orientation is None else Steps(newton, along, response, orientation)
+        return self._in_arrays(z, residuals, nonzeros, rows)
+
+    def _in_arrays(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
+        """The same without a compiled kernel."""
         from scipy.linalg.lapack import dgbtrf, dgbtrs
 
         layout, (count, size), n = self._layout, z.shape, self._problem.states

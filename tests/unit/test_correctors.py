@@ -16,7 +16,7 @@ from casadi_skin.bvp.problem import SingularError, Solve
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.solvers.bordered import BandLayout, BorderedSolver
 from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector, Status
 from casadi_skin.solvers.ipopt import IpoptCorrector
@@ -225,9 +225,11 @@ def test_ipopts_own_words_are_kept() -> None:
 # Linear algebra -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def only_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No way out to SuperLU: what follows is LAPACK's band with the border."""
+@pytest.fixture(params=["compiled", "numpy"])
+def only_the_band(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No way out to SuperLU: what follows is LAPACK's band with the border, by the kernel and without it."""
+    if request.param == "numpy":
+        monkeypatch.setattr(BandLayout, "kernel", lambda *arguments: None)
 
     def refuse(*_: object) -> None:
         raise AssertionError("the band was not enough")
@@ -316,6 +318,7 @@ def test_every_transcription_is_solved_as_dense_elimination_does(kind: str, site
 
 
 def test_an_inaccurate_band_is_given_up_for_superlu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BandLayout, "kernel", lambda *arguments: None)
     problem = TrigonometricProblem(Chain(8, 1.0, 0.25, 1.0).gauge_model(), 4)
     random = np.random.default_rng(0)
     z, row, b = (random.normal(size=problem.size) for _ in range(3))

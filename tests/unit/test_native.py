@@ -15,17 +15,18 @@ from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.bvp import recursion
+from casadi_skin.bvp import recursion, trigonometric
 from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials
+from casadi_skin.native import bordered, taylor
 from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
-from casadi_skin.native import taylor
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.orbits.request import family_request
+from casadi_skin.solvers.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability import splitting
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingMap
@@ -42,7 +43,8 @@ def fresh() -> Iterator[None]:
 
 
 def forget() -> None:
-    for kept in (library, splitting_kernel, taylor._functions, native_jacobian._function):
+    own = library, splitting_kernel, taylor._functions, native_jacobian._function, bordered._functions
+    for kept in (*own, trigonometric._kept):
         kept.cache_clear()
 
 
@@ -153,6 +155,21 @@ def test_series_by_the_kernel_are_those_by_numpy(highest: int, monkeypatch: pyte
     plain = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
     sizes = np.max(np.abs(plain), axis=1, keepdims=True)
     assert np.all(sizes > 0.0)
+    np.testing.assert_allclose(found / sizes, plain / sizes, rtol=0, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("sites", [4, 24])
+def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> None:
+    chain = Chain(sites, 1.0, 0.25, -1.0)
+    problem = TrigonometricProblem(chain.gauge_model(), 4)
+    z, row, slope = np.random.default_rng(sites).normal(size=(3, problem.size))
+    z[problem.Omega_index] = 1.4
+    solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], row)
+    assert isinstance(solve, CompiledFactors)
+    series = TaylorRecursion(problem, PolynomialForm.of(chain.gauge_model()), 12).series
+    found, plain = series(z, slope, solve), series(z, slope, lambda right: solve(right))
+    sizes = np.max(np.abs(plain), axis=1, keepdims=True)
     np.testing.assert_allclose(found / sizes, plain / sizes, rtol=0, atol=1e-12)
 
 

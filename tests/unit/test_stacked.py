@@ -8,6 +8,7 @@ import pytest
 from casadi_skin import Chain, follow_family
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.solvers.bordered import BandLayout
 from casadi_skin.solvers.stacked import StackedSolver
 
 
@@ -16,6 +17,19 @@ def dense(problem: TrigonometricProblem, nonzeros: Array, row: Array) -> Array:
     matrix[problem.pattern] = nonzeros
     matrix[-1] = row
     return matrix
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways in turn; where there is no compiler, numpy's twice."""
+    if request.param == "numpy":
+        monkeypatch.setattr(BandLayout, "kernel", lambda *arguments: None)
+
+
+def solver_of(problem: TrigonometricProblem) -> StackedSolver:
+    layout = BandLayout.of(problem)
+    assert layout is not None
+    return StackedSolver(problem, layout)
 
 
 def random_states(problem: TrigonometricProblem, count: int, seed: int) -> tuple[Array, Array, Array, Array]:
@@ -27,13 +41,12 @@ def random_states(problem: TrigonometricProblem, count: int, seed: int) -> tuple
     return z, np.column_stack([residuals, random.normal(size=count)]), nonzeros, rows
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize(("sites", "harmonics"), [(4, 5), (24, 4), (24, 10), (60, 6)])
 def test_steps_at_several_states_are_those_of_dense_elimination(sites: int, harmonics: int) -> None:
     problem = TrigonometricProblem(Chain(sites, 1.0, 0.1, 1.0).gauge_model(), harmonics)
     z, residuals, nonzeros, rows = random_states(problem, 7, sites)
-    solver = StackedSolver.of(problem)
-    assert solver is not None
-    steps = solver.steps(z, residuals, nonzeros, rows)
+    steps = solver_of(problem).steps(z, residuals, nonzeros, rows)
     assert steps is not None
     unit, probe = np.eye(problem.size)[-1], np.append(problem.probe, 0.0)
     signs = []
@@ -50,22 +63,22 @@ def test_steps_at_several_states_are_those_of_dense_elimination(sites: int, harm
     assert len(set(signs)) == 2  # both signs are among the states
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("fault", ["singular", "not a number", "inaccurate"])
 def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = TrigonometricProblem(Chain(24, 1.0, 0.25, 1.0).gauge_model(), 4)
     z, residuals, nonzeros, rows = random_states(problem, 3, 0)
-    solver = StackedSolver.of(problem)
-    assert solver is not None
-    assert solver.steps(z, residuals, nonzeros, rows) is not None
+    assert solver_of(problem).steps(z, residuals, nonzeros, rows) is not None
     if fault == "singular":
         rows[1] = dense(problem, nonzeros[1], rows[1])[5]  # repeats an equation
     elif fault == "not a number":
         nonzeros[1, 7] = np.nan
     else:
         monkeypatch.setattr("casadi_skin.solvers.stacked.ACCURATE", 0.0)
-    assert solver.steps(z, residuals, nonzeros, rows) is None
+        monkeypatch.setattr("casadi_skin.solvers.bordered.ACCURATE", 0.0)
+    assert solver_of(problem).steps(z, residuals, nonzeros, rows) is None
 
 
 def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:

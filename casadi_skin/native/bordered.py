@@ -1,0 +1,127 @@
+"""Solutions with banded matrices and their borders by the kernel bordered.c, with LAPACK as scipy has it."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.native.library import library
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+INTEGER, POINTER = ctypes.c_int64, ctypes.c_void_p
+ROUTINES = ("dgbtrf", "dgbtrs", "dgetrf", "dgetrs")
+MOST = 7  # unknowns beside the band
+
+
+class _Entries(ctypes.Structure):
+    _fields_ = (("count", INTEGER), ("source", POINTER), ("target", POINTER))
+
+
+class _Layout(ctypes.Structure):
+    _fields_ = (
+        *((name, POINTER) for name in ROUTINES),
+        *((name, INTEGER) for name in ("banded", "size", "width", "nonzeros")),
+        *((name, _Entries) for name in ("inside", "right", "below", "corner")),
+        *((name, POINTER) for name in ("rows", "columns")),
+        *((name, ctypes.c_double) for name in ("singular", "accurate")),
+    )
+
+
+@cache
+def _functions() -> tuple[Any, Any] | None:
+    """Those for steps and for solutions; None without a compiler."""
+    found = library("bordered")
+    if found is None:
+        return None
+    steps, solve = found.casadi_skin_bordered_steps, found.casadi_skin_bordered_solve
+    steps.argtypes = [POINTER, INTEGER, *[POINTER] * 3, INTEGER, *[POINTER] * 4]
+    steps.restype = ctypes.c_int
+    solve.argtypes, solve.restype = [POINTER, POINTER, INTEGER, POINTER], None
+    return steps, solve
+
+
+@cache
+def _routines() -> tuple[int, ...]:
+    """Addresses of LAPACK's routines, with integers of 32 bits."""
+    from scipy.linalg import cython_lapack
+
+    name, pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
+    name.argtypes, name.restype = [ctypes.py_object], ctypes.c_char_p
+    pointer.argtypes, pointer.restype = [ctypes.py_object, ctypes.c_char_p], POINTER
+    table: Any = cython_lapack.__pyx_capi__
+    capsules = [table[routine] for routine in ROUTINES]
+    return tuple(pointer(capsule, name(capsule)) for capsule in capsules)
+
+
+class BorderedKernel:
+    """Factors and solutions of matrices of one layout.
+
+    Arguments:
+        sizes: number of unknowns in the band, of all, and the half bandwidth.
+        places: source and target of the non-zeros inside the band, right of it, below it, and in the corner.
+        pattern: rows and columns of the non-zeros.
+        limits: growth of a right-hand side that only a singular matrix gives, and the residual of a solution that is
+            accurate, relative to the largest entries of matrix and solution.
+    """
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int],
+        places: Sequence[tuple[Indices, Indices]],
+        pattern: tuple[Indices, Indices],
+        limits: tuple[float, float],
+    ) -> None:
+        functions = _functions()
+        assert functions is not None
+        self._steps, self._solve = functions
+        self.banded, self.size, width = sizes
+        self._held = [np.ascontiguousarray(array) for pair in (*places, pattern) for array in pair]
+        at = [array.ctypes.data for array in self._held]
+        parts = [_Entries(places[i][0].size, at[2 * i], at[2 * i + 1]) for i in range(4)]
+        self._layout = _Layout(*_routines(), *sizes, pattern[0].size, *parts, *at[8:], *limits)
+        self.address = ctypes.addressof(self._layout)
+        self.solve_address = int(ctypes.cast(self._solve, POINTER).value or 0)
+        edge = self.size - self.banded + 1
+        doubles = self.banded * (3 * width + 1) + 2 * edge * self.banded + edge * edge
+        self._room = doubles + (self.banded + edge + 1) // 2  # two integers in a double
+        self._defect, self._scratch = np.empty(self.size), np.empty(self._room)
+
+    def memory(self) -> Array:
+        """Room for one factorised matrix."""
+        return np.empty(self._room)
+
+    def steps(self, z: Array, nonzeros: Array, rows: Array, x: Array, memory: Array | None = None) -> Array | None:
+        """Signs of the determinants of matrices at states, (states, size); None where one is singular but for rounding.
+
+        Right-hand sides x, (states, each, size), are overwritten by solutions; the last but one of each has residuals
+        in general position, the last is for the closing row alone. `memory` keeps the factors of the last state.
+        """
+        arrays = [z, nonzeros, rows, x, np.empty(len(z)), self._scratch if memory is None else memory, self._defect]
+        assert all(array.flags.c_contiguous for array in arrays)
+        at = [array.__array_interface__["data"][0] for array in arrays]
+        failed = self._steps(self.address, len(z), *at[:3], x.shape[1], *at[3:])
+        return None if failed else arrays[4]
+
+    def solve(self, memory: Array, x: Array) -> None:
+        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
+        assert x.flags.c_contiguous
+        at = [array.__array_interface__["data"][0] for array in (memory, x)]
+        self._solve(self.address, at[0], len(x), at[1])
+
+
+def bordered_kernel(
+    sizes: tuple[int, int, int],
+    places: Sequence[tuple[Indices, Indices]],
+    pattern: tuple[Indices, Indices],
+    limits: tuple[float, float],
+) -> BorderedKernel | None:
+    """A kernel, see `BorderedKernel`; None without a compiler, and where the border is wide."""
+    if _functions() is None or sizes[1] - sizes[0] > MOST:
+        return None
+    return BorderedKernel(sizes, places, pattern, limits)
