@@ -157,7 +157,7 @@ def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
         raise ValueError(f"{label}: given {short_repr(guess)}; accepted: {ACCEPTED}") from None
     if values.size not in (model.size, model.full_size):
         shown = ", ".join(names[: model.size])
-        raise ValueError(f"{label}: given {values.size} numbers; accepted: {model.size}, {shown}")
+        raise ValueError(f"{label}: given {values.size}; accepted: {model.size} numbers: {shown}")
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{label}: given numbers that are not finite; accepted: finite numbers")
     return np.array(values[: model.size])

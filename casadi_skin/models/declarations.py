@@ -130,11 +130,11 @@ def check_declarations(model: Equations) -> None:
 
 def _faults(model: Equations) -> Iterator[str]:
     if model.rhs.shape != model.state.shape:
-        yield f"right-hand side of shape {model.rhs.shape}, state {model.state.shape}"
+        yield f"rhs: given shape {model.rhs.shape}; accepted: {model.state.shape}, that of the state"
     if (model.velocity is None) != (model.order == 1):
         yield "a velocity symbol belongs to a model of second order, and only there"
     if model.velocity is not None and model.velocity.shape != model.state.shape:
-        yield f"velocity of shape {model.velocity.shape}, state {model.state.shape}"
+        yield f"velocity: given shape {model.velocity.shape}; accepted: {model.state.shape}, that of the state"
     if model.order == 2 and isinstance(model.state, ca.MX):
         yield "of second order in MX; accepted: SX, or a model of first order"
     yield from _numbers(model)
@@ -223,7 +223,8 @@ def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
     for label, expression in given.items():
         unknown = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
         if unknown:
-            yield f"{label} depends on {', '.join(unknown)}, not declared"
+            declared = ", ".join(name for _, name in _entries(symbols))
+            yield f"{label}: depends on {', '.join(unknown)}, not declared; accepted: {declared}"
     if isinstance(model.forcing_period, ca.SX | ca.MX):
         period = ca.Function("T", [model.parameters], [model.forcing_period], {"allow_free": True})
         if period.get_free():

@@ -43,7 +43,9 @@ def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     n = statement.model.full_size
     values = _values(statement, guess, t)
     if values.shape != (t.size, n):
-        raise ValueError(f"guess: gives shape {values.shape} at {t.size} times; accepted: {n} states at each")
+        one = values.ndim == 2 and len(values) == t.size
+        given = f"{values.shape[1]} at a time" if one else f"shape {values.shape} at {t.size} times"
+        raise ValueError(f"guess: given {given}; accepted: {n} states: {', '.join(statement.model.state_names)}")
     if not np.all(np.isfinite(values)):
         raise ValueError("guess: given values that are not finite; accepted: finite numbers")
     return values

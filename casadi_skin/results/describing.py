@@ -69,6 +69,8 @@ def _(result: Branch) -> tuple[str, Rows]:
         known = result.with_events and (not isinstance(result.space, Family) or "stability_diagram" in vars(result))
         rows += [("changes of stability", listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
         rows += [("not sought", f"changes: {result.changes_not_sought}")] if result.changes_not_sought else []
+    elif result.solutions and not result.space.stability_included and getattr(result.space, "closes", True):
+        rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if result.space.locates_folds else ()
     if special:
         rows.append(("special points", listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))

@@ -193,7 +193,7 @@ def test_a_simulation_that_does_not_settle_says_so() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"guess": [0.0]}, "guess: given 1 numbers; accepted: 2, x, y"),
+        ({"guess": [0.0]}, "guess: given 1; accepted: 2 numbers: x, y"),
         ({"guess": {"z": 1.0}}, "guess: given 'z'; accepted: x, y"),
         ({"guess": [0.0, np.nan]}, "guess: given numbers that are not finite"),
         ({"guess": "here"}, "guess: given 'here'; accepted: numbers, one a state"),

@@ -148,12 +148,12 @@ def test_other_orders_than_one_and_two_are_refused(order: int) -> None:
 
 @pytest.mark.parametrize("length", [1, 3])
 def test_a_right_hand_side_of_another_length_is_refused(length: int) -> None:
-    with pytest.raises(ValueError, match=rf"right-hand side of shape \({length}, 1\), state \(2, 1\)"):
+    with pytest.raises(ValueError, match=rf"rhs: given shape \({length}, 1\); accepted: \(2, 1\)"):
         predator(rhs=ca.SX.zeros(length))
 
 
 def test_a_right_hand_side_that_lies_down_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"right-hand side of shape \(1, 2\), state \(2, 1\)"):
+    with pytest.raises(ValueError, match=r"rhs: given shape \(1, 2\); accepted: \(2, 1\)"):
         predator(rhs=ca.SX.zeros(1, 2))
 
 
@@ -359,7 +359,7 @@ def test_the_ends_of_an_interval_have_their_own_symbols() -> None:
         ({"outputs": {"q": ca.SX(0)}}, "forced: q named more than once among states, parameters and outputs"),
         (
             {"outputs": {"strange": ca.SX.sym("w")}},
-            "forced: output strange depends on w, not declared",
+            "forced: output strange: depends on w, not declared; accepted: ",
         ),
         ({"forcing_period": None}, "forced: time without forcing_period; accepted: the forcing's period"),
         ({"forcing_period": ca.SX.sym("T")}, "forced: forcing_period depends on T; accepted: parameters"),

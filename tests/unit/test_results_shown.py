@@ -61,6 +61,9 @@ def test_print_tells_the_numbers(shown: dict[str, Any]) -> None:
     assert "Branch of equilibria of Hopf" in str(shown["branch"])
     assert "-0.25+1i, -0.25-1i" in str(shown["spectrum"])
     assert "stable" in str(shown["floquet"])
+    plain = follow_family(Chain(2, 1.0, 0.25, 1.0), 1, 0.05, tolerance=1e-4)
+    assert "not computed; stability=True" in str(plain)
+    assert not any("not computed" in str(shown[name]) for name in ("family", "branch"))
 
 
 def test_a_branch_is_iterated_over_its_solutions(shown: dict[str, Any]) -> None:

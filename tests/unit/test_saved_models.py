@@ -168,7 +168,7 @@ def with_data(**changes: Any) -> str:
         ({"results": {"rhs": [9]}}, "entry 9 of a result; accepted: 0 to 3"),
         ({"results": {"output a": [0]}}, "results: no right-hand side"),
         ({"results": {"rhs": [0], "field": [0]}}, "results: given .'field'."),
-        ({"results": {"rhs": [0, 0]}}, "line: right-hand side of shape"),
+        ({"results": {"rhs": [0, 0]}}, "line: rhs: given shape"),
         ({"states": ["a\nb"]}, "as the name of a state or parameter; accepted: names in one line"),
         ({"name": "\x1b[2J"}, "name: given"),
         ({"order": 2}, "line: state: given shape"),
