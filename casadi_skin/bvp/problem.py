@@ -229,6 +229,10 @@ class Problem(ABC):
 
         return evaluated
 
+    def evaluator_of_all(self) -> Evaluate | None:
+        """As `evaluate_all`, a function of states and `numbers`; None where states are evaluated one by one."""
+        return None
+
     def with_constants(self, constants: Array) -> Self:
         """The same equations with other constants; the compiled function is shared.
 

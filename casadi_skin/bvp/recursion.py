@@ -13,8 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.bvp.problem import Array, Indices, Solve
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, polynomial_terms
 from casadi_skin.native.taylor import Term, taylor_kernel

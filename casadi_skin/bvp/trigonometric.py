@@ -8,16 +8,16 @@ See Boyd, Chebyshev and Fourier Spectral Methods (2001), sections 3.1 and 8.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.cosine_equations import CompiledEquations, odd_cosine_equations
+from casadi_skin.bvp.cosines import cosine_matrix, prolongation_matrix
 from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Problem, Scalar, sparse_matrix
+from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Evaluate, Indices, Problem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.lifted import Program, lifted
 from casadi_skin.models.ode import OdeModel
@@ -25,42 +25,6 @@ from casadi_skin.models.ode import OdeModel
 MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
 KEPT = 32  # resolutions of models whose functions are kept
 ALIASED = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
-
-
-@cache
-def cosine_matrix(harmonics: int) -> Array:
-    """Symmetric matrix V with V_ik = cos((2k+1) theta_i); V V = (H/2) I, shape (H, H)."""
-    i = np.arange(harmonics)
-    phase = np.outer(2 * i + 1, 2 * i + 1) % (8 * harmonics)
-    matrix = np.cos(np.pi * phase / (4 * harmonics))
-    matrix.flags.writeable = False  # kept and shared
-    return matrix
-
-
-@cache
-def prolongation_matrix(harmonics: int, others: int) -> Array:
-    """Matrix from node values of `harmonics` odd cosines to those of `others`, shape (harmonics, others)."""
-    kept = min(harmonics, others)
-    return (2.0 / harmonics) * cosine_matrix(harmonics)[:, :kept] @ cosine_matrix(others)[:kept]
-
-
-@cache
-def second_derivative_matrix(harmonics: int) -> Array:
-    """Matrix of d^2/dtheta^2 on node values, shape (H, H).
-
-    Entries are of size H^2, and what rounding makes of -cos(theta) goes into every frequency. The diagonal is chosen so
-    that the rounded matrix is right for cos(theta) (Baltensperger and Trummer 2003), where long double has more digits.
-    """
-    i = np.arange(harmonics)
-    angle = (np.outer(2 * i + 1, 2 * i + 1) % (8 * harmonics)).astype(np.longdouble) / (4 * harmonics)
-    V = np.cos(np.arccos(np.longdouble(-1.0)) * angle)
-    exact = -((V * (2 * i + 1) ** 2) @ V) * 2 / harmonics
-    rounded = exact.astype(np.float64)
-    fundamental = V[:, 0]
-    missing = -(fundamental + rounded @ fundamental) / fundamental
-    rounded[i, i] = (rounded[i, i] + missing).astype(np.float64)
-    rounded.flags.writeable = False  # kept and shared
-    return np.asarray(rounded)
 
 
 @lru_cache(maxsize=KEPT)
@@ -72,85 +36,44 @@ def _sampling(harmonics: int, theta: bytes) -> Array:
     return np.asarray(weights)
 
 
-def odd_cosine_equations(
-    harmonics: int, symbols: Sequence[ca.SX], force: ca.SX, normalisation: ca.SX, *numbers: ca.MX
-) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Unknowns z, residual and Jacobian of the equations of a model at the nodes.
-
-    `symbols` are those of positions, velocities, the free parameter, and of the `numbers` where there are such.
-    """
-    H, N = harmonics, int(symbols[0].numel())
-    states, Omega_index, parameter_index = N * H, N * H + Scalar.OMEGA.value, N * H + Scalar.PARAMETER.value
-    D2, at_zero = second_derivative_matrix(H), ((2.0 / H) * cosine_matrix(H)).sum(axis=0)
-    q, velocity, parameter, *own = symbols
-    slopes = ca.jacobian(force, q), ca.densify(ca.jacobian(force, parameter))
-    rhs = ca.Function("rhs", [q, parameter, *own], [ca.densify(force), *slopes])
-    start = ca.Function(
-        "start", [q, velocity, parameter, *own], [normalisation, ca.densify(ca.jacobian(normalisation, q))]
-    )
-
-    z = ca.MX.sym("z", states + 2)
-    values, Omega, p = ca.reshape(z[:states], H, N), z[Omega_index], z[parameter_index]
-    forces, df_dq, df_dp = rhs.map(H)(values.T, *(ca.repmat(value, 1, H) for value in (p, *numbers)))
-    forces, df_dp = ca.vec(forces.T), ca.vec(df_dp.T)
-    norm, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p, *numbers)
-    residual = ca.vertcat(ca.vec(_second_derivative(values)) - forces / Omega**2, norm)
-
-    rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
-    node = np.repeat(np.arange(H), rows.size)
-    at_nodes = np.tile(rows, H) * H + node, np.tile(columns, H) * H + node
-    every = np.arange(states, dtype=np.int64)
-    n, i, k = (t.ravel() for t in np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij"))
-    met = (i == k) & np.isin(n, rows[rows == columns])  # entries of the derivative that are added to those of the force
-    added = np.where(at_nodes[0] == at_nodes[1], np.diag(D2)[node], 0.0)
-    parts = (
-        ((n * H + i)[~met], (n * H + k)[~met], ca.MX(ca.DM(D2[i, k][~met]))),
-        (*at_nodes, ca.DM(added) - ca.vec(df_dq.nz[:]) / Omega**2),
-        (every, np.full(states, Omega_index), 2 * forces / Omega**3),
-        (every, np.full(states, parameter_index), -df_dp / Omega**2),
-        (np.full(states, states), every, ca.vec(ca.DM(at_zero) @ dn_dq)),
-    )
-    at, into, entries = zip(*parts, strict=True)
-    shape = (states + 1, states + 2)
-    return z, residual, sparse_matrix(shape, np.concatenate(at), np.concatenate(into), ca.vertcat(*entries))
-
-
-def _second_derivative(values: ca.MX) -> ca.MX:
-    """Second derivatives at the nodes, shape (harmonics, sites).
-
-    Sums over entries of size H^2 are left to what is beyond cos(theta): their rounding would show in Omega.
-    """
-    H = values.shape[0]
-    cosine = ca.DM(cosine_matrix(H)[:, 0])
-    amplitude = ca.DM((2.0 / H) * cosine_matrix(H)[0]).T @ values
-    return ca.DM(second_derivative_matrix(H)) @ (values - cosine @ amplitude) - cosine @ amplitude
-
-
 @lru_cache(maxsize=8)
 def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
     """The force and the normalisation of a model without their numbers, and these; None where they are long."""
     return lifted([model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], MOST)
 
 
-@dataclass(frozen=True, eq=False)
 class _Kept:
     """Functions and buffers that all models of one program share, at one resolution."""
 
-    function: ca.Function
-    buffers: Buffers
-    shared: dict[Any, Any]
+    def __init__(self, program: Program, harmonics: int) -> None:
+        self._program, self._harmonics = program, harmonics
+        self.shared: dict[Any, Any] = {}
+
+    @cached_property
+    def compiled(self) -> CompiledEquations | None:
+        """The equations by the compiled kernel; None where there is none."""
+        return CompiledEquations.of(self._program, self._harmonics)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The equations by CasADi."""
+        program = self._program
+        sizes = (*program.inputs, program.numbers)
+        symbols = tuple(ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True))
+        force, normalisation = program.expressions(symbols[:3], symbols[3])
+        numbers = ca.MX.sym("numbers", program.numbers)
+        z, residual, jacobian = odd_cosine_equations(self._harmonics, symbols, force, normalisation, numbers)
+        return ca.Function("equations", [z, numbers], [ca.densify(residual), jacobian])
+
+    @cached_property
+    def buffers(self) -> Buffers:
+        return Buffers(self.function)
 
 
 @lru_cache(maxsize=KEPT)
 def _kept(program: Program, harmonics: int, thread: int) -> _Kept:
     """Those of a thread: the arguments of functions are arrays of their own."""
-    sizes = (program.inputs[0], program.inputs[1], program.inputs[2], program.numbers)
-    symbols = tuple(ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True))
-    force, normalisation = program.expressions(symbols[:3], symbols[3])
-    numbers = ca.MX.sym("numbers", program.numbers)
-    z, residual, jacobian = odd_cosine_equations(harmonics, symbols, force, normalisation, numbers)
-    function = ca.Function("equations", [z, numbers], [ca.densify(residual), jacobian])
-    return _Kept(function, Buffers(function), {})
+    return _Kept(program, harmonics)
 
 
 class TrigonometricProblem(OrbitProblem):
@@ -206,6 +129,26 @@ class TrigonometricProblem(OrbitProblem):
     @property
     def shared(self) -> dict[Any, Any]:
         return super().shared if self._kept is None else self._kept.shared
+
+    @cached_property
+    def _kernel(self) -> CompiledEquations | None:
+        return None if self._kept is None else self._kept.compiled
+
+    @cached_property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return super().pattern if self._kernel is None else self._kernel.pattern
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        if self._kernel is None:
+            return super().evaluate(z)
+        residuals, nonzeros = self._kernel.kernel(z[None], self.numbers)
+        return residuals[0], nonzeros[0]
+
+    def evaluate_all(self, z: Array) -> tuple[Array, Array]:
+        return super().evaluate_all(z) if self._kernel is None else self._kernel.kernel(z, self.numbers)
+
+    def evaluator_of_all(self) -> Evaluate | None:
+        return None if self._kernel is None else self._kernel.kernel
 
     def place(self, equation: int) -> str:
         """Place of an equation, counted from 0, in words."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import cosine_matrix
 from casadi_skin.export.c_text import (
     Call,
     Part,

@@ -9,9 +9,9 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.bvp.statement import named_values
-from casadi_skin.bvp.trigonometric import cosine_matrix
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter

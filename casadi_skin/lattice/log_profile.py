@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
-from casadi_skin.bvp.problem import Array, Evaluate, Indices, Scalar
+from casadi_skin.bvp.problem import Array, Evaluate, Indices, Problem, Scalar
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.tail_parameter import Regime, TailValues
 from casadi_skin.models.ode import OdeModel
@@ -168,8 +168,14 @@ class CoreWithTailProblem(TrigonometricProblem):
         found[pattern.by_Omega] *= v.Omega_slope
         return residual, found
 
+    def evaluate_all(self, z: Array) -> tuple[Array, Array]:
+        return Problem.evaluate_all(self, z)
+
     def evaluator(self) -> Evaluate:
         return lambda z, _: self.evaluate(z)
+
+    def evaluator_of_all(self) -> Evaluate | None:
+        return None
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import cosine_matrix
 from casadi_skin.orbits.orbit import Orbit
 
 

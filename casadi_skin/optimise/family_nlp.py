@@ -12,8 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.cosines import prolongation_matrix
 from casadi_skin.bvp.problem import Array, Indices
-from casadi_skin.bvp.trigonometric import prolongation_matrix
 from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.nlp import Limits, Nlp
 from casadi_skin.orbits.orbit import Orbit

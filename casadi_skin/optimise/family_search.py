@@ -9,8 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from casadi_skin.bvp.cosines import prolongation_matrix
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, prolongation_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_statement import FamilyStatement

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from casadi_skin import methods
 from casadi_skin.arguments import whole
 from casadi_skin.arrays import site_numbers
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.certificate import Certificate, ProvedStability

@@ -15,8 +15,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,7 @@ from casadi_skin.bvp.problem import Array, Evaluate, Problem
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.nlp import SOLVED, nlp_solver
-from casadi_skin.solvers.watch import TimeLimitError, heed, is_over
+from casadi_skin.solvers.watch import heed, is_over
 
 STATUS = {
     SOLVED: Status.CONVERGED,
@@ -29,11 +28,27 @@ def residual_scale(problem: Problem, z: Array) -> float:
     return max(1.0, float(np.max(np.abs(z[: problem.states]))))
 
 
+def _evaluator_of_all(problem: Problem) -> Evaluate:
+    """Residuals and non-zeros of Jacobians at several points; not a number where the model cannot be evaluated."""
+    evaluate, size, nonzeros = problem.evaluator(), problem.size - 1, problem.pattern[0].size
+
+    def evaluated(z: Array, numbers: Array) -> tuple[Array, Array]:
+        found = np.full((len(z), size), np.nan), np.full((len(z), nonzeros), np.nan)
+        for k, point in enumerate(z):
+            try:
+                found[0][k], found[1][k] = evaluate(point, numbers)
+            except (ArithmeticError, RuntimeError):
+                continue
+        return found
+
+    return evaluated
+
+
 class _Once:
     """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one."""
 
-    def __init__(self, evaluate: Evaluate) -> None:
-        self._evaluate = evaluate
+    def __init__(self, problem: Problem) -> None:
+        self._evaluate = problem.evaluator_of_all() or _evaluator_of_all(problem)
         self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
@@ -43,17 +58,18 @@ class _Once:
 
 
 class _Constraints(ca.Callback):  # type: ignore[misc]
-    """The constraints of several points, each evaluated by itself, with their Jacobian or without, as a function.
+    """The constraints of `count` points, with their Jacobian or without, as a function.
 
     Its arguments are the unknowns, and a row, its value and the scale of the residuals of each point, with the numbers
-    of the problem behind them. `evaluate` of a point gives its residual and the non-zeros of its Jacobian.
+    of the problem behind them. `evaluate` gives the residuals and the non-zeros of the Jacobians.
     """
 
     def __init__(
-        self, problem: Problem, evaluate: Sequence[Evaluate], with_jacobian: bool, one_scalar: bool = False
+        self, problem: Problem, evaluate: _Once, count: int, with_jacobian: bool, one_scalar: bool = False
     ) -> None:
         ca.Callback.__init__(self)
-        self._evaluate, self._size, self._numbers = evaluate, problem.size, problem.numbers.size
+        self._evaluate, self._count = evaluate, count
+        self._size, self._numbers = problem.size, problem.numbers.size
         self._with_jacobian = with_jacobian
         size, (rows, columns) = self._size, problem.pattern
         self._in_row = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
@@ -61,7 +77,7 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         closed = np.insert(rows, ends[self._in_row + 1], size - 1)  # it is the last entry of its columns
         added = np.searchsorted(self._in_row, np.arange(size + 1))
         block = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
-        self._sparsity = ca.diagcat(*[block] * len(evaluate))
+        self._sparsity = ca.diagcat(*[block] * count)
         self._closing = ends[self._in_row + 1] + np.arange(self._in_row.size)
         self._open = np.delete(np.arange(closed.size), self._closing)
         self.construct("jac_g" if with_jacobian else "g", {})
@@ -79,33 +95,30 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         return ("g", "jac_g_x")[i]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        count, size = len(self._evaluate), self._size
+        count, size = self._count, self._size
         return ca.Sparsity.dense((count * size, count * (size + 2) + self._numbers)[i])
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._sparsity if i else ca.Sparsity.dense(len(self._evaluate) * self._size)
+        return self._sparsity if i else ca.Sparsity.dense(self._count * self._size)
 
     def has_eval_buffer(self) -> bool:
         return True
 
     def eval_buffer(self, arguments: list[memoryview], results: list[memoryview | None]) -> int:
         """Fill the results that are wanted, as buffers of doubles; not a number where the model cannot be evaluated."""
-        count, size = len(self._evaluate), self._size
+        count, size = self._count, self._size
         z, held = (np.frombuffer(argument) for argument in arguments)
         held, numbers = held[: count * (size + 2)].reshape(count, size + 2), held[count * (size + 2) :]
         found = [None if result is None else np.frombuffer(result).reshape(count, -1) for result in results]
-        for k, (evaluate, point) in enumerate(zip(self._evaluate, z.reshape(count, size), strict=True)):
-            row, value, scale = held[k, :size], held[k, size], held[k, size + 1]
-            try:
-                if is_over():  # which ends the iteration
-                    raise TimeLimitError
-                residual, nonzeros = evaluate(point, numbers)
-            except (ArithmeticError, RuntimeError):
-                residual, nonzeros = np.full(size - 1, np.nan), np.full(self._open.size, np.nan)
-            if found[0] is not None:
-                found[0][k, :-1], found[0][k, -1] = residual / scale, row @ point - value
-            if self._with_jacobian and found[1] is not None:
-                found[1][k, self._open], found[1][k, self._closing] = nonzeros / scale, row[self._in_row]
+        z, rows, scale = z.reshape(count, size), held[:, :size], held[:, size + 1 :]
+        residuals, nonzeros = self._evaluate(z, numbers)
+        if is_over():
+            residuals = np.full(residuals.shape, np.nan)  # which ends the iteration
+        if found[0] is not None:
+            np.divide(residuals, scale, out=found[0][:, :-1])
+            found[0][:, -1] = np.einsum("ij,ij->i", rows, z) - held[:, size]
+        if self._with_jacobian and found[1] is not None:
+            found[1][:, self._open], found[1][:, self._closing] = nonzeros / scale, rows[:, self._in_row]
         return 0
 
 
@@ -148,8 +161,10 @@ class SquareSolver:
     def __init__(
         self, problem: Problem, count: int, tolerance: float, max_iterations: int, one_scalar: bool = False
     ) -> None:
-        each = [_Once(problem.evaluator()) for _ in range(count)]
-        g, jac_g = (_Constraints(problem, each, with_jacobian, one_scalar) for with_jacobian in (False, True))
+        evaluate = _Once(problem)
+        g, jac_g = (
+            _Constraints(problem, evaluate, count, with_jacobian, one_scalar) for with_jacobian in (False, True)
+        )
         size, points = problem.size, count * (problem.size + 2)
         guess, found = np.zeros(count * size), np.zeros(count * size)
         parameters = np.zeros(points + problem.numbers.size)

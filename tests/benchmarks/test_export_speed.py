@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, Orbit, export_c, follow_family
-from casadi_skin.bvp.trigonometric import second_derivative_matrix
+from casadi_skin.bvp.cosines import second_derivative_matrix
 from casadi_skin.export.codegen import c_source
 from casadi_skin.integrators.srkn import srkn_coefficients
 from casadi_skin.solvers.newton import NewtonCorrector

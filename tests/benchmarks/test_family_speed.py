@@ -17,8 +17,8 @@ import pytest
 from stopwatch import seconds
 
 from casadi_skin import Chain
-from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.recursion import TaylorRecursion
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.orbits import family
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
@@ -26,6 +26,7 @@ from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.solvers.stacked import StackedSolver
 from casadi_skin.studies.paper.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark
@@ -96,8 +97,10 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
         monkeypatch.setattr(owner, method, timed)
 
     watch(ConfirmedCorrector, "confirm_all", "Ipopt's last word, with its evaluations")
-    watch(OrbitProblem, "evaluate", "residuals and Jacobians outside Ipopt")
+    for method in ("evaluate", "evaluate_all"):
+        watch(TrigonometricProblem, method, "residuals and Jacobians outside Ipopt")
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
+    watch(StackedSolver, "steps", "Newton steps at places of stretches")
     watch(TaylorRecursion, "series", "series")
     watch(Levels, "refined", "error estimates, but for the two above")
     watch(family, "floquets", "multipliers")

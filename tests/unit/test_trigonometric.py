@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from orbit_problems import dense_jacobian, differences, linear_mode, solved
 from scipy.integrate import solve_ivp
 
+from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.bvp.trigonometric import TrigonometricProblem, cosine_matrix, second_derivative_matrix
+from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.lifted import lifted
 from casadi_skin.models.ode import OdeModel
