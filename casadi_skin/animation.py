@@ -121,7 +121,7 @@ def _plane(axes: Axes, orbit: Orbit, turns: Array) -> Show:
 
 
 def _in_plane(orbit: Orbit, t: Array) -> tuple[Array, tuple[str, str]]:
-    """Points of the orbit in a plane at times, shape (times, 2), and what its axes are."""
+    """Points of the orbit in a plane at times, shape (times, 2), and the quantities of its axes."""
     plane = in_plane(orbit, t)
     if plane is not None:
         return plane

@@ -50,7 +50,7 @@ class Progress:
             print(f"casadi-skin: {words}", file=sys.stderr)
 
     def say(self, words: str) -> None:
-        """Show what is being done now."""
+        """Show the present step."""
         if self._status is not None:
             self._status.update(words)
 

@@ -259,7 +259,7 @@ class Problem(ABC):
         return {}
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
-        """What has been made of the pattern of the equations alone, and is not changed by those who use it."""
+        """Objects made from the pattern of the equations alone; nobody who uses them changes them."""
         return make()
 
     @property

@@ -1,4 +1,4 @@
-"""Places of the entries of collocation equations: what depends on numbers and patterns alone, and serves all problems.
+"""Places of the entries of collocation equations, which depend on numbers and patterns alone, for all problems.
 
 Index tables of small systems are kept for the next problem that has the same: many have one second-order equation.
 """
@@ -21,7 +21,7 @@ KEPT, LARGE = 64, 20_000  # tables that are kept, and non-zeros beyond which non
 
 @dataclass(frozen=True)
 class Layout:
-    """What determines the places: numbers of states, intervals, stages, increments and scalars; patterns.
+    """Numbers that determine the places: of states, intervals, stages, increments and scalars; patterns.
 
     `conditions` and `integrals` are numbers of rows; `by_ends` are the patterns of the conditions' derivatives by the
     state at the start, the state at the end, and the scalars.

@@ -140,7 +140,7 @@ def norm(series: CosineSeries, nu: arb) -> arb:
 
 
 def distance(one: CosineSeries, other: CosineSeries, nu: arb) -> float:
-    """Upper bound of the norm of a difference; what one series has beyond the other counts."""
+    """Upper bound of the norm of a difference; terms that only one series has count."""
     from flint import arb
 
     nothing = arb(0)

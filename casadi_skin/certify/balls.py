@@ -1,6 +1,6 @@
 """Balls of python-flint, and their enclosures by doubles.
 
-A ball is a midpoint with a radius and encloses a real number; what is computed from balls encloses what would be
+A ball is a midpoint with a radius and encloses a real number; results computed from balls enclose those that would be
 computed from the numbers (Johansson 2017). Matrices are products of doubles, whose rounding is bounded beforehand.
 """
 
@@ -48,7 +48,7 @@ def size(value: arb) -> float:
 
 
 def rounded_up(value: Array, operations: int) -> Array:
-    """An upper bound of sums of products of numbers >= 0, from what doubles make of them in so many operations.
+    """An upper bound of sums of products of numbers >= 0, from their value in doubles after so many operations.
 
     Holds in any order of the sums, with and without fused operations (Higham 2002, chapter 3).
     """

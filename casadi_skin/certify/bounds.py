@@ -26,9 +26,9 @@ LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the s
 
 
 class FiniteInverse:
-    """The matrix A_f, any matrix of doubles, with what bounds of it cost once; and the numbers c_n of the tail.
+    """The matrix A_f, of doubles, with the parts of its bounds that are computed once; and the numbers c_n of the tail.
 
-    `doubt` are upper bounds of the weighted norms of what the columns of the matrix may be off by, 0 by default.
+    `doubt` are upper bounds of the weighted norms of the errors of the matrix's columns, 0 by default.
     """
 
     def __init__(self, series: CosineSeries, nu: arb, matrix: Array | None = None, doubt: Array | None = None) -> None:
@@ -112,7 +112,7 @@ class FiniteInverse:
         return np.concatenate(rows), Enclosed(np.vstack(middle), np.vstack(radius))
 
     def _diagonal(self, n: int) -> list[arb]:
-        """lambda k^2, with what a tail gives back to its site."""
+        """lambda k^2, with the force of a tail on its site."""
         tail, square = self.series.system.tail, self.series.square
         values = [square * int(k) ** 2 for k in self.numbers.tolist()]
         if tail is not None and n == tail.site:

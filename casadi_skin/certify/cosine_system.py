@@ -32,7 +32,7 @@ class CosineSystem:
         S: value of the amplitude.
         step: of the harmonics, 2 or 1.
         parameter: s, with which a term of degree p has the factor s^((p - 1)/step); 1 but along a family.
-        tail: what a chain's core of odd cosines is coupled to.
+        tail: the tail that a chain's core of odd cosines is coupled to.
     """
 
     forces: Sequence[Terms]

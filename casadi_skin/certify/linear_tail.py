@@ -2,7 +2,7 @@
 
 Beyond the site t of a core the chain goes on with L sites, L finite or not, in a gauge whose linear couplings are c to
 either side: (E_k + c (shifts)) a_k = cubic terms, E_k = lambda k^2 - alpha - 2. Where |E_k| > 2c the linear part has an
-inverse of norm at most 1/(|E_k| - 2c), and what solves it is a_(t+n,k) = u_n a_tk with |u_n| <= |tau_k|^n.
+inverse of norm at most 1/(|E_k| - 2c), and its solution is a_(t+n,k) = u_n a_tk with |u_n| <= |tau_k|^n.
 """
 
 from __future__ import annotations

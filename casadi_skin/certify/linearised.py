@@ -35,7 +35,7 @@ class Linearised:
         symmetric: whether blocks and truth are symmetric matrices.
         step: of p and of the harmonics of solutions, 2 or 1.
         exact: by row and column balls of the entries of G_0, G_step, ... about the orbit's centre.
-        moved: what `radius` holds of the orbit's own.
+        moved: the part of `radius` that is the orbit's own.
     """
 
     blocks: Array

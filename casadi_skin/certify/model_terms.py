@@ -68,7 +68,7 @@ def _near(log: float) -> arb:
 def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bool = False) -> Terms | None:
     """Terms of the conserved quantity at rest, above its value at 0, in the model's positions; None without one.
 
-    What the model declares, or for coordinates that declare one the potential of its forces.
+    The energy that the model declares, or for coordinates that declare one the potential of its forces.
     """
     model = coordinates.model
     if model.hamiltonian is not None:

@@ -1,7 +1,7 @@
 """The theorem for all values of a parameter at once: about a polynomial curve of series, with a polynomial operator A.
 
 The centre, A_f and the factor of the tail are polynomials of x in [-1, 1], given by Chebyshev coefficients that are
-exact doubles. What is bounded is then a polynomial of x with values in a normed space, of a degree d that is known. At
+exact doubles. The bounded quantity is then a polynomial of x with values in a normed space, of known degree d. At
 M > d Chebyshev nodes it is bounded by balls, and in between by 1/cos(pi d/(2 M)) times the largest value at the nodes
 (Ehlich and Zeller 1964; through functionals it holds for values in a normed space).
 """
@@ -101,7 +101,7 @@ class Curve:
         return Node.of(bounds, factor)
 
     def _doubt(self, series: CosineSeries, nu: arb) -> Array:
-        """Weighted norms of what A_f in doubles may be off by: sums of degree + 1 products with rounded T_k."""
+        """Weighted norms of the errors of A_f in doubles: sums of degree + 1 products with rounded T_k."""
         H, harmonic = series.harmonics, series.system.harmonic
         weights = np.array([1.0] + [above(nu ** harmonic(i)) for i in range(H)] * series.system.positions)
         moduli = self._moduli

@@ -98,7 +98,7 @@ def _run_in(
 
 
 def check(arguments: argparse.Namespace) -> int:
-    """Print the plan; the file of a model is run, nothing is solved but what measures the cost."""
+    """Print the plan; the file of a model is run; only with --measure is anything solved."""
     scene, _ = read_scene(arguments.scene)
     lines = None if arguments.measure else chain_lines(scene)
     lines = lines or _plan_with_numerics(scene, arguments)

@@ -71,7 +71,7 @@ def guarded_streams() -> Iterator[None]:
 
 
 def _fill_descriptors() -> None:
-    """Open what is closed of the standard descriptors, or a file of results would take its place and be printed to."""
+    """Open the standard descriptors that are closed, or a file of results would take their place and be printed to."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -80,7 +80,7 @@ def _fill_descriptors() -> None:
 
 
 def _discard(stream: TextIO | None) -> None:
-    """Send what is left in a stream nowhere, or Python would try again, and fail, when it ends."""
+    """Discard the rest of a stream, or Python would try again, and fail, when it ends."""
     try:
         if stream is not None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -41,7 +41,7 @@ class BranchingEquation:
 
     @cached_property
     def _terms(self) -> tuple[Array, Array]:
-        """What a and c are sums of."""
+        """The terms of a and c."""
         from scipy.sparse import bmat, csc_matrix
         from scipy.sparse.linalg import splu
 
@@ -61,7 +61,7 @@ def branching_equation(space: Followed, point: Point) -> BranchingEquation:
 
 
 def second_singular(space: Followed, point: Point) -> float:
-    """What is left of a vector of norm 1 by the Jacobian without its null vectors, at the least."""
+    """The smallest singular value of the Jacobian bordered by its null vectors."""
     from scipy.sparse import bmat, csc_matrix
 
     matrix = space.linearised(point).jacobian

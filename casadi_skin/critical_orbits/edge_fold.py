@@ -181,7 +181,7 @@ class EdgeProblem(Problem):
         return self._start.S + float(z[0]) * self._start.S_away, self._start.value + float(z[2]) * self._start.away
 
     def values(self, z: Array) -> Array:
-        """Where multipliers meet, and what vanishes where they do."""
+        """The place where multipliers meet, and the value that vanishes there."""
         mu = self._multipliers(*self.where(z))
         if self._start.kind != "complex":
             end = self._start.mu
@@ -190,7 +190,7 @@ class EdgeProblem(Problem):
         return np.array([0.5 * (one + other).real, (0.25 * (one - other) ** 2).real])
 
     def test(self, z: Array) -> float:
-        """What vanishes at an edge."""
+        """The value that vanishes at an edge."""
         return float(self.values(z)[1])
 
     def slopes(self, z: Array) -> Array:

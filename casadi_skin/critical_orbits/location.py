@@ -25,7 +25,7 @@ class LocatedOrbit:
     """A special orbit.
 
     Attributes:
-        critical: what it solves.
+        critical: the extended system that it solves.
         point: its unknowns, those of the linearisation among them.
         value: of the parameter that was found with it.
         error: estimated absolute error of that.

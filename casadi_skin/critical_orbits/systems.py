@@ -63,7 +63,7 @@ class Critical:
         kind: "fold", "period doubling", "torus" or "branch point".
         orbit: the statement of the orbits themselves.
         first: name of the parameter that is found with the orbit.
-        sizes: what components of v are measured by, shape (components of the state,).
+        sizes: units of the components of v, shape (components of the state,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
         turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
         autonomous: of a torus, whether the velocity is a Floquet function with the multiplier 1.

@@ -54,7 +54,7 @@ def sizes_of(states: Sequence[Array]) -> Array:
 
 
 class AlgebraicProblem(Problem):
-    """Unknowns z = (y, others, scalars, u): the state over its sizes, what a system adds, free parameters, u.
+    """Unknowns z = (y, others, scalars, u): the state over its sizes, those of an extended system, free parameters, u.
 
     Here F(y, p) = 0 alone, the model at rest in units of the sizes; u follows `walking`, or is held and does nothing.
     Subclasses add unknowns and equations: `others` counts theirs beside the state, `added` their scalars.

@@ -40,7 +40,7 @@ def page_data(directory: Path) -> dict[str, Any]:
 
 
 def _read(path: Path) -> tuple[dict[str, str], Variables]:
-    """Attributes that are text, and variables, with what the tables beside the file add."""
+    """Attributes that are text, and variables, with those of the tables beside the file."""
     attributes, variables, _, _ = read_netcdf(path)
     return attributes, {**variables, **_kinds(path.with_suffix(".csv")), **_events(path)}
 

@@ -45,7 +45,7 @@ def _data_in(directory: Path) -> tuple[dict[str, Any], str]:
 
 
 def _data_of_file(path: Path) -> tuple[dict[str, Any], str]:
-    """The contents of a page of one file: what it holds is written as a run or a map writes it, and read again."""
+    """The contents of a page of one file, which is written as a run or a map writes it, and read again."""
     from casadi_skin.explorer.one_file import write_files
 
     folder = TemporaryFolder("casadi_skin_page_")

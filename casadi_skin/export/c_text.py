@@ -79,7 +79,7 @@ def pattern(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMN
 
 @dataclass(frozen=True)
 class Call:
-    """A plain C function around a generated one: its prototype, and what goes to the arguments and results."""
+    """A plain C function around a generated one: its prototype, and its own arguments and results."""
 
     prototype: str
     function: ca.Function

@@ -1,4 +1,4 @@
-"""What the C compiler builds of exports: example programs, and binaries of FMUs."""
+"""Example programs and binaries of FMUs, built from exports by the C compiler."""
 
 from __future__ import annotations
 

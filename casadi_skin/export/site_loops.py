@@ -61,7 +61,7 @@ def called(title: str, call: Call, size: str, words: str, *more: Size) -> Part:
 
 
 def definition(call: Call) -> tuple[str, tuple[ca.Function, ...], int]:
-    """The text of a C function, what CasADi has to generate for it, and the doubles that its work array needs."""
+    """The text of a C function, the functions that CasADi generates for it, and the doubles in its work array."""
     text = with_loops(call)
     return (call.text(), (call.function,), call.work) if text is None else (text, (), 1)
 

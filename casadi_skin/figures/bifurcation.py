@@ -79,7 +79,7 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     """Curves of special points in the plane of two parameters, with their points of codimension two.
 
     Arguments:
-        curves: what `point.curve` gives, all in the same two parameters.
+        curves: results of `point.curve`, all in the same two parameters.
         title: stands in place of the name of the model.
 
     Returns:
@@ -112,7 +112,7 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     """Edges of tongues of families in the plane of a parameter and S, with their error bars where these show.
 
     Arguments:
-        curves: what `Branch.edge(number).curve` gives, all in the same parameter.
+        curves: results of `Branch.edge(number).curve`, all in the same parameter.
         title: stands in place of the name of the model.
 
     Returns:

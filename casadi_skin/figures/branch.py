@@ -137,7 +137,7 @@ def times(solution: Solution) -> Array:
 
 
 def in_plane(solution: Solution, t: Array) -> tuple[Array, tuple[str, str]] | None:
-    """Points of a solution in the plane of the first two states drawn, shape (times, 2), and what the axes are.
+    """Points of a solution in the plane of the first two states drawn, shape (times, 2), and the names of the axes.
 
     Of an orbit of a family with one position that and its velocity; None for another solution with one state.
     """

@@ -53,7 +53,7 @@ def lay_out(figure: Figure, dpi: float, plain: bool) -> None:
 
 @cache
 def _parser() -> Any:
-    """One parser of formulas for all figures, which keeps what it has parsed: each formula takes milliseconds."""
+    """One parser of formulas for all figures, which keeps those it has parsed: each takes milliseconds."""
     from matplotlib.backends.backend_agg import RendererAgg
 
     return RendererAgg(1, 1, POINTS).mathtext_parser  # type: ignore[no-untyped-call]
@@ -108,7 +108,7 @@ def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) ->
     Arguments:
         length: of all, in points.
         spans: the cells of each panel.
-        rooms: what each panel needs before and after it, in points, shape (panels, 2).
+        rooms: space that each panel needs before and after it, in points, shape (panels, 2).
         ratios: of the lengths of cells.
     """
     before, after = np.zeros(len(ratios)), np.zeros(len(ratios))
@@ -121,7 +121,7 @@ def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) ->
 
 
 def _room(axes: Axes, ruler: _Ruler) -> tuple[float, float, float, float]:
-    """What a panel needs at its left, right, upper and lower side, in points; its labels are put there."""
+    """Space for labels at the left, right, upper and lower side of a panel, in points."""
     from matplotlib.text import Annotation, Text
     from matplotlib.transforms import ScaledTranslation
 

@@ -41,7 +41,7 @@ def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[s
 
 
 def _powers(declaration: Declaration, values: Mapping[str, float], kind: str, field: str) -> dict[int, float]:
-    """Coefficients of a formula by the power of its variable; {-1: nan} of what is no polynomial."""
+    """Coefficients of a formula by the power of its variable; {-1: nan} where it is no polynomial."""
     x = ca.SX.sym("x")
     known = {name: ca.SX(value) for name, value in values.items()} | {"y": x, "d": x}
     try:

@@ -137,7 +137,7 @@ class Equations:
         return [np.array(value).ravel() for value in found]
 
     def _check_at_rest(self) -> None:
-        """Raises ValueError, with the place, for what is not finite at rest, and masses and gains that are none."""
+        """Raises ValueError, with the place, for forces not finite at rest, and masses and gains out of range."""
         declaration = self.declaration
         for kind, number, field in declaration.formulas:
             variables = dict.fromkeys("yvdt", ca.SX(0))

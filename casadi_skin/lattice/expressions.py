@@ -39,7 +39,7 @@ def antiderivative(formula: Formula, name: str) -> ca.Function | None:
     multiples of these.
 
     Arguments:
-        formula: what is integrated.
+        formula: the integrand.
         name: over which name.
 
     Returns:
@@ -115,6 +115,6 @@ def _integral_of_function(kind: str, parts: list[ca.SX], x: ca.SX) -> ca.SX | No
 
 
 def _slope(argument: ca.SX, x: ca.SX) -> ca.SX | None:
-    """The derivative of what is linear in x; None of what is not."""
+    """The derivative of an expression linear in x; None for others."""
     slope = ca.jacobian(argument, x)
     return None if ca.depends_on(slope, x) or slope.is_zero() else slope

@@ -110,7 +110,7 @@ class _Unkept:
 
 
 def followed(request: Request) -> tuple[list[Branch], str]:
-    """The branches of a scene, as a run follows them, and what failed beside them.
+    """The branches of a scene, as a run follows them, and the failures beside them.
 
     Raises ArithmeticError where there is none.
     """

@@ -35,7 +35,7 @@ class Drive:
 
     Attributes:
         grid, store, engine: its cells, their results, the place of their computation.
-        job: what every task shares, encoded.
+        job: the part that all tasks share, encoded.
         cell_limit: seconds that a cell may take.
         part: the share that is computed here; None of a map that is computed here as a whole.
         workers: processes of this machine that take over from a lost engine.

@@ -29,7 +29,7 @@ class Axis:
         name: as [map] calls it.
         paths: where its values go in a scene; several where it moves several parameters.
         values: at its finest; of several parameters in words.
-        given: what goes into the scene, one for each path; empty where these are the values.
+        given: values for the scene, one for each path; empty where these are the values.
         stride: values from one of the coarsest to the next.
         numeric: whether it is a range, along which pictures are drawn.
         log: whether its values have equal ratios.
@@ -44,7 +44,7 @@ class Axis:
     given: tuple[tuple[Any, ...], ...] = ()
 
     def settings(self, place: int) -> list[tuple[Path, Any]]:
-        """Where the value at a place goes, and what it is."""
+        """The path of the value at a place, and the value."""
         return list(zip(self.paths, self.given[place] if self.given else (self.values[place],), strict=True))
 
 

@@ -40,7 +40,7 @@ def rows_of(
 ) -> list[Row]:
     """Rows of a cell's branches: one at their ends, or one for each amplitude of its families.
 
-    `fault` is what went wrong beside the branches.
+    `fault` is the reason of a failure beside the branches.
     """
     rows = []
     for S in amplitudes or (None,):

@@ -78,7 +78,7 @@ class Store:
             self._journal.__exit__()
 
     def refresh(self) -> dict[Path, str]:
-        """Read what other parts have written since; returns where that ends before the end of a journal, and why."""
+        """Read new records of other parts; returns where they end before the end of a journal, and why."""
         faults = dict[Path, str]()
         for path in sorted(self.directory.glob(JOURNALS)):
             if path not in self._paths:

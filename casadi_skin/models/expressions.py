@@ -65,8 +65,8 @@ def expression_of(
     """An expression of the kind of the symbols: itself, a number, a list of these, or a function of the symbols.
 
     Arguments:
-        label: What it is called where it is refused.
-        given: What the script gave.
+        label: Its name in messages.
+        given: The value from the script.
         symbols: The arguments of a function.
         form: How that function is called.
         constants: Whether numbers are accepted.

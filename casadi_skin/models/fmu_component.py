@@ -1,6 +1,6 @@
 """One running instance of an FMU for Model Exchange: the C interfaces of FMI 2.0 and 3.0 behind one set of names.
 
-What is called at every evaluation goes to the binary's functions as fmpy has loaded and typed them.
+Calls at every evaluation go to the binary's functions as fmpy has loaded and typed them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Jacobians of an FMU's right-hand side: by its directional derivatives where they are right, else by differences.
 
 Columns that share no row are taken together, by the FMU's ModelStructure (Curtis, Powell and Reid 1974).
-What the FMU declares and offers is compared with differences along random directions before it is used.
+Derivatives of the FMU are compared with differences along random directions before they are used.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class Derivatives:
     # What is right ----------------------------------------------------------------------------------------------------
 
     def _trials(self) -> Iterator[Point]:
-        """Points where what the FMU offers is compared: beside its start, where it can be evaluated."""
+        """Points where the FMU's derivatives are compared: beside its start, where it can be evaluated."""
         generator, start = np.random.default_rng(0), self.instance.start
         p = self.instance.start_given
         for size in (TRIAL, TRIAL, 0.0):

@@ -22,8 +22,8 @@ MOST_COMPONENTS = 64
 class FmuInstance:
     """The FMU in its temporary folder, which is removed with it.
 
-    `given` are what gets values, in the order of `p` of its methods; states are in the FMU's order. `complaints` are
-    the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has events.
+    `given` are the variables that get values, in the order of `p` of its methods; states are in the FMU's order.
+    `complaints` are the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has events.
     """
 
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:

@@ -1,6 +1,6 @@
 """Expressions as data: a list of elementary operations on numbers, symbols and earlier results, as text.
 
-Symbols are numbered from 0 and each operation adds one number: "mul 3 5" is the product of what 3 and 5 stand for,
+Symbols are numbered from 0 and each operation adds one number: "mul 3 5" is the product of numbers 3 and 5,
 "const 0.5" a number. Nothing else can be written or read, so that reading them runs no code.
 """
 

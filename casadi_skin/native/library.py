@@ -1,6 +1,6 @@
 """Shared libraries of this package's own C sources: compiled once, kept in the user's cache, loaded with ctypes.
 
-What is loaded runs with the user's rights, so the folder has to be the user's own, closed to everybody else, and below
+A library runs with the user's rights, so the folder has to be the user's own, closed to everybody else, and below
 no folder in which others may put another one in its place. The name of a library has the sum of its source, its
 compiler, the flags and the processor; it is written under another name and renamed, so that no process sees half of it.
 """
@@ -96,7 +96,7 @@ def _loaded(source: Path, compiler: str, folder: Path) -> ctypes.CDLL:
 
 
 def _processor() -> str:
-    """What distinguishes processors that do not run each other's code; empty where that is not known."""
+    """A text that differs between processors that do not run each other's code; empty where that is not known."""
     try:
         lines = PROCESSOR.read_text().split("\n\n")[0].splitlines()
     except OSError:

@@ -235,7 +235,7 @@ class Nlp:
 
     @cached_property
     def _elastic(self) -> Nlp:
-        """Least sum of squares of what the conditions are off by, on orbits that satisfy their equations."""
+        """Least sum of squares of the conditions' residuals, on orbits that satisfy their equations."""
         limits, rows, equations = self.limits, self.limits.condition_rows, self.limits.equations
         z = type(self._x).sym("z", self.size + rows.size)
         g, met = ca.substitute(self._g, self._x, z[: self.size]), z[self.size :]

@@ -262,7 +262,7 @@ class OrbitSearch:
 
 @dataclass(frozen=True, eq=False)
 class _Stated:
-    """A programme, the space of its solutions, a point of it, and what programmes on other meshes need."""
+    """An NLP, the space of its solutions, a point of it, and the parts that NLPs on other meshes share."""
 
     space: BoundarySpace
     nlp: BoundaryNlp

@@ -167,7 +167,7 @@ def _monitor(
 
 @dataclass(frozen=True)
 class _Shared:
-    """Proxies of what processes share: a queue of their reports, and an event that stops them."""
+    """Proxies that processes share: a queue of their reports, and an event that stops them."""
 
     reports: Any
     stop: Any
@@ -205,7 +205,7 @@ def _sharing() -> Iterator[_Shared]:
 
 @lru_cache(maxsize=1)
 def unpickled(solve: bytes) -> Any:
-    """The pickled function; kept, so that what its object builds for the first start serves the later ones."""
+    """The pickled function; kept, so that later starts use the functions that its object built for the first one."""
     return pickle.loads(solve)
 
 

@@ -106,7 +106,7 @@ class SearchProblem(Protocol):
         maximise: whether the objective is maximised.
         free_names: names of the free numbers, one each.
         columns: names of the quantities that tables show.
-        resolution_name: what the resolution of an optimum counts.
+        resolution_name: name of the unit in which the resolution of an optimum is counted.
         wanted: where optima have to be, in words, such as on which family.
         hint: possible reason where no optimum is found; empty without one.
     """

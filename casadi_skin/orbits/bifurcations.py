@@ -238,7 +238,7 @@ def _special(orbit: Solution, kind: str, uncertain: float, slope: float) -> Solu
 
 
 def critical_vector(orbit: Orbit, multiplier: float) -> Array:
-    """The vector that the monodromy matrix multiplies by +1 or -1, of norm 1, without what moves along the orbit."""
+    """The vector of norm 1 that the monodromy matrix multiplies by +1 or -1, across the motion along the orbit."""
     monodromy = np.asarray(orbit.floquet().monodromy)
     vectors = np.linalg.svd(monodromy - multiplier * np.eye(len(monodromy)))[2][::-1]
     if multiplier < 0.0 or orbit.floquet().trivial == 0:

@@ -40,7 +40,7 @@ class Closure:
     end: Array
 
     def shift(self, parameters: Array) -> Array:
-        """What is added to S times the start, shape (n,)."""
+        """The vector added to S times the start, shape (n,)."""
         model, n = self.statement.model, self.matrix.shape[0]
         rows = ca.Function("rows", [*model.ends, model.parameters], [_rows(self.statement)])
         at_rest = np.array(rows(np.zeros(n), np.zeros(n), parameters)).ravel()[list(self.closing)]

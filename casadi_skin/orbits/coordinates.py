@@ -66,7 +66,7 @@ class Coordinates(ABC):
 
     @property
     def solved(self) -> OdeModel:
-        """The equations that an orbit is solved with: those of `scaled`, with what makes their solutions isolated."""
+        """The equations that an orbit is solved with: those of `scaled`, with terms that isolate their solutions."""
         return self.scaled
 
     @property
@@ -129,7 +129,7 @@ class Coordinates(ABC):
         raise NotImplementedError
 
     def check_whole(self, purpose: str = "what is asked for") -> None:  # noqa: B027  most have every position as an unknown
-        """Raises ValueError where what needs every position would have more of them than can be unknowns."""
+        """Raises ValueError for a task that needs more positions than can be unknowns."""
 
     # What users see ---------------------------------------------------------------------------------------------------
 
@@ -168,7 +168,7 @@ class Coordinates(ABC):
 
     @property
     def description(self) -> str:
-        """In what the family is solved, in words."""
+        """The coordinates that the family is solved in, in words."""
         return "positions of the model"
 
     def band(self) -> tuple[float, float] | None:

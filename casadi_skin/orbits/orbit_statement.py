@@ -151,7 +151,7 @@ class OrbitRequest:
 
     @property
     def symmetries(self) -> dict[str, Expression]:
-        """Directions of the symmetries whose phase has to be fixed, by the names of what they conserve."""
+        """Directions of the symmetries whose phase has to be fixed, by the names of the conserved quantities."""
         return {name: way for name, way in self._phases.items() if _unfolding(name) in self.unfolded}
 
     @property
@@ -298,7 +298,7 @@ def _closure(request: OrbitRequest, model: OdeModel) -> Expression:
 
 
 def _without_rotation(request: OrbitRequest, model: OdeModel, period: Expression) -> Expression:
-    """The state without what its rotation adds in proportion to time, and without the mean of the reference then."""
+    """The state without its rotation, which is proportional to time, and without the mean of the reference then."""
     if not np.any(request.rotations):
         return model.state
     reference = request.reference

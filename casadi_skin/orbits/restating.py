@@ -20,7 +20,7 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
 
     Arguments:
         orbit: an orbit of a family.
-        parameter: what it is to be followed in, for the message: a parameter of the model, or "S".
+        parameter: the parameter to follow, for the message: one of the model, or "S".
 
     Returns:
         The same orbit, solved by Gauss collocation on the part of the period that the symmetries leave.

@@ -108,7 +108,7 @@ class EndRecord(msgspec.Struct, frozen=True, tag="end"):
 
 
 class CutRecord(msgspec.Struct, frozen=True, tag="cut"):
-    """Of what is recorded of a branch before this, only the first few records hold."""
+    """Of the records of a branch before this one, only the first few hold."""
 
     branch: str
     kept: int

@@ -107,7 +107,7 @@ def _(result: Floquet) -> tuple[str, Rows]:
 
 
 def _of_waves(result: LocalisedFloquet) -> Rows:
-    """Arcs of the continuous spectrum, their overlaps, and what only the number of sites makes."""
+    """Arcs of the continuous spectrum, their overlaps, and pairs that depend on the number of sites."""
     arcs = listed([f"{start:.6g} to {end:.6g}" for start, end in result.continuous.arcs])
     overlaps = listed([f"{o.angles[0]:.6g} to {o.angles[1]:.6g}" for o in result.continuous.overlaps])
     rows = [("waves", f"arcs of the circle, omega T from {arcs}"), ("they overlap", f"at omega T from {overlaps}")]

@@ -130,7 +130,7 @@ class Writer:
         self._kept: list[Any] = []  # so that no other object gets the id of one of these
 
     def value(self, value: Any) -> Any:
-        """A value as data; raises ValueError for what a file cannot hold."""
+        """A value as data; raises ValueError for objects that a file cannot hold."""
         if value is None or isinstance(value, bool | str):
             return value
         if isinstance(value, Enum):

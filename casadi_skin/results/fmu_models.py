@@ -1,4 +1,4 @@
-"""Models of FMUs in files of results: what identifies the FMU and the choices of its import; never its binary."""
+"""Models of FMUs in files of results: the identity of the FMU and the choices of its import; never its binary."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class OtherModelError(ValueError):
 
 
 def identity(model: FmuModel) -> dict[str, Any]:
-    """What identifies the model of an FMU: its token, a hash of its files, and the choices of its import."""
+    """The identity of an FMU's model: its token, a hash of its files, and the choices of its import."""
     variables = model.instance.variables
     choices, description = variables.choices, variables.description
     token = description.guid if str(description.fmiVersion).startswith("2") else description.instantiationToken

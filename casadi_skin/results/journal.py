@@ -1,7 +1,7 @@
 """The journal of a run: results, appended to one file and flushed to disk at once.
 
 A record is MessagePack behind a header: a mark, the format, the length, and a CRC-32 of all of these. Reading ends at
-the first record that is cut off, damaged, or of another format; what was written before it holds.
+the first record that is cut off, damaged, or of another format; records before it are kept.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Journal(Generic[Record]):
 
     Attributes:
         path: its file.
-        records: what it holds when it is opened; none where `each` is called with them, and their places, instead.
+        records: those in it when it is opened; none where `each` is called with them, and their places, instead.
         end: its length in bytes.
         fault: why its tail was dropped then, in words; empty where it was whole.
     """

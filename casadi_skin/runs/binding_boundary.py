@@ -27,7 +27,7 @@ from casadi_skin.scene.model_tables import CONSERVED, ModelTable
 
 
 def check_orbit(request: Request, orbit: OrbitTable) -> None:
-    """Raises SceneError for what the model does not have, or cannot be closed with."""
+    """Raises SceneError for states and parameters that the model does not have, or cannot be closed with."""
     check_state("[orbit] start", orbit.start, request.ode.state_names)
     (_check_forced if request.ode.forced else _check_autonomous)(request, orbit)
     try:

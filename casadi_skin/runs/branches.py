@@ -58,7 +58,7 @@ class Branches:
     Attributes:
         branches, seconds: fill as branches end.
         failures: reasons why a part is not as requested, in a line each.
-        tables: rows of what has been computed.
+        tables: rows of the computed points.
         offshoots: branches and edges followed from families.
     """
 

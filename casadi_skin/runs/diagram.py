@@ -146,7 +146,7 @@ def special_columns(branch: Branch) -> list[str]:
 
 
 def special_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
-    """A row for each special point of a branch; what a point does not have is empty."""
+    """A row for each special point of a branch; quantities that a point does not have are empty."""
     for point in branch.special_points:
         known = list(branch_parameters(point, columns[2:-5]).values())
         period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY

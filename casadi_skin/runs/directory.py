@@ -110,7 +110,7 @@ def make_directory(directory: Path) -> None:
 
 
 def _remove_results(directory: Path, names: Sequence[str]) -> None:
-    """Remove what a run made; raises DirectoryError, before anything is removed, where a directory is not of a run."""
+    """Remove the files of a run; raises DirectoryError, before any is removed, where a directory is not of a run."""
     if not _of_a_run(directory):
         held = next(iter(sorted(path.name for path in directory.iterdir())))
         accepted = f"--overwrite replaces the results of a run, with its {SCENE}; accepted: an empty or new directory"
@@ -157,7 +157,7 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
 
 
 def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
-    """Whether a directory holds anything but what is `left`; raises DirectoryError where it may not."""
+    """Whether a directory holds anything beside `left`; raises DirectoryError where it may not."""
     paths = [path for path in directory.iterdir() if path not in left] if directory.exists() else []
     held = sorted(path.name for path in paths if not path.name.startswith(LOCK))
     if held and not may_hold:

@@ -81,7 +81,7 @@ def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None, 
 
     Arguments:
         scene: the scene.
-        plan: what is chosen for its model.
+        plan: choices for its model.
         measured: lines on the problem, and last one on the cost, where these are measured.
         not_sought: a reason why changes of stability are not sought.
     """

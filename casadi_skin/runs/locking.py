@@ -72,7 +72,7 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
         directory: it.
         report: takes a line where the disk has no locks, and nothing is kept out.
         shared: whether others may have it at the same time that share it too.
-        part: of a shared directory, what one process alone may have.
+        part: the part of a shared directory that one process alone may have.
 
     Raises:
         DirectoryError: the directory cannot be used, or another process computes in it.

@@ -23,7 +23,7 @@ def picture(
     *arguments: Arguments.args,
     **options: Arguments.kwargs,
 ) -> None:
-    """Write what `draw` makes of its arguments, as `stem`.png and so on; a scene without formats draws nothing."""
+    """Draw a figure and write it as `stem`.png and so on; a scene without formats draws nothing."""
     if scene.figures.formats:
         figure = draw(*arguments, **options)
         if figure is not None:

@@ -1,4 +1,4 @@
-"""The plan of a scene: what would be built and solved, what would not, and its expected cost."""
+"""The plan of a scene: the equations that would be built and solved, and their expected cost."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
 
 
 def state_of(given: Numbers, names: Sequence[str]) -> Array:
-    """A state from a list, or from a table by the names of states; what is left out is 0."""
+    """A state from a list, or from a table by the names of states; those left out are 0."""
     return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
 
 

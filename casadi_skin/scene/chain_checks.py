@@ -26,7 +26,7 @@ def check_chain_family(scene: Scene, chain: ChainTable, family: FamilyTable) -> 
 
 
 def check_infinite(scene: Scene) -> None:
-    """Refuse what needs every site of an infinite chain."""
+    """Refuse requests that need every site of an infinite chain."""
     for name in ("spectrum", "dynamics", "orbit"):
         if getattr(scene, name) is not None:
             raise refusal(f"[{name}]", "with sites = inf", "with a whole number of sites: all of them take part in it")
@@ -35,7 +35,7 @@ def check_infinite(scene: Scene) -> None:
 
 
 def check_long_lattice(scene: Scene) -> None:
-    """Refuse what needs every site of a lattice with a linear tail."""
+    """Refuse requests that need every site of a lattice with a linear tail."""
     names = ("spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")
     for name in names:
         if getattr(scene, name) is not None:

@@ -97,7 +97,7 @@ def _check_boundary_method(method: MethodTable) -> None:
 
 
 def _check_sought(scene: Scene) -> None:
-    """One of [family], [orbit], [solution] and [search], and what may stand beside it."""
+    """One of [family], [orbit], [solution] and [search], and the tables that may stand beside it."""
     sought = [name for name in ("family", "equilibrium", "orbit", "solution") if getattr(scene, name) is not None]
     if len(sought) > 1:
         words = " or ".join(f"[{name}]" for name in sought[:2])

@@ -24,7 +24,7 @@ STATUS = {
 
 
 def residual_scale(problem: Problem, z: Array) -> float:
-    """What residuals are divided by, for a tolerance that does not depend on the size of states above 1."""
+    """The divisor of residuals, for a tolerance that does not depend on the size of states above 1."""
     return max(1.0, float(np.max(np.abs(z[: problem.states]))))
 
 

@@ -230,7 +230,7 @@ def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) 
 
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, z: Array) -> ErrorEstimate:
-    """The error, but not below the response to rounding and what rounded constants do."""
+    """The error, but not below the response to rounding, also of constants."""
     Omega = problem.frequency(z)
     floor = replace(
         response,

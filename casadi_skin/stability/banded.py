@@ -1,6 +1,6 @@
 """Transition matrices of long chains stored by the bands of their blocks, and products of these.
 
-What happens at a site is felt by few others within a quarter of the period: in Phi = [[A, B], [C, D]] entries far from
+A perturbation of a site reaches few others within a quarter of the period: in Phi = [[A, B], [C, D]] entries far from
 the diagonals of the blocks are below rounding. Of each block with n rows the band of half bandwidth w is stored as an
 array (n, 2w + 1), row i from column i - w on: Phi is an array (2n, 2(2w + 1)), and sums of matrices and their Frobenius
 norms are those of such arrays.

@@ -39,7 +39,7 @@ def find_changes(
     """Find every change of stability along a branch of periodic orbits of a reversible model.
 
     Arguments:
-        branch: what gives transition matrices at any coordinate along it.
+        branch: the source of transition matrices at any coordinate along it.
         modes: frequencies of the linear modes, by number, at its start of zero amplitude, but for that mode which it
             begins as; tongues are named by them.
         tolerance: of the interpolation of the matrices along the branch, relative to their largest entries.

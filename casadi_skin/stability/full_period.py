@@ -141,7 +141,7 @@ def _parted(balanced: Array, units: Array, trivial: Trivial, along: Array | None
 
 
 def _largest(product: Array, size: float, others: Spectrum) -> float:
-    """The size of what the errors of multipliers near 1 are relative to: no less than 1."""
+    """The size that errors of multipliers near 1 are relative to: no less than 1."""
     if others.extreme:
         return float(np.exp(np.max(others.logs[np.abs(others.logs) <= SPREAD], initial=0.0)))
     return max(1.0, float(np.linalg.norm(product, 2) * np.exp(min(size, LARGEST_LOGARITHM))))

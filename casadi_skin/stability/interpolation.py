@@ -201,7 +201,7 @@ class _Plan:
         self.radius = 0.25 * length * (rate - 1.0 / rate)
 
     def limit(self, length: float, degree: int, failed: bool) -> None:
-        """Limit the next piece by what became of this one: the same length in a higher degree, or a shorter one."""
+        """Limit the next piece by the outcome of this one: the same length in a higher degree, or a shorter one."""
         if not failed:
             self.longest, self.lowest = LONGER * length, DEGREES[0]
         elif degree < DEGREES[-1]:
@@ -216,7 +216,7 @@ def interpolate(
     """The matrices along a branch, to `tolerance` relative to their largest entry, piece by piece.
 
     Arguments:
-        branch: what gives transition matrices at any coordinate.
+        branch: the source of transition matrices at any coordinate.
         tolerance: of the interpolation, relative to the largest entry of the matrices.
         first: length of the first piece, as a share of the section.
         known: gets the pieces; where orbits or transition matrices are not to be had, or do not converge, gaps.
@@ -293,7 +293,7 @@ def _piece(
 
 
 def _of_plateau(coefficients: Array) -> Array:
-    """Frobenius norms of what orbits that differ by rounding add, (degree + 1, 3 or 1, m, m) -> (3 or 1,).
+    """Frobenius norms of the noise of orbits that differ by rounding, (degree + 1, 3 or 1, m, m) -> (3 or 1,).
 
     Noise at the nodes is in all coefficients alike: where these do not fall in the second half, the series has it all.
     """

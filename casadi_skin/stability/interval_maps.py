@@ -82,7 +82,7 @@ class Parts:
 
     @property
     def needed(self) -> bool:
-        """Whether an interval is too long for what changes in it."""
+        """Whether an interval is too long for the changes in it."""
         return bool(np.max(self._counts) * WITHIN_PART > RESOLVED)
 
     def maps(self) -> tuple[Array, Array | None] | None:

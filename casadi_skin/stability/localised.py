@@ -70,7 +70,7 @@ def localised_floquet(
     Arguments:
         transition: over a quarter or half of the period, of n sites at the edge.
         accelerations: q'' at phase zero of the orbit and of the better one that shows its error, each (n,).
-        tolerance: what the cut may change of a localised mu, relative to max(1, |mu|).
+        tolerance: largest change of a localised mu by the cut, relative to max(1, |mu|).
         bands: lowest and highest frequency of each band of the tail.
         Omega: frequency of the orbit.
         cut_first: whether the cut is at the first site; else it is at the last.
@@ -112,14 +112,14 @@ def localised_floquet(
 
 
 def _by_deviation(systems: Eigensystems, similar: Array, trivial: float) -> Array:
-    """What the rest of the trivial direction's row moves each mu by, by way of the trivial one."""
+    """The shift of each mu by the rest of the trivial direction's row, by way of the trivial one."""
     along = np.abs(systems.left[0] @ similar[1:, 0]) * np.abs(similar[0, 1:] @ systems.right[0])
     distance = np.maximum(np.abs(systems.values[0] - trivial), np.finfo(float).eps)
     return np.asarray(np.minimum(along / distance, np.sqrt(along)))
 
 
 def _by_cut(systems: Eigensystems, u: Array | None, corner: slice) -> Array:
-    """What sites beyond the cut change of each mu: its right vector there times its left one."""
+    """The shift of each mu by the sites beyond the cut: its right vector there times its left one."""
     right, left = systems.right[0], systems.left[0]
     if u is not None:
         right = np.vstack([np.zeros(right.shape[1]), right]) - 2.0 * np.outer(u, u[1:] @ right)

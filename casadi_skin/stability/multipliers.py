@@ -166,7 +166,7 @@ def orbit_part_of(
 
 
 def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
-    """Norm of what round-off, and a flow without a matrix of its errors, leave in B^T C; shape (orbits,)."""
+    """Norm of the errors of B^T C from round-off, and from a flow without a matrix of its errors; shape (orbits,)."""
     n, columns = matrices.shape[1] // 2, matrices.shape[2] // 2
     upper, lower = matrices[:, :n, columns:], matrices[:, n:, :columns]
     norms = np.linalg.norm(upper, axis=(1, 2)) + np.linalg.norm(lower, axis=(1, 2))

@@ -287,6 +287,6 @@ class Pairs:
 
 
 def _series(values: Array, errors: Array) -> tuple[Array, Array]:
-    """Coefficients (FINE + 1, pairs) of values (pairs, FINE + 1), and errors (pairs, J) with what these leave out."""
+    """Coefficients (FINE + 1, pairs) of values (pairs, FINE + 1), and errors (pairs, J) with those of truncation."""
     coefficients = chebyshev.transform(FINE) @ values.T
     return coefficients, errors + chebyshev.tail(coefficients)[:, None]

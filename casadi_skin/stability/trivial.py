@@ -31,7 +31,7 @@ class Trivial:
     left: Array
 
     def across(self, units: Array) -> Array | None:
-        """Basis, as columns, of what is left in coordinates x / units: where gradients vanish, across all directions.
+        """Basis, as columns, of the complement in coordinates x / units: where gradients vanish, across all directions.
 
         None where not all trivial multipliers have their vectors, or none but that of time is trivial.
         """

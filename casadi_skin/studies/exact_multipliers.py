@@ -48,7 +48,7 @@ def exact_mu(orbit: ExactOrbit) -> tuple[Complex, float]:
         orbit: An exact orbit in long doubles.
 
     Returns:
-        The values, shape (sites - 1,), and what another number of steps makes of them.
+        The values, shape (sites - 1,), and those by another number of steps.
     """
     theta = PI / 2 * np.arange(65) / 64
     largest = np.max(np.abs(orbit.scale * _positions(orbit, theta)))
@@ -118,7 +118,7 @@ def _half_cosines(orbit: ExactOrbit, steps: int) -> Extended:
 
 
 def _eigenvalues(matrix: Extended) -> Complex:
-    """Of a real matrix: those that LAPACK finds, improved by what its vectors leave of the off-diagonal.
+    """Of a real matrix: those that LAPACK finds, improved by the off-diagonal part that its vectors leave.
 
     A pair that nearly meets is that of its own 2 x 2 matrix.
     """

@@ -23,7 +23,7 @@ def couplings(chain: Chain, gauge: bool = False) -> tuple[float, float]:
 
 
 def _coupled(force: Array, x: Array, below: float, above: float) -> Array:
-    """The force with what the neighbours add to it; rows along sites."""
+    """The force with that of the neighbours; rows along sites."""
     force[1:] += below * x[:-1]
     force[:-1] += above * x[1:]
     return force

@@ -75,7 +75,7 @@ class Study(ABC):
         self._written([path])
 
     def write_figure(self, stem: str, figure: Figure) -> None:
-        """Replace STEM.png, or what `formats` name."""
+        """Replace STEM.png, or the files of other `formats`."""
         self._written(save(figure, self.directory / stem, self.formats))
 
     def _written(self, paths: Iterable[Path]) -> None:

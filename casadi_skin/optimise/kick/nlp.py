@@ -114,7 +114,7 @@ class KickNlp(Nlp):
     def optimum(self, start: KickOptimum, states: Array, monitor: Monitor | None = None) -> KickOptimum:
         """The optimum from a kick and the states (steps + 1, 2N) up to its time of escape.
 
-        Raises KeyboardInterrupt after an interruption, and what the monitor raised.
+        Raises KeyboardInterrupt after an interruption, and exceptions of the monitor.
         """
         nodes = states[np.cumsum(self.steps)] / self._units.T
         share = start.time / self.flow.time

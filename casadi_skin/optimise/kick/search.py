@@ -123,7 +123,7 @@ class KickSearch:
 def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
     """Optima that differ, each by the name of the first start that led to it, ascending.
 
-    Where no start led to one, the first point of least norm, with what Ipopt said in place of an optimum.
+    Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
     """
     optima: list[KickOptimum] = []
     for found in (o.found for o in sorted(outcomes, key=lambda o: o.start.number)):

@@ -137,7 +137,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with its results; `reason` says what could not be computed or judged, and is empty where all was."""
+    """A case with its results; `reason` names those that could not be computed or judged; empty where there are none."""
 
     case: Case
     quantities: tuple[Quantity, ...] = ()
