@@ -23,7 +23,8 @@ class FmuInstance:
     """The FMU in its temporary folder, which is removed with it.
 
     `given` are the variables that get values, in the order of `p` of its methods; states are in the FMU's order.
-    `complaints` are the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has events.
+    `complaints` are the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has
+    events.
     """
 
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:

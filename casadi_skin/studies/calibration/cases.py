@@ -137,7 +137,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with its results; `reason` names those that could not be computed or judged; empty where there are none."""
+    """A case with its results; `reason` names those that could not be computed or judged; empty where none."""
 
     case: Case
     quantities: tuple[Quantity, ...] = ()
