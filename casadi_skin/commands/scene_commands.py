@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 import sys
 from collections.abc import Sequence
@@ -23,11 +22,6 @@ if TYPE_CHECKING:
     from casadi_skin.runs.request import Request
 
 OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
-RARELY = (
-    50_000,
-    20,
-    50,
-)  # thresholds of the collector: what a run makes lives to its end, and looking at it took 3 per cent
 ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 
 
@@ -46,13 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     from casadi_skin.progress import Progress
     from casadi_skin.runs.locking import in_use
 
-    before = gc.get_threshold()
-    gc.set_threshold(*RARELY)
-    try:
-        with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
-            return _run_in(directory, existing, request, text, arguments, progress)
-    finally:
-        gc.set_threshold(*before)
+    with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
+        return _run_in(directory, existing, request, text, arguments, progress)
 
 
 def _run_in(
