@@ -285,6 +285,13 @@ class Problem(ABC):
         """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
+        """A step to a better solution in the same unknowns, and the change of the state by it, relative to its size.
+
+        None where this discretisation has no such step of its own; `solve` has the factors of a closed Jacobian near z.
+        """
+        return None
+
     @property
     def probe(self) -> Array:
         """Residuals of size 1 in general position, shape (size - 1,), which are not to be written to."""

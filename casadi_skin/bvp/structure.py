@@ -60,7 +60,7 @@ class Structure:
         stiff: the non-zero that takes each entry of the field's derivatives by the states at the stages.
         below_stiff: the constant part of these non-zeros.
         rest: the same for derivatives by the scalars, of the conditions and of the integrals.
-        stage: columns of the state values that are stages.
+        stage: columns of the state values that are stages, the last one twice: there are as many check points.
         start: columns of the starts of the intervals.
     """
 
@@ -103,7 +103,8 @@ def _structure(layout: Layout) -> Structure:
     differences = np.zeros(found.size)
     differences[at_end], differences[at_start] = 1.0, -1.0
     rows, columns = found % equations, found // equations
-    return Structure(rows, columns, differences, stiff, differences[stiff], np.concatenate(rest), stage, start)
+    stages = np.append(stage, stage[-1])
+    return Structure(rows, columns, differences, stiff, differences[stiff], np.concatenate(rest), stages, start)
 
 
 def _places(layout: Layout, stage: Indices, start: Indices) -> list[tuple[Indices, Indices]]:

@@ -250,6 +250,8 @@ class PointSolver:
         measured: Measured | None = None,
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
+        if measured is None and held is Scalar.PARAMETER and problem.own_tangent is not None:
+            measured = self.levels.near(problem, correction.z, self.settings.tolerance, correction.solve)
         error, better = measured or self.levels.refined(problem, correction.z, tangent, held)
         relative = error.relative(problem.frequency(correction.z))
         at_round_off = self.settings.tolerance < relative <= error.round_off

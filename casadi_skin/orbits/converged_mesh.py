@@ -16,21 +16,25 @@ from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.levels import Levels
 
 UNRESOLVED = 0.1  # relative error beyond which a first mesh has missed something
+RESOLVED = 1e-2  # a smaller one needs no finer mesh to be believed
 RUNGS = (40, 90, 200)
 ROUNDS = 20
 SETTLED = 1.2  # imbalance of a mesh that need not be placed again
 SMALLEST = 1e-8  # first interval of a graded mesh, of the whole
 
 
-def converged_mesh(levels: Levels, problem: BoundaryProblem, z: Array) -> tuple[BoundaryProblem, Correction] | None:
-    """The solution near z on a mesh that resolves it; None where it is resolved as it is, or nowhere."""
-    if _error(levels, problem, z) <= UNRESOLVED:
+def converged_mesh(
+    levels: Levels, problem: BoundaryProblem, first: Correction
+) -> tuple[BoundaryProblem, Correction] | None:
+    """The solution near a first one on a mesh that resolves it; None where it is resolved as it is, or nowhere."""
+    z = first.z
+    if _error(levels, problem, first) <= UNRESOLVED:
         return None
     for resolution in [r for r in RUNGS if r > problem.resolution]:
         target = levels.problem(resolution)
         starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST)))
         found = [f for start in starts if (f := _placed(levels, problem, z, start)) is not None]
-        errors = [_error(levels, p, correction.z) for p, correction in found]
+        errors = [_error(levels, *solution) for solution in found]
         if min(errors, default=np.inf) <= UNRESOLVED:
             return found[int(np.argmin(errors))]
     return None
@@ -46,14 +50,14 @@ def _placed(
         if not correction.converged:
             return None
         problem, z = target, correction.z
-        if problem.imbalance(z) <= SETTLED and _error(levels, problem, z) <= UNRESOLVED:
+        if problem.imbalance(z) <= SETTLED and _error(levels, problem, correction) <= UNRESOLVED:
             return problem, correction
         target = problem.placed(z, problem)
     return problem, correction
 
 
-def _error(levels: Levels, problem: BoundaryProblem, z: Array) -> float:
+def _error(levels: Levels, problem: BoundaryProblem, correction: Correction) -> float:
     try:
-        return levels.error(problem, z).relative(1.0)
+        return levels.near(problem, correction.z, RESOLVED, correction.solve)[0].relative(1.0)
     except SingularError:
         return float(np.inf)

@@ -134,7 +134,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             continue
         if correction.converged:
             correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
-            resolved = converged_mesh(point_solver.levels, problem, correction.z)
+            resolved = converged_mesh(point_solver.levels, problem, correction)
             try:
                 return refined(point_solver, *(resolved or (problem, correction)))
             except BoundaryError as error:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
+from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar, Solve
 from casadi_skin.solvers.bordered import BorderedSolver
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.stacked import StackedSolver
@@ -75,6 +75,7 @@ class Levels:
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
         self._last: tuple[Problem, Array, Scalar, Measured] | None = None
+        self._seen: tuple[Problem, Array, Measured | None] | None = None
 
     def problem(self, resolution: int) -> Problem:
         """The problem at a resolution."""
@@ -126,6 +127,36 @@ class Levels:
     def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
         """Error of z, from `refined`; infinite at the top of the levels. Raises SingularError."""
         return self.refined(problem, z, tangent)[0]
+
+    def near(self, problem: Problem, z: Array, enough: float, solve: Solve | None = None) -> Measured:
+        """As `refined` where only the free parameter can be held, on z's own mesh where its error is below `enough`.
+
+        There the defect of z gives a better solution by one solve with the factors at hand. In stiff problems it is
+        found larger than it is: then, and where it is `enough` or more, a finer level decides. `solve` has the factors
+        of a Jacobian near z closed by the row of the free parameter. Raises SingularError.
+        """
+        if problem.own_tangent is not None:
+            if self._seen is None or self._seen[0] is not problem or not np.array_equal(self._seen[1], z):
+                self._seen = problem, z, self._by_defect(problem, z, solve)
+            found = self._seen[2]
+            if found is not None and found[0].relative(problem.frequency(z)) <= enough:
+                return found
+        return self.refined(problem, z, problem.own_tangent, Scalar.PARAMETER)
+
+    def _by_defect(self, problem: Problem, z: Array, solve: Solve | None) -> Measured | None:
+        """The error of z and the better solution in the same unknowns; None where there is none."""
+        row, (_, nonzeros) = problem.parameter_row(), problem.evaluate(z)
+        solve = solve or self.solver(problem).factor(z, nonzeros, row)
+        improved = problem.improvement(z, solve)
+        if improved is None:
+            return None
+        step, size = improved
+        error, Omega = ErrorEstimate(SAFETY * abs(problem.frequency_step(z, step)), SAFETY * size), problem.frequency(z)
+        error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
+        if error.relative(Omega) < NEAR_ROUND_OFF:
+            noise = problem.rounding(z) * solve(np.append(problem.probe, 0.0))
+            error = _no_better(error, step_error(problem, z, noise), problem, z)
+        return error, Refinement(problem, z - step)
 
     def refined(self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None) -> Measured:
         """Error of z and the better orbit that shows it: one Newton step on the next finer level, from z prolonged.

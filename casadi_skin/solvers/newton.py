@@ -12,6 +12,8 @@ from casadi_skin.solvers.corrector import Correction, Status
 from casadi_skin.solvers.watch import heed
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
+FAST = 0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST^2
+SAFETY = 4.0  # times the error that the last two steps with old factors foresee: twice their ratio is seen at first
 SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
 DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
 NEGLIGIBLE = 1e-3  # of the tolerance: such a step need not be taken
@@ -75,9 +77,11 @@ class NewtonCorrector:
                 return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
-            if length <= self.tolerance or quadratic:
+            linear = reuse and SAFETY * length**2 / last < 0.1 * self.tolerance
+            if length <= self.tolerance or quadratic or linear:
                 return Correction(z, Status.CONVERGED, iteration, solve=solve)
-            reuse, last = self.problem.in_order and length <= CHORD, length
+            shrinks = length <= CHORD or length <= FAST * min(last, 1.0)
+            reuse, last = self.problem.in_order and shrinks, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
 
     def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:

@@ -1,0 +1,103 @@
+"""The error of a solution from its defect on its own mesh, beside true errors of closed forms."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin import BoundaryValueProblem, OdeModel
+from casadi_skin.bvp.butcher import gauss_table, radau_table
+from casadi_skin.bvp.defect import defect_table
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.solvers.bordered import BorderedSolver
+
+t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
+
+
+def oscillator() -> BoundaryValueProblem:
+    """x = sin t on (0, 3), with its frequency free: x(0) = 0, x'(0) = 1, x(3) = sin 3."""
+    model = OdeModel("oscillator", ca.vertcat(x, y), ca.vertcat(y, -(p**2) * x), p)
+    conditions = [model.start(x), model.start(y) - 1, model.end(x) - np.sin(3.0)]
+    return BoundaryValueProblem(model, conditions, interval=(0.0, 3.0), parameters={"p": 1.1}, free=["p"])
+
+
+def growth() -> BoundaryValueProblem:
+    """x = 3 t^2 exp(t), whose integral over (0, 1) is 3 (e - 2), with the factor 3 free."""
+    rate = p * (2 * t + t**2) * ca.exp(t) + x - p * t**2 * ca.exp(t)
+    model = OdeModel("growth", x, rate, p, time=t, forcing_period=1.0)
+    mean = x - 3.0 * (np.e - 2.0)
+    return BoundaryValueProblem(model, [model.start(x)], [mean], parameters={"p": 2.0}, free=["p"])
+
+
+EXACT = {
+    oscillator: lambda s: np.stack([np.sin(s), np.cos(s)], axis=1),
+    growth: lambda s: (3 * s**2 * np.exp(s))[:, None],
+}
+
+
+METHODS = [("gauss", 2), ("gauss", 3), ("gauss", 4), ("radau", 2), ("radau", 3)]
+
+
+def improvement(found: Solution, away: float = 0.0) -> tuple[np.ndarray, float] | None:  # type: ignore[type-arg]
+    """The step to a better solution and its size, with factors from where the free parameter is larger."""
+    problem, z = found.problem, found.point.z
+    there = z.copy()
+    there[problem.states] += away
+    solve = BorderedSolver(problem).factor(there, problem.evaluate(there)[1], problem.parameter_row())
+    return problem.improvement(z, solve)
+
+
+@pytest.mark.parametrize("state", [oscillator, growth])
+@pytest.mark.parametrize(("transcription", "degree"), METHODS)
+def test_the_estimate_is_the_true_error(state, transcription: str, degree: int) -> None:  # type: ignore[no-untyped-def]
+    method = {"transcription": transcription, "degree": degree, "intervals": 40}
+    found = state().solve([0.0] * state().model.full_size, tolerance=1e-3, **method)
+    s = np.linspace(*found.interval, 4001)
+    exact = EXACT[state](s)
+    off = np.abs(found.evaluate(s) - exact)
+    true = np.max(np.max(off, axis=0) / np.max(np.abs(exact), axis=0))
+    improved = improvement(found)
+    assert improved is not None
+    step, error = improved
+    of_parameter = abs(step[found.problem.states])
+    assert 0.99 * true < error < 1.6 * true
+    parameter = abs(found["p"] - {oscillator: 1.0, growth: 3.0}[state])
+    assert 0.99 * parameter < of_parameter + 1e-14 < 3.0 * parameter + 1e-13
+    assert found.error > 1.9 * true
+    states = (found.point.z - step)[: found.problem.states].reshape(found.states.shape)
+    assert np.max(np.abs(states - EXACT[state](found.t))) < 0.6 * np.max(np.abs(found.states - EXACT[state](found.t)))
+
+
+@pytest.mark.parametrize("table", [gauss_table(1), gauss_table(6), radau_table(1), radau_table(5), gauss_table(12)])
+def test_weights_are_exact_for_polynomials(table) -> None:  # type: ignore[no-untyped-def]
+    """A defect that is the stages' polynomial times another one is integrated as numpy integrates it."""
+    weights, d = defect_table(table), table.degree
+    points = np.concatenate([[0.0], weights.inner, [1.0]])[: weights.slopes.shape[0]]
+    defect = np.poly1d(np.poly(table.nodes)) * np.poly1d(np.arange(1.0, points.size + 1))
+    whole = defect.integ()
+    np.testing.assert_allclose(weights.increments @ defect(points), whole(table.ends) - whole(0.0), atol=1e-9)
+    polynomial = np.poly1d(np.arange(1.0, d + 2))
+    support = np.append(0.0, table.nodes)
+    np.testing.assert_allclose(weights.slopes @ polynomial(support), polynomial.deriv()(points), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(weights.values @ polynomial(support), polynomial(weights.inner), rtol=1e-9)
+    at_stages, at_points = weights.quadrature
+    total = at_stages @ polynomial(table.nodes) + at_points @ polynomial(points)
+    assert np.isclose(total, polynomial.integ()(1.0), rtol=1e-9)
+
+
+def test_factors_of_another_jacobian_are_not_trusted() -> None:
+    found = oscillator().solve([0.0, 0.0], tolerance=1e-8)
+    assert improvement(found, 1e-3) is not None
+    assert improvement(found, 2.0) is None
+
+
+def test_a_defect_that_is_not_finite_leaves_the_error_to_a_finer_mesh() -> None:
+    """x' = t log t: the field has no value at the start, which only the defect asks for."""
+    model = OdeModel("logarithm", x, 0 * x + t * ca.log(t), time=t, forcing_period=1.0)
+    stated = BoundaryValueProblem(model, [model.start(x)])
+    found = stated.solve([0.0], tolerance=1e-4)
+    problem, z = found.problem, found.point.z
+    solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
+    assert problem.improvement(z, solve) is None
+    assert abs(found.evaluate([1.0])[0, 0] + 0.25) <= found.error < 1e-4
