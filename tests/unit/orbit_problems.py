@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import mpmath as mp
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.butcher import gauss_table, radau_table
+from casadi_skin.bvp.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.shooting import ShootingProblem
@@ -46,6 +47,28 @@ def predator_and_prey(**changes: Any) -> OdeModel:
 
 
 # Collocation ----------------------------------------------------------------------------------------------------------
+
+
+def integrated_lagrange(nodes: list[mp.mpf], ends: list[mp.mpf]) -> mp.matrix:
+    """Integrals from 0 to each end of the Lagrange polynomials of the nodes, (ends, nodes), in mpmath's precision."""
+    table = mp.matrix(len(ends), len(nodes))
+    for j, node in enumerate(nodes):
+        lagrange = [mp.mpf(1)]  # coefficients, constant first
+        for other in (*nodes[:j], *nodes[j + 1 :]):
+            shifted, scaled = [mp.mpf(0), *lagrange], [other * a for a in lagrange] + [mp.mpf(0)]
+            lagrange = [(a - b) / (node - other) for a, b in zip(shifted, scaled, strict=True)]
+        for i, end in enumerate(ends):
+            table[i, j] = sum(a * end ** (n + 1) / (n + 1) for n, a in enumerate(lagrange))
+    return table
+
+
+def check_table(table: CollocationTable, nodes: list[mp.mpf], ends: list[mp.mpf]) -> None:
+    """A table is that of nodes and ends known to many digits."""
+    assert (table.degree, table.extended.shape) == (len(nodes), (len(ends), len(nodes)))
+    assert max(abs(mp.mpf(c) - exact) for c, exact in zip(table.nodes.tolist(), nodes, strict=True)) < 3e-16
+    exact = integrated_lagrange(nodes, ends)
+    for i, row in enumerate(table.extended.tolist()):
+        assert max(abs(mp.mpf(value) - exact[i, j]) for j, value in enumerate(row)) < 1e-15
 
 
 def gauss_problem(model: OdeModel, intervals: int, symmetry: SymmetryClass, degree: int = 5) -> CollocationProblem:
@@ -108,3 +131,11 @@ def differences(problem: OrbitProblem, z: Array) -> Array:
         )
         columns.append((4 * near - far) / 3)
     return np.stack(columns, axis=1)
+
+
+def check_jacobian(problem: OrbitProblem, z: Array, tolerance: float = 3e-10) -> None:
+    """dR/dz is that of differences in every column, and no entry is there twice."""
+    expected = differences(problem, z)
+    np.testing.assert_allclose(dense_jacobian(problem, z), expected, rtol=0, atol=tolerance * np.abs(expected).max())
+    rows, columns = problem.pattern
+    assert len(set(zip(rows.tolist(), columns.tolist(), strict=True))) == rows.size

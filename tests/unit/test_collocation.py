@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from orbit_problems import gauss_problem, radau_problem
+from orbit_problems import check_jacobian, check_table, gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.bvp.butcher import gauss_table, radau_table
@@ -37,38 +37,18 @@ def lengths_of(intervals: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).dirichlet(8.0 * np.ones(intervals))
 
 
-def solved(problem: CollocationProblem, chain: Chain, mode: int, kappa: float, steps: int) -> Array:
-    """The orbit at kappa = g S, from the linear mode in equal steps."""
-    q = np.sin(mode * np.pi * np.arange(1, chain.sites + 1) / (chain.sites + 1))
-    z = problem.pack(q / np.sqrt(chain.weights @ q**2), chain.linear_frequency(mode), 0.0)
-    for value in np.linspace(0.0, kappa, steps + 1)[1:]:
-        correction = NewtonCorrector(problem).correct(z, problem.parameter_row(), value)
-        assert correction.converged, correction.status
-        z = correction.z
-    return z
-
-
 # Radau tables -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("degree", range(1, 13))
 def test_radau_table_agrees_with_forty_digits(degree: int) -> None:
     table = radau_table(degree)
-    assert table.degree == degree
-    assert table.extended.shape == (degree, degree)
     assert table.nodes[-1] == table.ends[-1] == 1.0
     with mp.workdps(40):
         polynomial = lambda s: mp.legendre(degree, s) - mp.legendre(degree - 1, s)  # noqa: E731
-        nodes = [(mp.findroot(polynomial, mp.mpf(2 * float(c) - 1)) + 1) / 2 for c in table.nodes[:-1]] + [mp.mpf(1)]
-        assert max(abs(mp.mpf(float(c)) - exact) for c, exact in zip(table.nodes, nodes, strict=True)) < 3e-16
-        for j in range(degree):
-            lagrange = [mp.mpf(1)]  # coefficients, constant first
-            for k in set(range(degree)) - {j}:
-                shifted, scaled = [mp.mpf(0), *lagrange], [nodes[k] * a for a in lagrange] + [mp.mpf(0)]
-                lagrange = [(a - b) / (nodes[j] - nodes[k]) for a, b in zip(shifted, scaled, strict=True)]
-            for i, end in enumerate(nodes):
-                exact = sum(a * end ** (n + 1) / (n + 1) for n, a in enumerate(lagrange))
-                assert abs(mp.mpf(float(table.extended[i, j])) - exact) < 1e-15
+        guesses = [mp.mpf(2 * c - 1) for c in table.nodes[:-1].tolist()]
+        nodes = [*((mp.findroot(polynomial, guess) + 1) / 2 for guess in guesses), mp.mpf(1)]
+        check_table(table, nodes, nodes)
 
 
 def test_the_known_radau_method_of_two_stages() -> None:
@@ -111,16 +91,7 @@ def test_jacobian_agrees_with_finite_differences_on_an_uneven_mesh(kind: Kind, s
     problem = even.with_constants(lengths_of(3))
     z = np.random.default_rng(1).normal(size=problem.size)
     z[problem.Omega_index] = 1.3
-    found = np.zeros((problem.size - 1, problem.size))
-    np.add.at(found, problem.pattern, problem.evaluate(z)[1])
-    columns = []
-    for unit in np.eye(problem.size):
-        near, far = (
-            (problem.evaluate(z + h * unit)[0] - problem.evaluate(z - h * unit)[0]) / (2 * h) for h in (1e-3, 2e-3)
-        )
-        columns.append((4 * near - far) / 3)
-    expected = np.stack(columns, axis=1)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-10 * np.abs(expected).max())
+    check_jacobian(problem, z)
 
 
 def test_problems_that_differ_in_their_mesh_share_what_was_built_and_keep_their_own_numbers() -> None:
