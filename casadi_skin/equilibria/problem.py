@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -220,16 +219,3 @@ class ExactLevels(Levels):
 
     def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:
         return problem
-
-
-@dataclass(frozen=True, eq=False)
-class Solver:
-    """An algebraic problem with its corrector and its bordered linear solver."""
-
-    problem: AlgebraicProblem
-    correct_with: Callable[[Problem], Corrector]
-
-    @cached_property
-    def levels(self) -> ExactLevels:
-        """The problem as continuations take it."""
-        return ExactLevels(self.problem, self.correct_with)

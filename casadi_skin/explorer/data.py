@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.results.netcdf import read_name
+
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
 POINTS = 3000  # of a curve
 NUMBERS = 400_000  # of wave forms, in all
@@ -54,9 +56,10 @@ def read_netcdf(
     with netcdf_file(path, "r", mmap=False) as file:
         known: dict[str, Any] = vars(file)["_attributes"]
         attributes = {k: v.decode() for k, v in known.items() if isinstance(v, bytes)}
-        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in file.variables.items()}
-        dimensions = {name: tuple(variable.dimensions) for name, variable in file.variables.items()}
-        meanings = {n: v.long_name.decode() for n, v in file.variables.items() if hasattr(v, "long_name")}
+        held = {read_name(name): variable for name, variable in file.variables.items()}
+        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in held.items()}
+        dimensions = {name: tuple(map(read_name, variable.dimensions)) for name, variable in held.items()}
+        meanings = {n: v.long_name.decode() for n, v in held.items() if hasattr(v, "long_name")}
     for name, values in variables.items():
         if values.dtype.kind == "S":
             rows = values.reshape(-1, values.shape[-1])

@@ -263,16 +263,12 @@ class StabilityDiagram(Result):
             )
         return np.where(growth > NOISE, growth, 0.0)
 
-    def rotation_angles(self, coordinates: Array) -> Array:
-        """Signed rotation angles in (-pi, pi], shape (points, m): signature times the angle of lambda(M).
-
-        Not a number for multipliers off the unit circle. Where two of them add up to a multiple of 2 pi, multipliers of
-        opposite signatures meet.
-        """
-        return self.angles_and_growths(coordinates)[0]
-
     def angles_and_growths(self, coordinates: Array) -> tuple[Array, Array]:
-        """`rotation_angles` and `growths` at coordinates, from the same eigenvalues, shape (points, m) each."""
+        """Signed rotation angles in (-pi, pi] and `growths` at coordinates, shape (points, m) each.
+
+        An angle is the signature times the angle of lambda(M), not a number off the unit circle. Where two of them add
+        up to a multiple of 2 pi, multipliers of opposite signatures meet.
+        """
         mu, signatures = self.spectrum(coordinates)
         angles = np.arccos(np.clip(1.0 + 2.0 * mu.real, -1.0, 1.0))
         growth = np.where(self._inside(coordinates)[:, None], self.power * growth_of(mu), 0.0)

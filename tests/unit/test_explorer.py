@@ -17,8 +17,9 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.cli import main
 from casadi_skin.explorer.data import CHANGE, POINTS, page_data
-from casadi_skin.explorer.map_data import CELLS, map_data
+from casadi_skin.explorer.map_data import map_data
 from casadi_skin.results.dataset import Dataset, Variable, write_netcdf
+from casadi_skin.results.netcdf import stored_name
 from casadi_skin.results.quantities import dataset_of
 
 
@@ -130,21 +131,21 @@ def test_changes_of_stability_stand_where_they_are_located(tmp_path: Path) -> No
         assert special["label"].endswith(f"S = {change.S:.8g}")
 
 
-def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4) -> np.ndarray:
+def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4, first: str = "gamma") -> np.ndarray:
     """A map of a product over two ranges and a list; one cell failed."""
     gamma, S = np.linspace(0.1, 0.3, gammas), np.linspace(0.0, 1.0, amplitudes)
     values = (gamma[:, None, None] * S[None, :, None]) * np.array([1.0, -1.0])
     status, reason = np.ones(values.shape, dtype=np.int32), np.full(values.shape, "", dtype="<U9")
     status[0, 1, 0], reason[0, 1, 0], values[0, 1, 0] = 3, "no orbit", np.nan
     modes = np.array([list("first"), [*"last", "\0"]], dtype="S1")
-    axes, most = ("gamma", "S", "mode"), 8
+    axes, most = (stored_name(first), "S", "mode"), 8
     letters = np.array([[*text.ljust(most, "\0")] for text in reason.ravel()], dtype="S1")
     with netcdf_file(folder / "map.nc", "w", version=2) as file:
         file.title = "a map"
         for name, size in zip((*axes, "letter", "mode_letter"), (*values.shape, most, 5), strict=True):
             file.createDimension(name, size)
         for name, kind, dimensions, meaning, stored in (
-            ("gamma", "f8", axes[:1], "nonreciprocity", gamma),
+            (axes[0], "f8", axes[:1], "nonreciprocity", gamma),
             ("S", "f8", axes[1:2], "amplitude", S),
             ("mode", "c", ("mode", "mode_letter"), "mode", modes),
             ("status", "i4", axes, "state of a cell", status),
@@ -173,12 +174,14 @@ def test_a_map_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (data["note"], data["status"][2]) == ("", 3)
 
 
-def test_a_large_map_is_thinned_with_a_note(tmp_path: Path) -> None:
-    write_map(tmp_path, 300, 200)
+def test_a_large_map_is_thinned_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("casadi_skin.explorer.map_data.CELLS", 400)
+    write_map(tmp_path, 30, 20, "γ")
     data = map_data(tmp_path)
     sizes = [len(axis["values"]) for axis in data["axes"]]
-    assert np.prod(sizes) == len(data["status"]) <= CELLS
-    assert data["note"] == f"{np.prod(sizes)} of 120000 cells are shown"
+    assert np.prod(sizes) == len(data["status"]) <= 400
+    assert data["note"] == f"{np.prod(sizes)} of 1200 cells are shown"
+    assert [axis["name"] for axis in data["axes"]] == ["γ", "S", "mode"]
     assert data["axes"][0]["values"][0] == 0.1
     assert data["axes"][0]["values"][-1] == 0.3
 
