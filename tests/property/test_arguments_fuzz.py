@@ -4,7 +4,7 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from effort import examples
+from effort import examples, texts
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
@@ -22,7 +22,7 @@ REQUEST: dict[str, Any] = {
 Q, V, C = (ca.SX.sym(name) for name in "qvc")
 SPRING = OdeModel("spring", Q, -Q - C * Q**3, C, 2, V, reversal=(1, -1), half_period=(-1, -1))
 NUMBERS = st.integers(-3, 40) | st.floats() | st.sampled_from([10**400, -(10**400), 1e308, 5e-324, -0.0])
-SCALARS = NUMBERS | st.none() | st.booleans() | st.text(max_size=8) | st.binary(max_size=4) | st.complex_numbers()
+SCALARS = NUMBERS | st.none() | st.booleans() | texts(8) | st.binary(max_size=4) | st.complex_numbers()
 VALUES = SCALARS | st.lists(SCALARS, max_size=3) | st.lists(SCALARS, max_size=3).map(tuple) | st.just({}) | st.just(st)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from effort import examples
+from effort import examples, texts
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
@@ -57,7 +57,7 @@ def parse(text: str, source: str = "fuzz.toml") -> Scene | None:
         return None
 
 
-names = st.sampled_from(KEYS) | st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+names = st.sampled_from(KEYS) | texts(8)
 numbers = (
     st.integers(-3, 40)
     | st.integers()
@@ -97,7 +97,7 @@ def test_the_scene_to_mutate_is_valid() -> None:
 
 
 @QUICK
-@given(st.text(max_size=60) | st.text("[]{}=.,\"'#\n \\ntrue01e-chainsites", max_size=60))
+@given(texts(60) | st.text("[]{}=.,\"'#\n \\ntrue01e-chainsites", max_size=60))
 @example("[")
 @example("\r")
 @example("title = '\ud800'")

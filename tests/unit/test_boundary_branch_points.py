@@ -33,7 +33,7 @@ def test_the_branch_points_of_auto_are_found_with_their_errors(zero: Branch) -> 
         assert abs(point.parameters["p"] - exact) <= point.error < 1e-7
 
 
-@pytest.mark.parametrize(("place", "to"), [(0, 1.6), (0, 0.7), (1, 2.5)])
+@pytest.mark.parametrize(("place", "to"), [(0, 1.6), (0, 0.7), pytest.param(1, 2.5, marks=pytest.mark.slow)])
 def test_the_other_branch_solves_the_problem_by_another_method(zero: Branch, place: int, to: float) -> None:
     point = zero.special_points[place]
     last = point.follow("p", to).solutions[-1]

@@ -56,7 +56,7 @@ def test_a_field_that_is_another_one_after_a_turn_is_refused() -> None:
         _ = first_point(0.0, -1.0, even=0.3).coefficient
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_tori_of_a_problem_that_closes_pass_the_resonances_of_their_angle(sign: float) -> None:
     """Multipliers sign exp(a - k +- i q): on the circle along a = k, whose angle is that of the resonances."""
     point = first_point(1.0, sign)

@@ -321,7 +321,7 @@ def test_z_counts_how_far_the_matrix_is_from_an_inverse():
     assert 0.8 * Z < norm(np.eye(len(DF)) - A @ DF, weights) <= Z
 
 
-@pytest.mark.parametrize(("sites", "S", "harmonics"), [(1, 0.08, 4), (3, 0.3, 6)])
+@pytest.mark.parametrize(("sites", "S", "harmonics"), [(1, 0.08, 4), pytest.param(3, 0.3, 6, marks=pytest.mark.slow)])
 def test_z_and_w_bound_the_operator_of_all_cosines(sites, S, harmonics):
     """Bounds about coarse series, whose k = 0 matters: beside them twice its rows would be outside."""
     orbit = orbit_of(soft(sites), S)

@@ -19,7 +19,8 @@ def _folds(branch: Branch) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("sites", "transcription"), [(2, "trigonometric"), (7, "trigonometric"), (3, "gauss"), (3, "shooting")]
+    ("sites", "transcription"),
+    [(2, "trigonometric"), (7, "trigonometric"), (3, "gauss"), pytest.param(3, "shooting", marks=pytest.mark.slow)],
 )
 def test_orientation_is_the_sign_of_the_determinant(sites: int, transcription: str) -> None:
     branch = follow_family(Chain(sites, 0.4, 0.1, -1.0), 1, 0.5, tolerance=1e-5, transcription=transcription)

@@ -212,7 +212,7 @@ def spoilt(good: Path, folder: Path, harm: str) -> Path:
     [
         ("abort();", r"ends the process that calls it \(SIGABRT\); accepted: one that comes back"),
         pytest.param("raise(SIGSEGV);", r"ends the process that calls it \(SIGSEGV\)", marks=pytest.mark.slow),
-        ("_exit(0);", r"ends the process that calls it \(exit status 0\)"),
+        pytest.param("_exit(0);", r"ends the process that calls it \(exit status 0\)", marks=pytest.mark.slow),
         ("for (;;) pause();", r"does not answer within 1 s; accepted: one that does, or a longer time_limit"),
         pytest.param("for (;;) {}", r"does not answer within 1 s", marks=pytest.mark.slow),
     ],

@@ -76,7 +76,7 @@ def exact_mu(orbit: Orbit, mu: complex) -> complex:
     return complex(-(np.sin(sigma * orbit.period / 4.0) ** 2))
 
 
-@pytest.mark.parametrize(("S", "count"), [(0.2, 1), (1.0, 1), (3.0, 2)])
+@pytest.mark.parametrize(("S", "count"), [pytest.param(0.2, 1, marks=pytest.mark.slow), (1.0, 1), (3.0, 2)])
 def test_localised_multipliers_solve_hills_equations_with_exact_tails(S: float, count: int) -> None:
     """In the pinned regime, where the orbit fills the tail, too; real instabilities and a complex one."""
     orbit = followed().at(S)

@@ -139,7 +139,7 @@ def test_more_digits_are_more_accurate(g: float, S: float) -> None:
     assert errors[-1] < 1e-12
 
 
-@pytest.mark.parametrize("symmetry", SymmetryClass)
+@pytest.mark.parametrize("symmetry", [QUARTER, HALF, pytest.param(FULL, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("sites", "mode", "kappa"), [(4, 1, -1.5), pytest.param(4, 3, 2.0, marks=pytest.mark.slow)])
 def test_every_class_finds_the_orbit_of_odd_cosines(
     sites: int, mode: int, kappa: float, symmetry: SymmetryClass
