@@ -198,9 +198,10 @@ def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tra
     starts = places(pieces, np.array([g.start for g in groups]), np.array([_error(g.first_edge) for g in groups]))
     ends = places(pieces, np.array([g.end for g in groups]), np.array([_error(g.last_edge) for g in groups]))
     bottoms = places(pieces, deepest, nothing)
+    meetings = _meetings(groups, tracks)
     found = []
     for i, group in enumerate(groups):
-        meeting = _meeting(group, tracks)
+        meeting = meetings.get(i)
         found.append(
             Tongue(
                 start=starts[i],
@@ -222,15 +223,16 @@ def _error(edge: Edge | None) -> float:
     return 0.0 if edge is None else edge.error
 
 
-def _meeting(group: Group, tracks: Tracks | None) -> tuple[int, int, int] | None:
-    """The modes that meet at its first or last edge, and the order of their resonance."""
-    for edge in (group.first_edge, group.last_edge):
-        if edge is not None and tracks is not None:
-            angle = float(np.arccos(np.clip(1.0 + 2.0 * edge.mu, -1.0, 1.0)))
-            meeting = tracks.meeting(edge.coordinate, angle, alone=edge.kind == "real")
-            if meeting is not None:
-                return meeting
-    return None
+def _meetings(groups: Sequence[Group], tracks: Tracks | None) -> dict[int, tuple[int, int, int]]:
+    """The modes that meet at the first or last edge of groups, and the orders of their resonances, where certain."""
+    ends = [(i, edge) for i, group in enumerate(groups) for edge in (group.last_edge, group.first_edge)]
+    edges = [(i, edge) for i, edge in ends if edge is not None]
+    if tracks is None or not edges:
+        return {}
+    coordinates, mu = (np.array([getattr(edge, name) for _, edge in edges]) for name in ("coordinate", "mu"))
+    angles = np.arccos(np.clip(1.0 + 2.0 * mu, -1.0, 1.0))
+    found = tracks.meetings(coordinates, angles, np.array([edge.kind == "real" for _, edge in edges]))
+    return {i: meeting for (i, _), meeting in zip(edges, found, strict=True) if meeting is not None}
 
 
 def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
@@ -290,23 +292,29 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
     if not rows:
         return Edges((), (), tuple(windows))
     at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
-    made = _each_once(
-        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, tongues[i].width, power)
+    widths = [tongue.width for tongue in tongues]
+    every = [
+        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, widths[i], power)
         for place, (edge, before, after, i) in zip(at, rows, strict=True)
-    )
+    ]
+    made = _each_once(every)
     changes = tuple(edge for edge in made if edge.stable_before != edge.stable_after)
     return Edges(changes, tuple(edge for edge in made if edge.stable_before == edge.stable_after), tuple(windows))
 
 
-def _each_once(edges: Iterable[StabilityEdge]) -> list[StabilityEdge]:
+def _each_once(edges: Sequence[StabilityEdge]) -> list[StabilityEdge]:
     """Edges in order; of those that coincide within their errors one: a change of stability, else the most exact.
 
     Multipliers that a symmetry makes equal leave the circle at one place; and where a family crosses one whose period
     is a third of its own, two tongues touch (Meyer 1970).
     """
     places: list[list[StabilityEdge]] = []
-    for edge in edges:
-        twin = next((place for place in reversed(places) if _coincide(place[-1], edge)), None)
+    errors = np.array([edge.place.coordinate_error for edge in edges])
+    coordinates = np.array([edge.place.coordinate for edge in edges])
+    reached = np.maximum.accumulate(np.append(-np.inf, coordinates + errors))[:-1]
+    for edge, alone in zip(edges, (coordinates - errors > reached).tolist(), strict=True):
+        others = () if alone else reversed(places)
+        twin = next((place for place in others if _coincide(place[-1], edge)), None)
         if twin is None:
             places.append([edge])
         else:

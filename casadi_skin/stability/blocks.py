@@ -17,7 +17,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
-from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Booleans, Indices, Numbers, contracts, decoupled
+from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Booleans, Indices, Numbers, applied, contracts, decoupled
 from casadi_skin.stability.reduction import ComplexArray
 
 APART = 1.3  # half-lengths of an interval from its middle to where two mu of different blocks would meet, at least
@@ -83,16 +83,17 @@ class Blocks:
         """
         labels = self.labels[chosen]
         same, basis, inverse = labels[:, :, None] == labels[:, None, :], self.basis[chosen], self.inverse[chosen]
-        K = inverse[:, None] @ matrices[:, :, 0] @ basis[:, None]
+        K = inverse[:, None] @ applied(matrices[:, :, 0], basis[:, None])
         right, left, fine = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices)
         return _parts(matrices, *_scaled(right, left)), fine
 
 
 def _parts(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
-    parts = [left @ matrices[:, :, 0] @ right]
-    if matrices.shape[2] == 3:
-        parts += [right.swapaxes(2, 3) @ matrices[:, :, 1] @ right, left @ matrices[:, :, 2] @ left.swapaxes(2, 3)]
-    return np.stack(parts, axis=2)
+    images = [(left, right), (right.swapaxes(2, 3), right), (left, left.swapaxes(2, 3))]
+    found = np.empty((*left.shape[:2], matrices.shape[2], *(left.shape[2],) * 2), dtype=left.dtype)
+    for i, (rows, columns) in enumerate(images[: matrices.shape[2]]):
+        np.matmul(rows, applied(matrices[:, :, i], columns), out=found[:, :, i])
+    return found
 
 
 def _scaled(right: Numbers, left: Numbers) -> tuple[Numbers, Numbers]:
@@ -193,7 +194,7 @@ def _similar(matrices: Array, vectors: Numbers) -> tuple[Numbers, Numbers, Boole
         vectors = np.where(regular[:, None, None], vectors, np.eye(vectors.shape[-1]))
         inverse = np.linalg.inv(vectors)
     regular = np.linalg.norm(inverse, axis=(1, 2)) < REGULAR
-    return inverse[:, None] @ matrices @ vectors[:, None], inverse, regular
+    return inverse[:, None] @ applied(matrices, vectors[:, None]), inverse, regular
 
 
 def _separate_parallel(vectors: Numbers, mu: ComplexArray, real: Booleans) -> Booleans:

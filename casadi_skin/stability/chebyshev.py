@@ -17,6 +17,8 @@ SLACK = 1e-9  # beyond the ends, in which a zero still counts
 NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
 NEGLIGIBLE = 1e-14  # of the largest coefficient: what the eigenvalue problem of the zeros leaves out
 POLISHING = 4  # steps of Newton's method on zeros
+PARTS = 4  # of [-1, 1], on each of which most functions are monotonic or have no zero
+CLEARLY = 0.99  # of a mean: variations that leave no zero, nor one just outside or beside the real axis
 TAIL = 3  # coefficients whose sum shows how far a series is from converged
 
 
@@ -88,8 +90,9 @@ def value(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
 def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
     """Zeros in [-1, 1] of several functions, and where they come near zero without a change of sign.
 
-    The second are real parts of conjugate zeros next to the real axis. Eigenvalues of the colleague matrix (Good 1961),
-    all of one size at a time.
+    The second are real parts of conjugate zeros next to the real axis. A function that has no zero or is monotonic on
+    each of a few parts has no such ones, and as many zeros as changes of sign; the others have those that are
+    eigenvalues of their colleague matrices (Good 1961), all of one size at a time.
 
     Arguments:
         coefficients: shape (degree + 1, functions).
@@ -97,6 +100,47 @@ def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[n
     Returns:
         The function of each place, the places, and whether it changes its sign there.
     """
+    simple, of, x = _simple_zeros(coefficients)
+    others = np.flatnonzero(~simple)
+    those, zeros = _by_eigenvalues(coefficients[:, others])
+    crosses = np.concatenate([np.ones(x.size, dtype=bool), zeros.imag == 0.0])
+    of, x = np.concatenate([of, others[those]]), np.concatenate([x, zeros.real])
+    x[crosses] = _polished(coefficients, of[crosses], x[crosses])
+    inside = ~crosses | (np.abs(x) <= 1.0 + SLACK)
+    return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
+
+
+@cache
+def _parts(degree: int) -> tuple[Array, Array]:
+    """Places in equal parts of [-1, 1], the nodes of each, shape (PARTS, degree + 1), and the polynomials there."""
+    starts = np.linspace(-1.0, 1.0, PARTS + 1)[:-1, None]
+    places = starts + (nodes(degree) + 1.0) / PARTS
+    return _kept(places), _kept(basis(places, degree))
+
+
+def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
+    """Functions without a zero or an extremum near any part, and the function and the place, nearly, of their zeros."""
+    degree = len(coefficients) - 1
+    places, polynomials = _parts(degree)
+    values = polynomials @ coefficients
+    simple = np.ones(coefficients.shape[1], dtype=bool)
+    slopes = polynomials @ (derivative(degree) @ coefficients)
+    for here, slope in zip(values, slopes, strict=True):
+        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEARLY) for each in (here, slope))
+        simple &= excluded | monotonic
+    values, slopes = values[..., simple], slopes[..., simple]
+    values[0, 0], values[-1, -1] = values[0, 0] - SLACK * slopes[0, 0], values[-1, -1] + SLACK * slopes[-1, -1]
+    positive = values >= 0.0
+    positive[:-1, -1] = positive[1:, 0]  # parts that touch agree
+    part, which = np.nonzero(positive[:, 0] != positive[:, -1])
+    k = np.argmax(positive[part, 1:, which] != positive[part, :-1, which], axis=1)
+    before, after, x = values[part, k, which], values[part, k + 1, which], places[part, k]
+    share = np.divide(before, before - after, out=np.zeros_like(before), where=before != after)
+    return simple, np.flatnonzero(simple)[which], x + np.clip(share, 0.0, 1.0) * (places[part, k + 1] - x)
+
+
+def _by_eigenvalues(coefficients: Array) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
+    """Zeros next to the real axis, not below it, and the function of each."""
     sizes = np.abs(coefficients)
     significant = sizes > NEGLIGIBLE * np.max(sizes, axis=0)
     degrees = np.max(np.arange(len(sizes))[:, None] * significant, axis=0, initial=0)
@@ -109,11 +153,7 @@ def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[n
         places.append(values[near_axis].astype(complex))
     of, zeros = np.concatenate(owners), np.concatenate(places)
     kept = zeros.imag >= 0.0
-    of, zeros = of[kept], zeros[kept]
-    crosses, x = zeros.imag == 0.0, zeros.real
-    x[crosses] = _polished(coefficients, of[crosses], x[crosses])
-    inside = ~crosses | (np.abs(x) <= 1.0 + SLACK)
-    return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
+    return of[kept], zeros[kept]
 
 
 def _colleagues(coefficients: Array) -> Array:
@@ -133,10 +173,11 @@ def _colleagues(coefficients: Array) -> Array:
 def _polished(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
     """Zeros after a few steps of Newton's method, each of the function numbered `of`."""
     slopes = derivative(len(coefficients) - 1) @ coefficients
-    step = np.full(x.shape, np.inf)
+    step, start = np.full(x.shape, np.inf), x
     for _ in range(POLISHING if x.size else 0):
         here, change = value(coefficients, of, x), value(slopes, of, x)
         new = np.divide(here, change, out=np.zeros_like(here), where=change != 0.0)
         new = np.where(np.abs(new) < np.abs(step), new, 0.0)
         x, step = x - new, new
-    return x
+    worse = np.abs(value(coefficients, of, x)) > np.abs(value(coefficients, of, start))  # at a double zero
+    return np.where(worse, start, x)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.native.decoupling import decoupling_kernel
 from casadi_skin.stability import chebyshev
 
 DEGREE = 16  # of the series on an interval
@@ -35,12 +36,29 @@ def _weights(K: Numbers, same: Booleans) -> Numbers:
     return np.where(inside, 0.0, 1.0 / np.where(inside, 1.0, gaps))
 
 
+def applied(matrices: Array, columns: Numbers) -> Numbers:
+    """Real matrices times columns, those of complex ones as pairs of real ones: half the operations."""
+    if columns.dtype.kind != "c":
+        return np.asarray(matrices @ columns)
+    return np.asarray((matrices @ np.ascontiguousarray(columns).view(float)).view(complex))
+
+
 def contracts(K: Numbers, same: Booleans) -> Booleans:
     """Whether the iteration for T converges for all mu of an interval, and no two mu of different blocks meet.
 
     It is tested at five nodes, the middle among them; between these the squares of distances are polynomials.
     """
-    K = K[:, PROBES]
+    kernel = decoupling_kernel()
+    if kernel is None:
+        values, fine = _steps_from_identity(K[:, PROBES], same)
+    else:
+        values, fine = kernel.contracts(K[:, PROBES], same, STEPS, SMALL, LARGEST)
+    fine[fine] = _stay_apart(values[fine], same[fine])
+    return fine
+
+
+def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]:
+    """All mu at the nodes of intervals, (intervals, nodes, m), and for which intervals steps for T become small."""
     weights, inside = _weights(K, same), same[:, None]
     fine = np.ones(len(K), dtype=bool)
     T = K * weights
@@ -60,8 +78,7 @@ def contracts(K: Numbers, same: Booleans) -> Booleans:
         if not active.size:
             break
     fine[active] = False
-    fine[fine] = _stay_apart(values[fine], same[fine])
-    return fine
+    return values, fine
 
 
 def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
@@ -91,7 +108,7 @@ def decoupled(
         near = np.ones_like(near)
         rows = np.zeros_like(right.swapaxes(2, 3))
     else:
-        rows = right.swapaxes(2, 3) @ matrices[:, :, 1]
+        rows = applied(matrices[:, :, 1], right).swapaxes(2, 3)  # P is symmetric
     valid = columns >= 0
     special = valid & np.take_along_axis(near, np.where(valid, columns, 0), axis=1)
     if special.any():
@@ -132,6 +149,9 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     """
     intervals, count, size = K.shape[:3]
     degree = count - 1
+    kernel = decoupling_kernel()
+    if kernel is not None:
+        return kernel.invariant(K, same, columns, nested_nodes(degree), ITERATIONS, CONVERGED)
     valid = columns >= 0
     places = np.where(valid, columns, 0)
     each = np.arange(intervals)[:, None]
@@ -151,7 +171,7 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
 
 
 @cache
-def nested_nodes(degree: int) -> tuple[tuple[slice | Indices, Indices, Array], ...]:
+def nested_nodes(degree: int) -> tuple[tuple[Indices, Indices, Array], ...]:
     """Nodes known, nodes wanted, and the matrix that predicts these from those, from the middle on."""
     found = []
     step = degree

@@ -116,9 +116,6 @@ class PairBlock(Block):
         outside = np.where(product < 0.0, 1, np.where(both, 2, 0))
         return square < 0.0, np.where(square < 0.0, 2, outside)
 
-    def mu(self, coordinates: Array) -> ComplexArray:
-        return np.asarray(self.mu_together([self], coordinates[None])[0], dtype=complex)
-
     @classmethod
     def mu_together(cls, blocks: Sequence[PairBlock], coordinates: Array) -> ComplexArray:
         mean, square, _ = cls._values(blocks, local_places(blocks, coordinates))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.reduction import ComplexArray
 
+Booleans = NDArray[np.bool_]
 TWO_PI = 2.0 * np.pi
 FASTEST = 4.0  # times the median rate: faster angles are those of mu about to meet, whose rates say little
 CERTAIN = 0.5  # of the distance to the next angle: how far one may be from where it is expected
@@ -55,36 +56,36 @@ class Tracks:
     coordinates: Array
     angles: Array
 
-    def meeting(self, coordinate: float, angle: float, alone: bool) -> tuple[int, int, int] | None:
-        """Modes (k, l) and the order of a meeting at `angle` in [0, pi]; one mode twice where it is `alone`.
+    def meetings(self, coordinates: Array, angles: Array, alone: Booleans) -> list[tuple[int, int, int] | None]:
+        """Modes (k, n) and the order of each meeting at an angle in [0, pi]; one mode twice where it is `alone`.
 
         None where it is not certain which angles meet.
         """
-        right = int(np.clip(np.searchsorted(self.coordinates, coordinate), 1, self.coordinates.size - 1))
-        low, high = self.coordinates[right - 1 : right + 1].tolist()
-        weight = min(max((coordinate - low) / (high - low), 0.0), 1.0)
+        right = np.clip(np.searchsorted(self.coordinates, coordinates), 1, self.coordinates.size - 1)
+        low, high = self.coordinates[right - 1], self.coordinates[right]
+        weight = np.clip((coordinates - low) / (high - low), 0.0, 1.0)[:, None]
         here = (1.0 - weight) * self.angles[:, right - 1] + weight * self.angles[:, right]
-        nearest, ordered = (self._meeting(angles, angle, alone) for angles in here)
-        return nearest if nearest == ordered else None
+        (first, sure), (second, sure_too) = _nearest(here, angles), _nearest(here, -angles)
+        second, sure_too = np.where(alone, first, second), sure_too | alone
+        sure &= sure_too & (alone | (first != second))
+        each = np.take_along_axis(here, np.stack([first, second], axis=2), 2)
+        orders = np.round(np.sum(each, axis=2) / TWO_PI).astype(np.int64)
+        modes = np.sort(np.array(self.modes)[np.stack([first, second], axis=2)], axis=2)
+        known = np.concatenate([modes, orders[..., None]], axis=2)
+        certain = np.all(sure, axis=0) & np.all(known[0] == known[1], axis=1)
+        return [
+            (k, n, m) if sure else None for (k, n, m), sure in zip(known[0].tolist(), certain.tolist(), strict=True)
+        ]
 
-    def _meeting(self, here: Array, angle: float, alone: bool) -> tuple[int, int, int] | None:
-        first = _nearest(here, angle)
-        second = first if alone else _nearest(here, -angle)
-        if first is None or second is None or (not alone and first == second):
-            return None
-        order = round(float(here[first] + here[second]) / TWO_PI)
-        low, high = sorted((self.modes[first], self.modes[second]))
-        return low, high, order
 
-
-def _nearest(angles: Array, wanted: float) -> int | None:
-    """The angle nearest to one, modulo 2 pi; None where another one is nearly as near."""
-    distance = np.abs((angles - wanted + np.pi) % TWO_PI - np.pi)
-    first = int(np.argmin(distance))
-    least, distance[first] = distance[first], np.inf
-    if distance.size > 1 and least > CERTAIN * np.min(distance):
-        return None
-    return first
+def _nearest(angles: Array, wanted: Array) -> tuple[NDArray[np.int64], Booleans]:
+    """The angle nearest to each one, modulo 2 pi, and whether no other is nearly as near; angles (2, wanted, m)."""
+    distance = np.abs((angles - wanted[:, None] + np.pi) % TWO_PI - np.pi)
+    first = np.argmin(distance, axis=2)
+    if angles.shape[2] == 1:
+        return first, np.ones(first.shape, dtype=bool)
+    least = np.partition(distance, 1, axis=2)
+    return first, least[..., 0] <= CERTAIN * least[..., 1]
 
 
 def follow_angles(

@@ -130,17 +130,22 @@ class Block:
 
     def mu(self, coordinates: Array) -> ComplexArray:
         """All mu of the block, shape (points, m)."""
-        return np.asarray(np.linalg.eigvals(self.at(self.local(coordinates))[:, 0]), dtype=complex)
+        return np.asarray(self.mu_together([self], coordinates[None])[0])
 
     @property
     def alike(self) -> Hashable:
         """Blocks of one class for which this is the same are evaluated together."""
-        return id(self)
+        return self.parts.shape[-1], self.parts.dtype.kind
 
     @classmethod
     def mu_together(cls, blocks: Sequence[Any], coordinates: Array) -> ComplexArray:
         """All mu of blocks that are alike, each at coordinates of its own, (blocks, points) -> (blocks, points, m)."""
-        return np.stack([block.mu(at) for block, at in zip(blocks, coordinates, strict=True)])
+        K, size = np.stack([block.parts[:, 0] for block in blocks]), blocks[0].parts.shape[-1]
+        coefficients = chebyshev.transform(DEGREE) @ K.reshape(len(K), DEGREE + 1, -1)
+        found = chebyshev.basis(local_places(blocks, coordinates), DEGREE) @ coefficients
+        if size == 1:
+            return np.asarray(found, dtype=complex)
+        return np.asarray(np.linalg.eigvals(found.reshape(*coordinates.shape, size, size)), dtype=complex)
 
     @classmethod
     def growths_together(cls, blocks: Sequence[Any], coordinates: Array) -> Array:
@@ -275,9 +280,6 @@ class SingleBlock(Block):
         super().__init__(start, end, parts, errors, noise, tails)
         self.functions = functions
 
-    def mu(self, coordinates: Array) -> ComplexArray:
-        return np.asarray(self.at(self.local(coordinates))[:, 0, :, 0], dtype=complex)
-
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
         first, second = self.functions
@@ -302,10 +304,6 @@ class SingleBlock(Block):
         series = np.stack([[function.coefficients for function in block.functions] for block in blocks])
         values = chebyshev.basis(x, DEGREE) @ series.swapaxes(1, 2)
         return np.asarray(values[..., 0] * values[..., 1])
-
-    @property
-    def alike(self) -> Hashable:
-        return True
 
     @classmethod
     def growths_together(cls, blocks: Sequence[SingleBlock], coordinates: Array) -> Array:

@@ -23,6 +23,7 @@ from casadi_skin.models.polynomial import Monomials
 from casadi_skin.native import bordered, taylor
 from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
+from casadi_skin.native.decoupling import decoupling_kernel
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.orbits.request import family_request
@@ -43,7 +44,14 @@ def fresh() -> Iterator[None]:
 
 
 def forget() -> None:
-    own = library, splitting_kernel, taylor._functions, native_jacobian._function, bordered._functions
+    own = (
+        library,
+        splitting_kernel,
+        decoupling_kernel,
+        taylor._functions,
+        native_jacobian._function,
+        bordered._functions,
+    )
     for kept in (*own, trigonometric._kept):
         kept.cache_clear()
 

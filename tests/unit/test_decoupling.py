@@ -1,0 +1,138 @@
+"""Bases that make matrices block diagonal, by the compiled kernel and by numpy; zeros of series without eigenvalues."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.polynomial.chebyshev import chebroots
+
+from casadi_skin.native.decoupling import decoupling_kernel
+from casadi_skin.native.library import without
+from casadi_skin.stability import chebyshev, decoupling
+from casadi_skin.stability.decoupling import DEGREE
+
+needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
+Array = np.ndarray
+
+
+def random_intervals(size: int, dtype: type, seed: int = 7) -> tuple[Array, Array, Array]:
+    """K at the nodes of six intervals, diagonal at their middles, who belongs together, and columns of whole blocks.
+
+    Of the first two intervals mu 0 and 1 are of one block; the last one does not come apart.
+    """
+    generator = np.random.default_rng(seed)
+    mu = np.arange(size) + 0.2 * generator.normal(size=size)
+    linear, bent = generator.normal(size=(2, 6, size, size)).astype(dtype)
+    if dtype is complex:
+        mu = mu + 1j * generator.normal(size=size)
+        linear += 1j * generator.normal(size=linear.shape)
+    x = chebyshev.nodes(DEGREE)[:, None, None]
+    sizes = np.array([0.3, 0.2, 0.1, 0.1, 0.01, 40.0])[:, None, None, None] / size
+    K = np.diag(mu) + sizes * (x * linear[:, None] + x**2 * bent[:, None])
+    same = np.tile(np.eye(size, dtype=bool), (6, 1, 1))
+    same[:2, 0, 1] = same[:2, 1, 0] = True
+    columns = np.full((6, min(size, 5)), -1, dtype=np.int64)
+    for i in range(6):
+        count = 2 if i < 2 else int(generator.integers(1, columns.shape[1] + 1))
+        columns[i, :count] = np.arange(count)
+    return K, same, columns
+
+
+@pytest.fixture
+def by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
+
+
+def invariance(K: Array, T: Array, same: Array, columns: Array) -> float:
+    """What is left of K T - T L with L block diagonal, from the rows of K T that T has unit blocks in."""
+    valid = columns[columns >= 0]
+    T = T[..., : valid.size]
+    L = np.where(same[np.ix_(valid, valid)], (K @ T)[:, valid], 0.0)
+    return float(np.max(np.abs(K @ T - T @ L)))
+
+
+@pytest.mark.parametrize("kernel", [pytest.param(True, marks=needs_compiler), False])
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("size", [2, 3, 8, 23])
+def test_bases_are_invariant(size: int, dtype: type, kernel: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not kernel:
+        monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
+    K, same, columns = random_intervals(size, dtype)
+    T, found = decoupling._invariant(K, same, columns)
+    assert found.tolist() == [True] * 5 + [False]
+    for i in range(5):
+        count = np.count_nonzero(columns[i] >= 0)
+        assert invariance(K[i], T[i], same[i], columns[i]) < 1e-8
+        assert np.array_equal(T[i, DEGREE // 2], np.eye(size, columns.shape[1]) * (np.arange(columns.shape[1]) < count))
+
+
+@needs_compiler
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("size", [2, 3, 8, 23])
+def test_kernel_and_numpy_find_the_same(size: int, dtype: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert decoupling_kernel() is not None
+    K, same, columns = random_intervals(size, dtype)
+    compiled, apart = decoupling._invariant(K, same, columns), decoupling.contracts(K, same)
+    monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
+    plain = decoupling._invariant(K, same, columns)
+    assert np.array_equal(compiled[1], plain[1])
+    assert apart.tolist() == decoupling.contracts(K, same).tolist()
+    np.testing.assert_allclose(compiled[0][:5], plain[0][:5], rtol=0, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_steps_from_the_identity_give_all_mu(dtype: type) -> None:
+    """Within the square of the last step, which is small but not zero, and as numpy's do."""
+    kernel = decoupling_kernel()
+    assert kernel is not None
+    K, same, _ = random_intervals(6, dtype)
+    K = K[2:, decoupling.PROBES]
+    values, fine = kernel.contracts(K, same[2:], decoupling.STEPS, 1e-9, decoupling.LARGEST)
+    assert fine.tolist() == [True] * 3 + [False]
+    for here, matrices in zip(values[:3], K[:3], strict=True):
+        exact = np.linalg.eigvals(matrices)
+        assert np.sort_complex(here) == pytest.approx(np.sort_complex(exact), abs=1e-9)
+    plain, _ = decoupling._steps_from_identity(K[:3], same[2:5])
+    compiled, _ = kernel.contracts(K[:3], same[2:5], decoupling.STEPS, decoupling.SMALL, decoupling.LARGEST)
+    np.testing.assert_allclose(compiled, plain, rtol=0, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_what_is_no_number_is_not_found(dtype: type) -> None:
+    K, same, columns = random_intervals(3, dtype)
+    K[2, 5, 1, 2] = np.nan
+    assert decoupling._invariant(K, same, columns)[1].tolist() == [True, True, False, True, True, False]
+    K[2, 4, 1, 2] = np.nan
+    assert not decoupling.contracts(K, same)[2]
+
+
+@pytest.mark.parametrize("degree", [16, 32])
+def test_zeros_by_changes_of_sign_are_those_by_eigenvalues(degree: int) -> None:
+    generator = np.random.default_rng(degree)
+    coefficients = generator.normal(size=(degree + 1, 300)) * 0.5 ** np.arange(degree + 1)[:, None]
+    simple = chebyshev._simple_zeros(coefficients)[0]
+    assert 0.3 < np.mean(simple) < 0.9
+    of, x, crosses = chebyshev.real_zeros(coefficients)
+    for i in np.flatnonzero(simple).tolist():
+        roots = chebroots(coefficients[:, i])
+        exact = np.sort(roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)])
+        assert np.all(crosses[of == i])
+        assert np.sort(x[of == i]) == pytest.approx(exact, abs=1e-11)
+
+
+@pytest.mark.parametrize("place", [-1.0, -0.5, 0.0, 0.5, 1.0, 1.0 - 1e-14])
+def test_a_zero_on_the_border_of_two_parts_is_one(place: float) -> None:
+    """And where two come together, or nearly, it is eigenvalues that are asked."""
+    coefficients = np.zeros((17, 3))
+    coefficients[:2, 0] = -place, 1.0
+    coefficients[:3, 1] = place**2 + 0.5, -2.0 * place, 0.5  # (x - place)^2
+    coefficients[:3, 2] = coefficients[:3, 1]
+    coefficients[0, 2] += 1e-10
+    of, x, _ = chebyshev.real_zeros(coefficients)
+    assert x[of == 0] == pytest.approx([place], abs=1e-15)
+    assert not chebyshev._simple_zeros(coefficients)[0][1:].any()
+    for i in (1, 2):
+        assert x[of == i] == pytest.approx(place, abs=1e-4)
+        assert np.count_nonzero(of == i) >= 1
