@@ -40,11 +40,15 @@ class OrbitProblem(Problem):
 
     def profile_change(self, z: Array, step: Array) -> float:
         """Largest change of a state value relative to the largest state value; of what users see of it as well."""
-        move, state, scale = step[: self.states], z[: self.states], self.output_scale
-        change = np.max(np.abs(move)) / np.max(np.abs(state))
+        return float(self.profile_changes(z[None], step[None])[0])
+
+    def profile_changes(self, z: Array, steps: Array) -> Array:
+        moves, states, scale = np.abs(steps[:, : self.states]), np.abs(z[:, : self.states]), self.output_scale
+        change = moves.max(axis=1) / states.max(axis=1)
         if scale is not None:
-            change = max(change, np.max(np.abs(scale * move)) / np.max(np.abs(scale * state)))
-        return float(change)
+            scale = np.abs(scale)
+            change = np.maximum(change, (scale * moves).max(axis=1) / (scale * states).max(axis=1))
+        return np.asarray(change)
 
     def frequency(self, z: Array) -> float:
         return float(z[self.Omega_index])
@@ -57,8 +61,11 @@ class OrbitProblem(Problem):
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
-        state = z[: self.states]
-        weights = np.full(self.size, 1.0 / (state @ state))
-        weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
-        weights[self.parameter_index] = 1.0 / parameter_scale**2
+        return np.asarray(self.metrics(z[None], parameter_scale)[0])
+
+    def metrics(self, z: Array, parameter_scale: float) -> Array:
+        weights, states = np.empty(z.shape), z[:, : self.states]
+        weights[:] = 1.0 / np.einsum("ij,ij->i", states, states)[:, None]
+        weights[:, self.Omega_index] = (FREQUENCY_WEIGHT / z[:, self.Omega_index]) ** 2
+        weights[:, self.parameter_index] = 1.0 / parameter_scale**2
         return weights

@@ -104,6 +104,10 @@ class Problem(ABC):
     def profile_change(self, z: Array, step: Array) -> float:
         """Change of the state in a step from z, relative to its size."""
 
+    def profile_changes(self, z: Array, steps: Array) -> Array:
+        """The same of several states (states, size) in a step each."""
+        return np.array([self.profile_change(*one) for one in zip(z, steps, strict=True)])
+
     def row_of(self, held: Scalar) -> Array:
         """Row that holds Omega or the free parameter, shape (size,)."""
         row = np.zeros(self.size)
@@ -302,6 +306,10 @@ class Problem(ABC):
         _, columns = self.pattern
         return EPSILON * float(np.max(np.abs(self.evaluate(z)[1] * z[columns])))
 
+    def roundings(self, z: Array) -> Array:
+        """The same at several states (states, size)."""
+        return np.array([self.rounding(one) for one in z])
+
     @property
     def round_off(self) -> float:
         """Relative error of Omega and of the profile left where the equations are solved but for rounding; measured."""
@@ -335,3 +343,7 @@ class Problem(ABC):
     @abstractmethod
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the relative metric at z in which walks measure lengths, shape (size,)."""
+
+    def metrics(self, z: Array, parameter_scale: float) -> Array:
+        """The same at several states, shape (states, size)."""
+        return np.stack([self.metric(one, parameter_scale) for one in z])

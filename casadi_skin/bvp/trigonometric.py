@@ -174,10 +174,15 @@ class TrigonometricProblem(OrbitProblem):
         return np.concatenate([values.ravel(), z[self.states :]])
 
     def rounding(self, z: Array) -> float:
+        return float(self.roundings(z[None])[0])
+
+    def roundings(self, z: Array) -> Array:
         beyond = z.copy()
-        values = beyond[: self.states].reshape(self.model.size, self.resolution)
-        values -= np.outer(values @ self._to_coefficients[0], cosine_matrix(self.resolution)[0])
-        return super().rounding(beyond) + EPSILON * float(np.max(np.abs(z[: self.states])))
+        values = beyond[:, : self.states].reshape(len(z), self.model.size, self.resolution)
+        amplitudes = np.einsum("ijk,k->ij", values, self._to_coefficients[0])
+        values -= amplitudes[:, :, None] * cosine_matrix(self.resolution)[0]
+        products = np.abs(self.evaluate_all(beyond)[1] * np.take(beyond, self.pattern[1], axis=1))
+        return np.asarray(EPSILON * (products.max(axis=1) + np.abs(z[:, : self.states]).max(axis=1)))
 
     @property
     def round_off(self) -> float:

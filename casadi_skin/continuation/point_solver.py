@@ -40,6 +40,10 @@ class PointSolver:
     def metric(self, problem: Problem, z: Array) -> Array:
         return problem.metric(z, abs(self.settings.parameter_max))
 
+    def metrics(self, problem: Problem, z: Array) -> Array:
+        """The metric at several states, shape (states, unknowns)."""
+        return problem.metrics(z, abs(self.settings.parameter_max))
+
     def distance(self, problem: Problem, z: Array, other: Array) -> float:
         """Distance of two states in the metric at the first one."""
         return float(np.sqrt(np.sum(self.metric(problem, z) * (other - z) ** 2)))

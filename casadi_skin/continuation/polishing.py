@@ -45,7 +45,7 @@ class Guesses:
         z, slopes = (
             np.stack([course(tau) for tau in taus]) for course in (stretch.at, stretch.slope)
         )  # each by itself
-        weights = np.stack([point_solver.metric(problem, one) for one in z])
+        weights = point_solver.metrics(problem, z)
         rows = weights * slopes / np.sqrt(np.sum(weights * slopes**2, axis=1))[:, None]
         values = np.einsum("ij,ij->i", rows, z)
         for i, target in enumerate(targets):

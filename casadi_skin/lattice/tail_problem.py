@@ -177,9 +177,12 @@ class CoreWithTailProblem(TrigonometricProblem):
     def evaluator_of_all(self) -> Evaluate | None:
         return None
 
+    def metrics(self, z: Array, parameter_scale: float) -> Array:
+        return Problem.metrics(self, z, parameter_scale)
+
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""
-        weights = super().metric(z, parameter_scale)
+        weights: Array = super().metrics(z[None], parameter_scale)[0]
         weights[self.Omega_index] = 1.0
         try:
             values = self.values(z)

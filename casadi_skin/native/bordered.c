@@ -1,7 +1,7 @@
 /* Solutions with a banded matrix and its border; see solvers/bordered.py, whose steps these are.
 
-   Arrays are stored as LAPACK takes them: a row of ours is a column of its. Its routines are those of scipy, whose
-   addresses come with the layout. */
+   The band is factorised as LAPACK's gbtf2 does it, in the same places: its routine calls four others a column, which
+   takes several times as long where the band is narrow. A row of our arrays is a column of its. */
 
 #include <math.h>
 #include <stdint.h>
@@ -15,12 +15,6 @@ typedef struct {
 } entries;
 
 typedef struct {
-    void (*gbtrf)(const int *, const int *, const int *, const int *, double *, const int *, int *, int *);
-    void (*gbtrs)(const char *, const int *, const int *, const int *, const int *, const double *, const int *,
-                  const int *, double *, const int *, int *);
-    void (*getrf)(const int *, const int *, double *, const int *, int *, int *);
-    void (*getrs)(const char *, const int *, const int *, const double *, const int *, const int *, double *,
-                  const int *, int *);
     int64_t banded, size, width, nonzeros; /* unknowns in the band, all unknowns, half bandwidth */
     entries inside, right, below, corner;
     const int64_t *rows, *columns; /* of the non-zeros */
@@ -30,7 +24,7 @@ typedef struct {
 /* A factorised matrix: the band, what is left of the columns and rows of its border, and the Schur complement. */
 typedef struct {
     double *band, *right, *below, *corner;
-    int *pivots, *order;
+    int64_t *pivots, *order;
 } factors;
 
 static factors within(const layout *l, double *memory)
@@ -38,7 +32,7 @@ static factors within(const layout *l, double *memory)
     const int64_t n = l->banded, edge = l->size - n + 1;
     factors f = {memory, 0, 0, 0, 0, 0};
     f.right = f.band + n * (3 * l->width + 1), f.below = f.right + edge * n, f.corner = f.below + edge * n;
-    f.pivots = (int *)(f.corner + edge * edge), f.order = f.pivots + n;
+    f.pivots = (int64_t *)(f.corner + edge * (3 * edge - 2)), f.order = f.pivots + n;
     return f;
 }
 
@@ -58,27 +52,93 @@ static double largest(const double *x, int64_t count)
 
 static double product(const double *x, const double *y, int64_t count)
 {
-    double sum = 0.0;
+    double sums[4] = {0.0}; /* independent of one another, so that they go together */
+    for (; count % 4; count--)
+        sums[0] += x[count - 1] * y[count - 1];
+    for (int64_t i = 0; i < count; i += 4)
+        for (int64_t k = 0; k < 4; k++)
+            sums[k] += x[i + k] * y[i + k];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}
+
+static void subtract(double *restrict y, const double *restrict x, double factor, int64_t count)
+{
     for (int64_t i = 0; i < count; i++)
-        sum += x[i] * y[i];
-    return sum;
+        y[i] -= x[i] * factor;
+}
+
+static int64_t smaller(int64_t a, int64_t b) { return a < b ? a : b; }
+
+/* Row exchanges and factors of a band of this half width, in columns of 3 width + 1 with the diagonal at 2 width.
+   Exchanges are counted from the diagonal; returns their number with that of negative pivots, or -1 where a pivot
+   vanishes. */
+static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchanges)
+{
+    const int64_t step = 3 * width; /* from an entry to that right of it */
+    int64_t last = 0, odd = 0;      /* the last column that rows so far reach */
+    for (int64_t j = 0; j < n; j++) {
+        double *pivot = band + j * (step + 1) + 2 * width;
+        const int64_t below = smaller(width, n - 1 - j);
+        int64_t p = 0;
+        for (int64_t i = 1; i <= below; i++)
+            p = fabs(pivot[i]) > fabs(pivot[p]) ? i : p;
+        exchanges[j] = p;
+        if (pivot[p] == 0.0)
+            return -1;
+        last = smaller(n - 1, last > j + width + p ? last : j + width + p);
+        odd += (p > 0) + (pivot[p] < 0.0);
+        for (int64_t c = 0; p && c <= last - j; c++) {
+            double *entry = pivot + c * step, other = entry[p];
+            entry[p] = entry[0], entry[0] = other;
+        }
+        for (int64_t i = 1; i <= below; i++)
+            pivot[i] /= pivot[0];
+        for (int64_t c = 1; c <= last - j; c++) {
+            double *entry = pivot + c * step;
+            if (entry[0] != 0.0)
+                subtract(entry + 1, pivot + 1, entry[0], below);
+        }
+    }
+    return odd;
+}
+
+/* Solutions of `count` systems with these factors, each `apart` numbers after the one before. */
+static void substitute(int64_t n, int64_t width, const double *band, const int64_t *exchanges, int64_t count,
+                       int64_t apart, double *right)
+{
+    for (int64_t j = 0; j < n; j++) {
+        const double *pivot = band + j * (3 * width + 1) + 2 * width;
+        const int64_t below = smaller(width, n - 1 - j);
+        for (int64_t k = 0; k < count; k++) {
+            double *x = right + k * apart + j;
+            const double value = x[exchanges[j]];
+            x[exchanges[j]] = x[0], x[0] = value;
+            subtract(x + 1, pivot + 1, value, below);
+        }
+    }
+    for (int64_t j = n - 1; j >= 0; j--) {
+        const double *pivot = band + j * (3 * width + 1) + 2 * width;
+        const int64_t above = smaller(2 * width, j);
+        for (int64_t k = 0; k < count; k++) {
+            double *x = right + k * apart + j;
+            x[0] /= pivot[0];
+            subtract(x - above, pivot - above, x[0], above);
+        }
+    }
 }
 
 /* Solutions of `count` systems in the place of their right-hand sides, (count, size); at most 8 unknowns in the border. */
 EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_t count, double *x)
 {
     const int64_t n = l->banded, edge = l->size - n + 1;
-    const int band = (int)n, width = (int)l->width, stored = 3 * width + 1, border = (int)edge, all = (int)l->size;
-    const int columns = (int)count, one = 1;
     const factors f = within(l, memory);
-    int info;
-    l->gbtrs("N", &band, &width, &width, &columns, f.band, &stored, f.pivots, x, &all, &info);
+    substitute(n, l->width, f.band, f.pivots, count, l->size, x);
     for (; count > 0; count--, x += l->size) {
         double outer[8] = {0.0};
         memcpy(outer + 1, x + n, (size_t)(edge - 1) * sizeof(double));
         for (int64_t r = 0; r < edge; r++)
             outer[r] -= product(f.below + r * n, x, n);
-        l->getrs("N", &border, &one, f.corner, &border, f.order, outer, &border, &info);
+        substitute(edge, edge - 1, f.corner, f.order, 1, 0, outer);
         for (int64_t r = 0; r < edge; r++)
             for (int64_t i = 0; i < n; i++)
                 x[i] -= outer[r] * f.right[r * n + i];
@@ -87,41 +147,33 @@ EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_
 }
 
 /* Factors in `memory`; the sign of the determinant, or 0 where elimination meets a zero. */
-static double factorise(const layout *l, const double *z, const double *nonzeros, const double *row, double *memory)
+static double factors_of(const layout *l, const double *z, const double *nonzeros, const double *row, double *memory)
 {
     const int64_t n = l->banded, edge = l->size - n + 1, stored = 3 * l->width + 1;
-    const int band = (int)n, width = (int)l->width, leading = (int)stored, border = (int)edge;
     const factors f = within(l, memory);
-    int info;
-    memset(memory, 0, (size_t)(n * stored + 2 * edge * n + edge * edge) * sizeof(double));
-    fill(&l->inside, nonzeros, f.band), fill(&l->right, nonzeros, f.right);
-    fill(&l->below, nonzeros, f.below), fill(&l->corner, nonzeros, f.corner);
+    memset(memory, 0, (size_t)(n * stored + 2 * edge * n + edge * (3 * edge - 2)) * sizeof(double));
+    fill(&l->inside, nonzeros, f.band), fill(&l->right, nonzeros, f.right), fill(&l->below, nonzeros, f.below);
     memcpy(f.below + (edge - 1) * n, row, (size_t)n * sizeof(double));
-    for (int64_t c = 1; c < edge; c++)
-        f.corner[c * edge + edge - 1] = row[n + c - 1];
     int64_t pin = 0; /* where the band is raised, and an unknown more takes that back */
     for (int64_t i = 1; i < n; i++)
         pin = fabs(z[i]) > fabs(z[pin]) ? i : pin;
     const double raised = largest(f.band + pin * stored, stored);
     f.band[pin * stored + 2 * l->width] += raised;
-    f.right[pin] = -raised, f.below[pin] = -1.0, f.corner[0] = 1.0;
+    f.right[pin] = -raised, f.below[pin] = -1.0;
 
-    l->gbtrf(&band, &band, &width, &width, f.band, &leading, f.pivots, &info);
-    if (info)
+    const int64_t odd = factorise(n, l->width, f.band, f.pivots);
+    if (odd < 0)
         return 0.0;
-    l->gbtrs("N", &band, &width, &width, &border, f.band, &leading, f.pivots, f.right, &band, &info);
+    substitute(n, l->width, f.band, f.pivots, edge, n, f.right);
+    double corner[64] = {1.0}; /* of the border, by rows */
+    fill(&l->corner, nonzeros, corner);
+    memcpy(corner + (edge - 1) * edge + 1, row + n, (size_t)(edge - 1) * sizeof(double));
     for (int64_t r = 0; r < edge; r++)
         for (int64_t c = 0; c < edge; c++)
-            f.corner[c * edge + r] -= product(f.below + r * n, f.right + c * n, n);
-    l->getrf(&border, &border, f.corner, &border, f.order, &info);
-    if (info)
-        return 0.0;
-    int64_t odd = 0;
-    for (int64_t i = 0; i < n; i++)
-        odd += (f.band[i * stored + 2 * l->width] < 0.0) + (f.pivots[i] != i + 1);
-    for (int64_t i = 0; i < edge; i++)
-        odd += (f.corner[i * edge + i] < 0.0) + (f.order[i] != i + 1);
-    return odd % 2 ? -1.0 : 1.0;
+            f.corner[c * (3 * edge - 2) + 2 * (edge - 1) + r - c] =
+                corner[r * edge + c] - product(f.below + r * n, f.right + c * n, n);
+    const int64_t more = factorise(edge, edge - 1, f.corner, f.order);
+    return more < 0 ? 0.0 : (odd + more) % 2 ? -1.0 : 1.0;
 }
 
 /* Whether solutions for residuals in general position, `response`, and for the closing row alone, `along`, are those of
@@ -148,7 +200,7 @@ EXPORTED int casadi_skin_bordered_steps(const layout *l, int64_t states, const d
                                         double *memory, double *defect)
 {
     for (; states > 0; states--, z += l->size, nonzeros += l->nonzeros, rows += l->size, x += each * l->size) {
-        *orientation = factorise(l, z, nonzeros, rows, memory);
+        *orientation = factors_of(l, z, nonzeros, rows, memory);
         if (*orientation++ == 0.0)
             return 1;
         casadi_skin_bordered_solve(l, memory, each, x);

@@ -1,4 +1,4 @@
-"""Solutions with banded matrices and their borders by the kernel bordered.c, with LAPACK as scipy has it."""
+"""Solutions with banded matrices and their borders by the kernel bordered.c."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from casadi_skin.native.library import library
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 INTEGER, POINTER = ctypes.c_int64, ctypes.c_void_p
-ROUTINES = ("dgbtrf", "dgbtrs", "dgetrf", "dgetrs")
 MOST = 7  # unknowns beside the band
+WIDEST = 64  # half bandwidth beyond which LAPACK's blocks are faster
 
 
 class _Entries(ctypes.Structure):
@@ -25,7 +25,6 @@ class _Entries(ctypes.Structure):
 
 class _Layout(ctypes.Structure):
     _fields_ = (
-        *((name, POINTER) for name in ROUTINES),
         *((name, INTEGER) for name in ("banded", "size", "width", "nonzeros")),
         *((name, _Entries) for name in ("inside", "right", "below", "corner")),
         *((name, POINTER) for name in ("rows", "columns")),
@@ -44,19 +43,6 @@ def _functions() -> tuple[Any, Any] | None:
     steps.restype = ctypes.c_int
     solve.argtypes, solve.restype = [POINTER, POINTER, INTEGER, POINTER], None
     return steps, solve
-
-
-@cache
-def _routines() -> tuple[int, ...]:
-    """Addresses of LAPACK's routines, with integers of 32 bits."""
-    from scipy.linalg import cython_lapack
-
-    name, pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
-    name.argtypes, name.restype = [ctypes.py_object], ctypes.c_char_p
-    pointer.argtypes, pointer.restype = [ctypes.py_object, ctypes.c_char_p], POINTER
-    table: Any = cython_lapack.__pyx_capi__
-    capsules = [table[routine] for routine in ROUTINES]
-    return tuple(pointer(capsule, name(capsule)) for capsule in capsules)
 
 
 class BorderedKernel:
@@ -84,12 +70,11 @@ class BorderedKernel:
         self._held = [np.ascontiguousarray(array) for pair in (*places, pattern) for array in pair]
         at = [array.ctypes.data for array in self._held]
         parts = [_Entries(places[i][0].size, at[2 * i], at[2 * i + 1]) for i in range(4)]
-        self._layout = _Layout(*_routines(), *sizes, pattern[0].size, *parts, *at[8:], *limits)
+        self._layout = _Layout(*sizes, pattern[0].size, *parts, *at[8:], *limits)
         self.address = ctypes.addressof(self._layout)
         self.solve_address = int(ctypes.cast(self._solve, POINTER).value or 0)
         edge = self.size - self.banded + 1
-        doubles = self.banded * (3 * width + 1) + 2 * edge * self.banded + edge * edge
-        self._room = doubles + (self.banded + edge + 1) // 2  # two integers in a double
+        self._room = self.banded * (3 * width + 2 + 2 * edge) + edge * (3 * edge - 1)  # integers among them
         self._defect, self._scratch = np.empty(self.size), np.empty(self._room)
 
     def memory(self) -> Array:
@@ -121,7 +106,7 @@ def bordered_kernel(
     pattern: tuple[Indices, Indices],
     limits: tuple[float, float],
 ) -> BorderedKernel | None:
-    """A kernel, see `BorderedKernel`; None without a compiler, and where the border is wide."""
-    if _functions() is None or sizes[1] - sizes[0] > MOST:
+    """A kernel, see `BorderedKernel`; None without a compiler, and where border or band are wide."""
+    if _functions() is None or sizes[1] - sizes[0] > MOST or sizes[2] > WIDEST:
         return None
     return BorderedKernel(sizes, places, pattern, limits)

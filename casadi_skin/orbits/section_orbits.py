@@ -69,7 +69,7 @@ def find_all(
     if stack is None:
         return found
     z, values, active = guesses.copy(), guesses @ row, np.arange(len(guesses))
-    weights = np.stack([point_solver.metric(problem, guess) for guess in guesses])
+    weights = point_solver.metrics(problem, guesses)
     for _ in range(STEPS):
         here, rows = z[active], np.tile(row, (active.size, 1))
         try:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar, Solve
 from casadi_skin.solvers.bordered import BorderedSolver
@@ -192,8 +192,9 @@ class Levels:
         residual, nonzeros = finer.evaluate(long_z)
         solve = self.solver(finer).factor(long_z, nonzeros, row)
         step = solve(np.append(residual, 0.0))
-        on_finer = finer, long_z, step, lambda: solve(np.append(finer.probe, 0.0))
-        return _estimated(problem, z, on_finer, tangent, along, held)
+        better = _OnFiner(finer, long_z[None], step[None], lambda: solve(np.append(finer.probe, 0.0))[None])
+        ways = None if along is None else along[None]
+        return _estimated(problem, z[None], better, None if tangent is None else tangent[None], ways, [held])[0]
 
     def all_refined(
         self, problem: Problem, z: Array, tangents: Array, held: Sequence[Scalar | None]
@@ -204,60 +205,90 @@ class Levels:
         if finer is None or stack is None:
             return None
         long_z, along = (np.stack([problem.prolong(v, finer) for v in values]) for values in (z, tangents))
-        rows = np.stack(
-            [
-                finer.metric(at, 1.0) * way if which is None else finer.row_of(which)
-                for at, way, which in zip(long_z, along, held, strict=True)
-            ]
-        )
+        rows = finer.metrics(long_z, 1.0) * along
+        for i, which in enumerate(held):
+            if which is not None:
+                rows[i] = finer.row_of(which)
         residuals, nonzeros = finer.evaluate_all(long_z)
         steps = stack.steps(long_z, np.column_stack([residuals, np.zeros(len(z))]), nonzeros, rows)
         if steps is None:
             return None
-        found = []
-        for i, which in enumerate(held):
-            response, way = partial(steps.response.__getitem__, i), along[i] if which is None else None
-            found.append(
-                _estimated(problem, z[i], (finer, long_z[i], steps.newton[i], response), tangents[i], way, which)
-            )
-        return found
+        better = _OnFiner(finer, long_z, steps.newton, lambda: steps.response)
+        return _estimated(problem, z, better, tangents, along, held)
+
+
+@dataclass(frozen=True)
+class _OnFiner:
+    """States prolonged to the next level `problem`, (states, size), with a Newton step from each.
+
+    `response` gives the responses to residuals of size 1, where these are needed.
+    """
+
+    problem: Problem
+    z: Array
+    steps: Array
+    response: Callable[[], Array]
 
 
 def _estimated(
     problem: Problem,
     z: Array,
-    on_finer: tuple[Problem, Array, Array, Callable[[], Array]],
-    tangent: Array | None,
+    on_finer: _OnFiner,
+    tangents: Array | None,
     along: Array | None,
-    held: Scalar | None,
-) -> Measured:
-    """The error of z and the better orbit, from what has been found `on_finer`, the next level.
+    held: Sequence[Scalar | None],
+) -> list[Measured]:
+    """The errors of states (states, size) and the better orbits, from the next level.
 
-    That is the problem, the state prolonged, a Newton step from there, and the response to residuals of size 1 where it
-    is needed; `tangent` and `along` are the tangents of z and there.
+    `tangents` and `along` are the tangents of the states and there; those of states where something is held are not
+    those of their steps.
     """
-    finer, long_z, step, response = on_finer
-    Omega = problem.frequency(z)
-    step = _at_parameter(finer, long_z, step, along)
-    moves = held is Scalar.OMEGA or (along is not None and step[finer.parameter_index] != 0.0)
-    error = step_error(finer, long_z, step, moves)
-    error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
-    if error.relative(Omega) < NEAR_ROUND_OFF:
-        noise = _at_parameter(finer, long_z, problem.rounding(z) * response(), along)
-        error = _no_better(error, step_error(finer, long_z, noise, moves), problem, z)
-        if held is Scalar.OMEGA and tangent is not None:
-            error = replace(error, parameter=max(error.parameter, _by_constants(problem, z, tangent)))
-    return error, Refinement(finer, long_z - step)
+    finer, long_z = on_finer.problem, on_finer.z
+    free, by_Omega = (np.array([which is one for which in held]) for one in (None, Scalar.OMEGA))
+    Omega = np.array([problem.frequency(one) for one in z])
+    steps = _at_parameter(finer, long_z, on_finer.steps, along, free)
+    moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
+    errors, floors = _step_errors(finer, long_z, steps, moves), np.zeros(len(z))
+    errors[0] = np.maximum(errors[0], problem.round_off * Omega)
+    near = _largest(errors, Omega) < NEAR_ROUND_OFF
+    if near.any():  # no better than the response to rounding, and than what rounded constants do
+        noise = _at_parameter(finer, long_z, problem.roundings(z)[:, None] * on_finer.response(), along, free)
+        floor = _step_errors(finer, long_z, noise, moves)
+        floor[0], floor[1] = np.maximum(floor[0], problem.round_off * Omega), np.maximum(floor[1], problem.round_off)
+        errors, floors = np.where(near, np.maximum(errors, floor), errors), np.where(near, _largest(floor, Omega), 0.0)
+        for i in np.flatnonzero(near & by_Omega).tolist():
+            if tangents is not None:
+                errors[2, i] = max(errors[2, i], _by_constants(problem, z[i], tangents[i]))
+    columns = *errors[:2].tolist(), floors.tolist(), errors[2].tolist()
+    found = [ErrorEstimate(*one) for one in zip(*columns, strict=True)]
+    return [(error, Refinement(finer, better)) for error, better in zip(found, long_z - steps, strict=True)]
 
 
-def _at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
-    """A step brought back to the parameter of z along a tangent, but for the neighbourhood of a fold."""
-    index = problem.parameter_index
-    if along is None or abs(along[index]) <= FOLD * problem.parameter_size(z):
-        return step
-    brought_back = np.asarray(step - along * (step[index] / along[index]))
-    brought_back[index] = 0.0  # but for round-off
-    return brought_back
+def _at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None, free: NDArray[np.bool_]) -> Array:
+    """Steps brought back to the parameter along tangents where `free`, but for the neighbourhood of a fold."""
+    if along is None:
+        return steps
+    index, sizes = problem.parameter_index, np.array([problem.parameter_size(one) for one in z])
+    back = free & (np.abs(along[:, index]) > FOLD * sizes)
+    brought = steps[back] - along[back] * (steps[back, index] / along[back, index])[:, None]
+    brought[:, index] = 0.0  # but for round-off
+    found = steps.copy()
+    found[back] = brought
+    return found
+
+
+def _step_errors(problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_]) -> Array:
+    """As `step_error` of several states: errors of Omega, of the profile and of the parameter, shape (3, states)."""
+    Omega = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
+    parameter = np.zeros(len(z))
+    for i in np.flatnonzero(with_parameter).tolist():
+        parameter[i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
+    return SAFETY * np.array([Omega, problem.profile_changes(z, steps), parameter])
+
+
+def _largest(errors: Array, Omega: Array) -> Array:
+    """The largest of the three errors of each state, with that of Omega made relative."""
+    return np.asarray(np.max([errors[0] / Omega, errors[1], errors[2]], axis=0))
 
 
 def _no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, z: Array) -> ErrorEstimate:
