@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import inspect
 import math
 import reprlib
 import sys
@@ -49,6 +47,8 @@ class _Short(reprlib.Repr):
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The known name that is most like a name in any case of its letters, if one is near."""
     names = {other.lower(): other for other in reversed(list(known))}
+    import difflib  # here: few commands fail
+
     return next((names[near] for near in difflib.get_close_matches(name[:LONGEST].lower(), names, n=1)), None)
 
 
@@ -68,6 +68,8 @@ def check_name(label: str, name: object, known: Iterable[str]) -> None:
 
 def check_options(label: str, given: Iterable[str], *functions: Callable[..., Any]) -> None:
     """Raises TypeError, with the nearest accepted name, for an option that no function or class of these takes."""
+    import inspect  # here: it takes long to load
+
     known = dict[str, None]()
     for function in functions:
         for name, parameter in inspect.signature(function).parameters.items():

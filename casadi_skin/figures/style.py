@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -180,8 +179,13 @@ def _write(figure: Figure, path: Path, kind: str) -> None:
     if kind in DATED:
         figure.savefig(path, format=kind, dpi=DPI, metadata={DATED[kind]: None})
         return
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="rgba", dpi=DPI)
-    pixels = np.frombuffer(drawn.getbuffer(), dtype=np.uint8)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas, before = figure.canvas, figure.get_dpi()
+    if not isinstance(canvas, FigureCanvasAgg):
+        canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(DPI)
+    canvas.draw()  # savefig copies the pixels twice
     with path.open("wb") as stream:
-        write_png(stream, pixels.reshape(-1, int(figure.bbox_inches.width * DPI), 4), DPI)
+        write_png(stream, np.asarray(canvas.buffer_rgba()), DPI)
+    figure.set_dpi(before)

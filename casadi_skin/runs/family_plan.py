@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from casadi_skin import methods
 from casadi_skin.runs.words import Lines
@@ -20,8 +20,7 @@ UNKNOWNS = {
 }
 
 
-@dataclass(frozen=True)
-class FamilyPlan:
+class FamilyPlan(NamedTuple):
     """Modes and methods of families as they are chosen for the model, and the words for its symmetry and coordinates.
 
     `localised` is the number of sites that localised multipliers begin with, where stability is of that kind, and

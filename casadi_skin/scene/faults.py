@@ -2,8 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import get_type_hints
+from typing import NamedTuple, get_type_hints
 
 from msgspec import Meta
 
@@ -29,8 +28,7 @@ def did_you_mean(near: str | None, accepted: str) -> str:
     return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
 
 
-@dataclass(frozen=True)
-class Unknown:
+class Unknown(NamedTuple):
     """A table or key that no scene has: its place, the nearest known name and all that are accepted there."""
 
     fault: str
