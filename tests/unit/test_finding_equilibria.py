@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from equilibrium_models import Brusselator, ab, carbon_monoxide, lorenz, symbols
+from programs import Program
 
 from casadi_skin import Chain, OdeModel, find_equilibria, find_equilibrium, simulate
 from casadi_skin.equilibria.space import EquilibriumError
@@ -118,40 +119,8 @@ def test_a_branch_ends_where_a_condition_holds_and_where_it_comes_back() -> None
 
 def test_a_black_box_in_mx_is_followed_by_first_derivatives_alone() -> None:
     """As an FMU is: its Jacobian has no derivatives of its own; a fold is located by its parameter's turn."""
-
-    class Cubic(ca.Callback):  # type: ignore[misc]
-        def __init__(self) -> None:
-            ca.Callback.__init__(self)
-            self.construct("cubic", {"enable_fd": False})
-
-        def get_n_in(self) -> int:
-            return 2
-
-        def get_n_out(self) -> int:
-            return 1
-
-        def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
-            x, p = arguments
-            return [p + x - x**3]
-
-        def has_jacobian(self) -> bool:
-            return True
-
-        def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict) -> ca.Function:
-            slope = self._slope = Slope()
-            x, p, out = ca.MX.sym("x"), ca.MX.sym("p"), ca.MX.sym("o")
-            return ca.Function(name, [x, p, out], [slope(x), ca.MX(1.0)], inames, onames)
-
-    class Slope(ca.Callback):  # type: ignore[misc]
-        def __init__(self) -> None:
-            ca.Callback.__init__(self)
-            self.construct("slope", {"enable_fd": False})
-
-        def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
-            return [1 - 3 * arguments[0] ** 2]
-
-    cubic = Cubic()
     x, p = ca.MX.sym("x"), ca.MX.sym("p")
+    cubic = Program(ca.Function("cubic", [x, p], [p + x - x**3]), orders=1)
     model = OdeModel("box", x, cubic(x, p), p)
     branch = find_equilibrium(model, [-1.5], parameters={"p": -2.0}).follow("p", 2.0)
     assert [point.kind for point in branch.special_points] == ["fold", "fold"]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from equilibrium_models import ab
 from foreign_fmus import casadi_fmu
+from programs import Program
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, import_fmu
 from casadi_skin.equilibria.space import EquilibriumError
@@ -82,34 +83,9 @@ def test_a_fold_of_cycles_of_an_fmu_is_followed(tmp_path: Path) -> None:
     assert np.max(np.abs(curve["mu"] + curve["a"] ** 2 / 4.0)) < 1e-9
 
 
-class Program(ca.Callback):  # type: ignore[misc]
-    """x, p -> p - x^2, or its derivatives: no more than the first."""
-
-    def __init__(self, name: str, derivative: bool = False) -> None:
-        ca.Callback.__init__(self)
-        self._derivative = derivative
-        self._jacobian = None if derivative else Program(f"{name}_jacobian", True)
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return 3 if self._derivative else 2
-
-    def get_n_out(self) -> int:
-        return 2 if self._derivative else 1
-
-    def eval(self, arguments: Any) -> list[ca.DM]:
-        x, p = arguments[:2]
-        return [-2 * x, ca.DM(1.0)] if self._derivative else [p - x**2]
-
-    def has_jacobian(self) -> bool:
-        return not self._derivative
-
-    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
-        return self._jacobian
-
-
 def test_a_program_without_second_derivatives_has_no_curves_which_one_line_says() -> None:
-    program, x, p = Program("square"), ca.MX.sym("x"), ca.MX.sym("p", 2)
+    x, one, p = ca.MX.sym("x"), ca.MX.sym("one"), ca.MX.sym("p", 2)
+    program = Program(ca.Function("square", [x, one], [one - x**2]), orders=1)
     model = OdeModel("square", x, program(x, p[0]) + p[1], p, nominal=(1.0, 0.0), parameter_labels=("p", "q"))
     (fold,) = find_equilibrium(model, [1.0]).follow("p", -0.5).special_points
     assert fold.parameters["p"] == pytest.approx(0.0, abs=1e-9)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from programs import Program
 
 from casadi_skin import (
     Bond,
@@ -193,15 +194,8 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
 
 
 def test_programs_are_refused_with_the_reason(tmp_path: Path) -> None:
-    class Twice(ca.Callback):
-        def __init__(self) -> None:
-            super().__init__()
-            self.construct("twice", {"enable_fd": True})
-
-        def eval(self, arguments: list[Any]) -> list[Any]:
-            return [2 * arguments[0]]
-
-    twice, x = Twice(), ca.MX.sym("x", 1)
+    x = ca.MX.sym("x", 1)
+    twice = Program(ca.Function("twice", [x], [2 * x]))
     model = Model("program", x, -twice(x))
     evolution = simulate(VAN_DER_POL, [2.0, 0.0], [0.0, 0.1], parameters={"mu": 1.0})
     object.__setattr__(evolution.equations, "model", model)
