@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -24,7 +25,14 @@ RARELY = (50_000, 20, 50)  # thresholds of the collector: modules live to the en
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(WRONG_INPUT, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+        words = " ".join(message.split())
+        choice = re.fullmatch(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", words)
+        if choice is not None:
+            from casadi_skin.arguments import accepted_names
+
+            known = [name.strip("'") for name in choice[3].split(", ")]
+            words = f"{choice[1]}: given '{choice[2]}'; {accepted_names(choice[2], known)}"
+        self.exit(WRONG_INPUT, f"{self.prog}: {words}; see {self.prog} --help\n")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,7 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _status(arguments: Sequence[str] | None) -> int:
     """Exit status of a command that has reported its reason."""
-    parsed = _parser().parse_args(arguments)
+    parsed, unknown = _parser().parse_known_args(arguments)
+    if unknown:
+        _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         act = parsed.act

@@ -92,8 +92,8 @@ def _part(words: str | None) -> tuple[int, int] | None:
     if words is None:
         return None
     pair = re.fullmatch(r"(\d{1,6})/(\d{1,6})", words)
-    if pair is None:
-        raise InputError(f"map: given --part {words}; accepted: K/N, such as 3/20")
+    if pair is None or not 1 <= int(pair[1]) <= int(pair[2]):
+        raise InputError(f"map: --part: given {words}; accepted: K/N with 1 <= K <= N, such as 3/20")
     return int(pair[1]), int(pair[2])
 
 

@@ -60,6 +60,24 @@ def test_wrong_words_are_refused_in_one_line(arguments: list[str], capsys: pytes
 
 
 @pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["rn", "x.toml"], "casadi-skin: COMMAND: given 'rn'; did you mean run? accepted: run, check, "),
+        (["new", "modell"], "casadi-skin new: kind: given 'modell'; did you mean model? accepted: chain, "),
+        (
+            ["run", "x.toml", "--outdir", "y"],
+            "casadi-skin run: unrecognized arguments: --outdir y; see casadi-skin run ",
+        ),
+    ],
+)
+def test_words_that_are_nearly_right_are_met_with_those_that_are(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(arguments) == 2
+    assert capsys.readouterr().err.startswith(words)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "place"),
     [
         ("[family]", "[famly]", "[famly]"),

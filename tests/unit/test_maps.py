@@ -92,8 +92,8 @@ def test_a_boundary_is_of_one_family_a_cell() -> None:
             ["--scheduler", "nonsense"],
             "map: --scheduler: given 'nonsense'; accepted: an address, such as tcp://host:8786",
         ),
-        (["--part", "4/3"], "map: --part: given (4, 3); accepted: K/N with 1 <= K <= N <= 32767"),
-        (["--part", "x"], "map: given --part x; accepted: K/N, such as 3/20"),
+        (["--part", "4/3"], "map: --part: given 4/3; accepted: K/N with 1 <= K <= N, such as 3/20"),
+        (["--part", "x"], "map: --part: given x; accepted: K/N with 1 <= K <= N, such as 3/20"),
         (["--workers", "0"], "map: --workers: given 0; accepted: a whole number from 1 to 256"),
     ],
 )
