@@ -39,7 +39,21 @@ def _sampling(harmonics: int, theta: bytes) -> Array:
 @lru_cache(maxsize=8)
 def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
     """The force and the normalisation of a model without their numbers, and these; None where they are long."""
-    return lifted([model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], MOST)
+    found = lifted([model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], MOST)
+    return None if found is None else (_first(found[0]), found[1])
+
+
+@lru_cache(maxsize=KEPT)
+def _first(program: Program) -> Program:
+    """The first of all programs that are equal to this one, so that the others are not compared again."""
+    return program
+
+
+@lru_cache(maxsize=8)
+def _half_bandwidth(model: OdeModel) -> int:
+    """Largest distance of a non-zero of the derivative of a force from the diagonal, at least 1."""
+    rows, columns = ca.jacobian_sparsity(model.rhs, model.state).get_triplet()
+    return int(np.max(np.abs(np.subtract(rows, columns)), initial=1))
 
 
 class _Kept:
@@ -94,8 +108,7 @@ class TrigonometricProblem(OrbitProblem):
         self.model, self.resolution, self.symmetry = model, harmonics, SymmetryClass.QUARTER
         self.states = model.size * harmonics
         self._to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
-        width = int(np.max(np.abs(np.subtract(*model.rhs_and_jacobian().sparsity_out(1).get_triplet())), initial=0))
-        self.half_bandwidth = harmonics * max(width, 1)
+        self.half_bandwidth = harmonics * _half_bandwidth(model)
 
     @property
     def size(self) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeVar
 
 import casadi as ca
@@ -42,8 +43,9 @@ class KicksAndDrifts:
     times: Array
 
     @classmethod
+    @cache
     def of(cls, steps: int) -> KicksAndDrifts:
-        """The sequence of a number of steps."""
+        """The sequence of a number of steps, which is not to be written to."""
         drifts, kicks = srkn_coefficients()
         later = np.tile(np.append(kicks[1:-1], kicks[-1] + kicks[0]), steps)
         later[-1] = kicks[-1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -30,6 +31,14 @@ class Program:
     outputs: tuple[int, ...]
     work: int
     instructions: tuple[Instruction, ...]
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Taken once: instructions are many."""
+        return hash((self.inputs, self.numbers, self.outputs, self.work, self.instructions))
 
     def expressions(self, inputs: Sequence[ca.SX], numbers: ca.SX) -> list[ca.SX]:
         """The results as columns of expressions in arguments, and in symbols that stand for the numbers."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import groupby
 from typing import Protocol
 
@@ -36,10 +36,13 @@ class StepMap(Protocol):
         ...
 
 
-def extrapolation(steps: Sequence[int], orders: Sequence[int]) -> Array:
+@cache
+def extrapolation(steps: tuple[int, ...], orders: tuple[int, ...]) -> Array:
     """Weights, with sum 1, of results in those numbers of steps that cancel errors of the given orders in 1/steps."""
     rows = [[1.0] * len(steps), *([(steps[-1] / n) ** order for n in steps] for order in orders)]
-    return np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
+    weights = np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
+    weights.flags.writeable = False  # kept and shared
+    return weights
 
 
 class SteppedFlow(ABC):
@@ -190,7 +193,7 @@ class SteppedFlow(ABC):
     def _extrapolated(self, level: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
         """Extrapolated matrices, and matrices like their errors."""
         levels = range(level - len(self.orders), level + 1)
-        steps = [self.step_numbers[r] for r in levels]
+        steps = tuple(self.step_numbers[r] for r in levels)
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
         found = [maps[r] for r in levels]
         return _combined(found[1:], few), _combined(found, SAFETY * (all_ - np.append(0.0, few)))

@@ -219,9 +219,9 @@ def test_matrices_stored_by_their_bands_are_those_of_a_flow_without_kernel(monke
 
 def test_extrapolation_cancels_the_errors_it_is_told() -> None:
     steps = np.array([3, 4, 6])
-    weights = extrapolation([3, 4, 6], (6, 8))
+    weights = extrapolation((3, 4, 6), (6, 8))
     np.testing.assert_allclose(weights @ (2.0 + 5.0 * steps**-6.0 - 7.0 * steps**-8.0), 2.0, rtol=1e-14)
-    np.testing.assert_allclose(extrapolation([8], ()), [1.0])
+    np.testing.assert_allclose(extrapolation((8,), ()), [1.0])
 
 
 @pytest.mark.parametrize("make", [GaussMap, RungeKuttaMap])
