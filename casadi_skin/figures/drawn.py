@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from casadi_skin.arguments import short_repr
+from casadi_skin.arguments import check_options, short_repr
 from casadi_skin.figures import drawing, drawing_analyses
 from casadi_skin.figures.drawing import draw
 
@@ -18,6 +18,7 @@ def plot(result: Any, axes: Axes | None = None, **options: Any) -> Axes:
     """Draw a result into axes, new ones of pyplot by default, and return them; see `Result.plot`."""
     from matplotlib.axes import Axes
 
+    check_options("plot", options, draw.dispatch(type(result)))
     if axes is None:
         from matplotlib import pyplot
 
