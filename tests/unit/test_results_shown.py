@@ -106,7 +106,7 @@ def test_results_draw_into_axes_that_are_given(shown: dict[str, Any]) -> None:
         ("orbit", {"states": ["z"]}, "accepted: x, y"),
         ("orbit", {"states": "x"}, "accepted: a list of names"),
         ("family", {"axes": 3}, "accepted: axes of matplotlib"),
-        ("orbit", {"sites": ["y_1"]}, "plot: given the option 'sites'; did you mean states? accepted: states"),
+        ("orbit", {"sites": ["y_1"]}, "plot: given the option 'sites'; did you mean states. accepted: states"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(name: str, options: dict[str, Any], words: str, shown: dict[str, Any]) -> None:
