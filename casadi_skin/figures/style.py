@@ -181,7 +181,8 @@ def _write(figure: Figure, path: Path, kind: str) -> None:
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    canvas, before = figure.canvas, figure.get_dpi()
+    canvas: Any = figure.canvas  # its methods have no types
+    before = figure.get_dpi()
     if not isinstance(canvas, FigureCanvasAgg):
         canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
