@@ -93,6 +93,16 @@ def number(name: str, value: object, accepted: str = "a finite number") -> float
     return found
 
 
+def duration(name: str, value: object) -> float:
+    """Seconds, infinite for None; raises TypeError and ValueError as `number` does, and ValueError unless > 0."""
+    accepted = "a number of seconds > 0"
+    if value is None:
+        return math.inf
+    if not number(name, value, accepted) > 0.0:
+        raise ValueError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
+    return float(cast(float, value))
+
+
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     """The value as an int; raises ValueError where it is no whole number from `least` on, or up to `most`."""
     accepted = f">= {least}" if most is None else f"from {least} to {most}"

@@ -97,6 +97,7 @@ class End(Enum):
     RESONANCE_ONE = "the tori end at a 1:1 resonance"
     RESONANCE_TWO = "the tori end at a 1:2 resonance"
     POINTS = "the limit on the number of points was reached"
+    TIME = "the time limit is over"
     LIMIT = "S no longer changes in double precision while the period grows"
     FLOW = "the flow map of the variational system cannot reach the tolerance"
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
+from casadi_skin.arguments import duration
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.equilibria.cycles import TOLERANCE, born_at
@@ -43,6 +44,7 @@ def switch(
     max_points: int = 500,
     max_step: float = 0.2,
     back_to: float | None = None,
+    time_limit: float | None = None,
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -62,7 +64,7 @@ def switch(
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
             component that changes most grows is 1.
-        at, max_points, max_step, until, events, progress: as in `follow`.
+        at, max_points, max_step, time_limit, until, events, progress: as in `follow`.
         back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
         stability: whether multipliers are computed for each cycle.
         tolerance: of cycles, as in `find_orbit`.
@@ -75,11 +77,12 @@ def switch(
         ValueError: an argument is out of range, or no branch leaves there towards `to`.
         BoundaryError, EquilibriumError: the branch cannot be started.
     """
+    seconds = duration("time_limit", time_limit)
     space = leaving_space(
         point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
         back_to=back_to,
     )  # fmt: skip
-    return run_following(Following(space, stability, events, until=until), progress)
+    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
 
 
 def leaving_space(

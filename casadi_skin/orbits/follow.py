@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from casadi_skin.arguments import check_name, function_of, number, numbers, truth, whole
+from casadi_skin.arguments import check_name, duration, function_of, number, numbers, truth, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, Target
 from casadi_skin.models.ode import OdeModel
@@ -44,6 +44,7 @@ def follow_family(
     at_period: Sequence[float] = (),
     period_max: float | None = None,
     max_points: int = MAX_POINTS,
+    time_limit: float | None = None,
     until: Callable[[Orbit], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -64,6 +65,7 @@ def follow_family(
         at_period: periods, likewise.
         period_max: period at which the family ends where that comes before `amplitude_max`.
         max_points: number of orbits after which it ends wherever it is.
+        time_limit: seconds after which it ends likewise, with what was computed, before its next orbit.
         until: ends the family at the first orbit for which it is true.
         stability: whether multipliers are computed for each orbit.
         events: whether every change of stability is sought.
@@ -82,12 +84,13 @@ def follow_family(
     Collocation and pseudo-arclength continuation in scaled coordinates (paper, Sec. II; Keller 1977).
     """
     _check_choices(stability, events, until, progress)
+    seconds = duration("time_limit", time_limit)
     request = family_request(
         model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,
         max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
     )  # fmt: skip
     request = request.for_stability(method.get("walker")) if stability else request
-    return run_following(Following(Family(request), stability, events, until=until), progress)
+    return run_following(Following(Family(request), stability, events, until=until, time_limit=seconds), progress)
 
 
 def _check_choices(stability: object, events: object, until: object, progress: object) -> None:
@@ -107,6 +110,7 @@ def follow(
     max_points: int = 500,
     max_step: float = 0.2,
     back_to: float | None = None,
+    time_limit: float | None = None,
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
@@ -124,6 +128,7 @@ def follow(
         max_step: longest step, 1 being a change of the states by their own size.
         back_to: a value on the other side of the start, where a branch that comes back ends; left out, it ends at the
             value that it started from, and one of equilibria or of a forced model goes on to see whether it closes.
+        time_limit: seconds after which the branch ends, with what was computed, before its next point.
         until: ends the branch at the first solution for which it is true.
         stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
@@ -137,11 +142,12 @@ def follow(
         BoundaryError, EquilibriumError: the start cannot be solved.
     """
     _check_choices(stability, events, until, progress)
+    seconds = duration("time_limit", time_limit)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
     if stability and isinstance(space, BoundarySpace) and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
-    return run_following(Following(space, stability, events, until=until), progress)
+    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
 
 
 def following_space(

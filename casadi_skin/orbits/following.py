@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -30,7 +32,8 @@ class Following:
     `branch()` returns the part computed so far, but for the few points whose stability is computed together;
     `keep` is called with each point as it converges, and with the targets missed so far. Solutions and
     changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed`: the
-    branch goes on from the last of these as if it had not been broken off.
+    branch goes on from the last of these as if it had not been broken off. It ends before its next point once
+    `time_limit` seconds are over; the points that wait then are finished.
     """
 
     def __init__(
@@ -44,6 +47,7 @@ class Following:
         waiting: Sequence[Point] = (),
         missed: Sequence[Target] = (),
         keep: Callable[[Point, Sequence[Target]], None] | None = None,
+        time_limit: float = math.inf,
     ) -> None:
         stability = stability and not space.stability_included
         events = events and stability and not (isinstance(space, Family) and space.coordinates.localised)
@@ -51,6 +55,7 @@ class Following:
         self.solutions, self.changes = list(solutions), list(changes)
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep
+        self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
         self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed)
         self._stopped = False
         self.solutions = list(self._with_bifurcations(self.solutions))
@@ -84,6 +89,9 @@ class Following:
         for point in self._walk:
             if len(self.solutions) + len(self._waiting) == limit:
                 self._walk.stop(End.POINTS)
+                break
+            if time.monotonic() > self._end_time and (self.solutions or self._waiting):
+                self._walk.stop(End.TIME, f"{self._time_limit:g} s")
                 break
             self._waiting.append(point)
             if self._keep is not None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name, number, short_repr
+from casadi_skin.arguments import check_name, duration, number, short_repr
 from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
@@ -77,8 +77,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         BoundaryError: no solution is found to the tolerance.
     """
     limit, report = options.get("time_limit"), options.get("progress")
-    if limit is not None and not number("time_limit", limit) > 0.0:
-        raise ValueError(f"time_limit: given {limit!r}; accepted: a number of seconds > 0")
+    duration("time_limit", limit)
     if report is not None and not callable(report):
         raise TypeError(f"progress: given {short_repr(report)}; accepted: a function of words")
     if statement.optimises or statement.bounds:

@@ -1,0 +1,70 @@
+"""A branch ends before its next point once its time is over: what was computed is kept, as it is without a limit."""
+
+from __future__ import annotations
+
+import types
+
+import numpy as np
+import pytest
+
+import casadi_skin.orbits.following as following
+from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.continuation.points import End
+
+CHAIN = Chain(3, 1.0, 0.3, -1.0)
+
+
+class Clock:
+    """A clock that goes on by a second with each solution."""
+
+    now = 0.0
+
+    def tick(self, _: object) -> None:
+        self.now += 1.0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(following, "time", types.SimpleNamespace(monotonic=lambda: clock.now))
+    return clock
+
+
+def family(clock: Clock, limit: float | None, stability: bool) -> Branch:
+    clock.now = 0.0
+    return follow_family(CHAIN, 1, 0.5, at=[0.45], stability=stability, time_limit=limit, progress=clock.tick)
+
+
+@pytest.mark.parametrize("stability", [False, True])
+def test_a_family_ends_with_what_was_computed(stability: bool, clock: Clock) -> None:
+    whole, cut = family(clock, None, stability), family(clock, 2.5, stability)
+    assert whole.complete
+    assert 3 <= len(cut) < len(whole)
+    assert cut.end is End.TIME
+    assert not cut.complete
+    assert not any(cut.misses.values())  # what lies ahead was not missed
+    last = cut.orbits[-1]
+    assert cut.reason == f"the time limit is over (S = {last.S:.10g}, Omega = {last.Omega:.6g}): 2.5 s"
+    np.testing.assert_array_equal(cut.S, whole.S[: len(cut)])
+    if stability:  # of every orbit, those that waited for it among them
+        found = [cut.orbits[-1].floquet().multipliers, whole.orbits[len(cut) - 1].floquet().multipliers]
+        np.testing.assert_array_equal(*found)
+
+
+def test_time_that_is_over_at_the_end_cuts_nothing(clock: Clock) -> None:
+    whole = family(clock, None, False)
+    assert family(clock, len(whole) - 0.5, False).complete
+    assert family(clock, len(whole) - 1.5, False).end is End.TIME
+
+
+def test_a_branch_has_its_first_solution_at_least() -> None:
+    orbit = follow_family(CHAIN, 1, 0.1).orbits[-1]
+    branch = orbit.follow("alpha", 1.2, time_limit=1e-9)
+    assert len(branch) == 1
+    assert branch.reason == "the time limit is over: 1e-09 s"
+
+
+@pytest.mark.parametrize("given", [0, -1.0, float("nan"), "5", True])
+def test_other_limits_are_refused(given: object) -> None:
+    with pytest.raises((ValueError, TypeError), match=r"time_limit: given .*; accepted: a number of seconds > 0"):
+        follow_family(CHAIN, 1, 0.5, time_limit=given)  # type: ignore[arg-type]
