@@ -85,6 +85,7 @@ def test_lyapunov_orbit(tmp_path: Path) -> None:
     assert abs(orbit.period - 3.1237510090) < 1e-8
 
 
+@pytest.mark.slow
 def test_boundary_layer(tmp_path: Path) -> None:
     example = load("boundary_layer")
     found = example.main(tmp_path / "picture.png")

@@ -20,7 +20,7 @@ def scene(tmp_path, certify="true", sites=4, gamma=0.25, family=FAMILY):
     return path
 
 
-@pytest.mark.parametrize("certify", ["true", '"all"'])
+@pytest.mark.parametrize("certify", ["true", pytest.param('"all"', marks=pytest.mark.slow)])
 def test_orbits_asked_for_or_all_have_proved_columns(tmp_path, capsys, certify):
     out = tmp_path / "out"
     assert main(["run", str(scene(tmp_path, certify)), "--out", str(out)]) == 0

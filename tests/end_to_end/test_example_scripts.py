@@ -47,6 +47,7 @@ def test_follow_one_family(tmp_path: Path) -> None:
     assert abs(slope) < 1e-4 * abs(elsewhere)
 
 
+@pytest.mark.slow
 def test_stability_boundary(tmp_path: Path) -> None:
     found = load("stability_boundary").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
     assert drawn(tmp_path / "picture.png")

@@ -78,6 +78,7 @@ def test_a_missing_compiler_is_named(
     assert not (tmp_path / "out" / "chain.fmu").exists()
 
 
+@pytest.mark.slow
 def test_fmpys_own_command_runs_it(tmp_path: Path) -> None:
     scene = scene_file(tmp_path, '[export]\nfmu = "chain.fmu"\n')
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0

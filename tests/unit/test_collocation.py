@@ -185,6 +185,7 @@ def test_placing_saves_intervals_where_the_orbit_rests_for_long(
     assert np.max(lengths) > 3.0 * np.min(lengths)
 
 
+@pytest.mark.slow
 def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
     request = family_request(Chain(4, 1.0, 0.4, 1.0), 2, 3.0, tolerance=1e-8, transcription="gauss", corrector="newton")
     placed = followed(Family(request))

@@ -205,6 +205,7 @@ def test_interruption_keeps_the_best_and_progress_is_told() -> None:
     assert all(math.isfinite(p.objective) and math.isfinite(p.violation) for p in told)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted_escape(*arguments: Any) -> Escape:

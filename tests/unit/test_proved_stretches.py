@@ -218,6 +218,7 @@ def test_a_polynomial_between_nodes_is_bounded():
             _Uniform(None, None, [], 5).between(5)
 
 
+@pytest.mark.slow
 def test_pieces_of_two_families_are_not_joined():
     with flint.ctx.workprec(balls.PRECISION):
         one, other = (stretch_of(family(Chain(2, 1.0, 0.25, 1.0), 0.8, mode=m), 0.8) for m in (1, 2))

@@ -137,7 +137,7 @@ def test_the_softening_end_breather_has_the_reference_frequencies(corrector: str
         assert abs(orbit.Omega - Omega) <= min(orbit.Omega_error + 5e-15, 1e-11)
 
 
-@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 1e4), (-1.0, 2.9)])
+@pytest.mark.parametrize(("g", "amplitude_max"), [pytest.param(1.0, 1e4, marks=pytest.mark.slow), (-1.0, 2.9)])
 def test_one_site_is_exact_along_the_whole_family(g: float, amplitude_max: float) -> None:
     branch = followed(Chain(1, 1.0, 0.0, g), 1, amplitude_max, 1e-9)
     exact = np.array([duffing_frequency(3.0, g, np.sqrt(S)) for S in branch.S])
