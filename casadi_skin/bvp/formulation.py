@@ -24,7 +24,7 @@ class Formulation:
     coefficients) are symbols of one kind, SX or MX, and so are the `constants`, whose values may change without
     anything being built again: all expressions may have them in. `conditions` are expressions in `ends` and in sigma;
     `integrands` are expressions in s, x and sigma. Together they are one less than components of x and scalars: one
-    scalar is held or followed.
+    scalar is held or followed. Where all scalars are `idle` they are in no expression.
     """
 
     s: Expression
@@ -35,6 +35,7 @@ class Formulation:
     conditions: Expression
     integrands: Expression
     constants: Expression
+    idle: bool = False
 
     @cached_property
     def discretisations(self) -> dict[tuple[int, int, int], Any]:
@@ -81,7 +82,7 @@ class Formulation:
         return self._along("integrands", self.integrands, sparse=False)
 
     def _along(self, name: str, values: Expression, sparse: bool) -> ca.Function:
-        by_x, by_scalars = ca.jacobian(values, self.x), _dense(ca.jacobian(values, self.scalars))
+        by_x, by_scalars = ca.jacobian(values, self.x), _dense(self._by_scalars(values))
         results = [_dense(values), by_x if sparse else _dense(by_x), by_scalars]
         return ca.Function(name, self._arguments, results)
 
@@ -92,10 +93,15 @@ class Formulation:
     @cached_property
     def condition_function(self) -> ca.Function:
         """Function (x at start, x at end, sigma, constants) -> (rows, sparse derivatives by the first three)."""
-        arguments = [*self.ends, self.scalars]
-        derivatives = [ca.jacobian(self.conditions, symbol) for symbol in arguments]
+        derivatives = [*(ca.jacobian(self.conditions, end) for end in self.ends), self._by_scalars(self.conditions)]
         results = [_dense(self.conditions), *derivatives]
-        return ca.Function("conditions", [*arguments, self.constants], results)
+        return ca.Function("conditions", [*self.ends, self.scalars, self.constants], results)
+
+    def _by_scalars(self, values: Expression) -> Expression:
+        """The derivative by the scalars, sparse."""
+        if self.idle:
+            return type(self.scalars)(values.numel(), self.scalars.numel())
+        return ca.jacobian(values, self.scalars)
 
     @cached_property
     def condition_buffers(self) -> Buffers:

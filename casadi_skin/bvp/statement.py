@@ -15,7 +15,7 @@ import numpy as np
 from casadi_skin.arguments import by_name, check_name, number, short_repr
 from casadi_skin.bvp.formulation import Formulation
 from casadi_skin.bvp.problem import Array
-from casadi_skin.models.expressions import Expression, expression_of, in_scalars, is_comparison
+from casadi_skin.models.expressions import Expression, expression_of, in_scalars, is_comparison, product, total
 from casadi_skin.models.ode import OdeModel
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -115,11 +115,11 @@ class Statement:
             ("conditions", self.conditions, "objective", self.objective, [*self.model.ends, self.model.parameters]),
             ("integrals", self.integrals, "running", self.running, along),
         ]
-        for label, expressions, total, one, symbols in groups:
+        for label, expressions, sum_of, one, symbols in groups:
             named = [(f"{label}, number {place}", given) for place, given in enumerate(expressions, start=1)]
-            check_expressions(named if one is None else [*named, (total, one)], symbols)
+            check_expressions(named if one is None else [*named, (sum_of, one)], symbols)
             if one is not None and one.numel() != 1:
-                raise ValueError(f"{total}: given shape {one.shape}; accepted: a scalar expression")
+                raise ValueError(f"{sum_of}: given shape {one.shape}; accepted: a scalar expression")
 
     def _check_count(self) -> None:
         given = _count(self.conditions) + _count(self.integrals)
@@ -201,15 +201,15 @@ class Statement:
         model, (t0, t1) = self.model, self.interval
         unit = not any(isinstance(end, ca.SX) for end in (t0, t1)) and (t0, t1) == (0.0, 1.0)
         s, u, way = self._time, ca.SX.sym("u"), ca.SX.sym("way", int(walking is not None))
-        field = model.full_rhs if unit else (t1 - t0) * model.full_rhs
+        field = model.full_rhs if unit else product(model.full_rhs, t1 - t0)
         conditions, integrands = _stacked(ca.SX, self.conditions), _stacked(ca.SX, self.integrals)
         if self.integrals:
-            integrands = (t1 - t0) * integrands
+            integrands = product(integrands, t1 - t0)
         several = bool(self.free) or walking is not None
         symbols = dict(zip(model.parameter_names, ca.vertsplit(model.parameters), strict=True)) if several else {}
         if not unit and (model.forced or self.integrals):
             s = ca.SX.sym("s")
-            field, integrands = ca.substitute([field, integrands], [self._time], [t0 + s * (t1 - t0)])
+            field, integrands = ca.substitute([field, integrands], [self._time], [total(product(s, t1 - t0), t0)])
         if walking is not None:  # the ends of the interval may depend on it
             along = [symbols[walking]], [symbols[walking] + u * way]
             field, conditions, integrands = ca.substitute([field, conditions, integrands], *along)
@@ -219,7 +219,8 @@ class Statement:
         if several:
             given = [ca.SX.sym(name) if name in self.free else symbol for name, symbol in symbols.items()]
             constants = ca.vertcat(*given, way)
-        return Formulation(s, model.full_state, model.ends, scalars, field, conditions, integrands, constants)
+        x, ends, idle = model.full_state, model.ends, not several
+        return Formulation(s, x, ends, scalars, field, conditions, integrands, constants, idle)
 
     def _formulated_by_calls(self, walking: str | None) -> Formulation:
         """The same of programs, in which nothing can be replaced."""

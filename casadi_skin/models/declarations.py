@@ -175,7 +175,7 @@ def _conserved(model: Equations) -> Iterator[str]:
 def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
     """Keys of symbols, with their names; expressions among them are left out."""
     for symbol in symbols:
-        for entry in ca.vertsplit(symbol) if isinstance(symbol, ca.SX) and symbol.numel() else [symbol]:
+        for entry in symbol.elements() if isinstance(symbol, ca.SX) else [symbol]:
             if entry.numel() and entry.is_symbolic():
                 yield (entry.element_hash() if isinstance(entry, ca.SX) else hash(entry)), entry.name()
 

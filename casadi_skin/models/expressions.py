@@ -18,7 +18,7 @@ def names_of(symbols: Expression, given: tuple[str, ...] | None) -> tuple[str, .
     if given is not None or symbols.numel() == 0:
         return tuple(given or ())
     if isinstance(symbols, ca.SX):
-        return tuple(s.name() for s in ca.vertsplit(symbols))
+        return tuple(s.name() for s in symbols.elements())
     name, count = symbols.name(), symbols.numel()
     return (name,) if count == 1 else tuple(f"{name}_{i}" for i in range(count))
 
@@ -29,6 +29,16 @@ def is_comparison(expression: Expression) -> bool:
     several = isinstance(expression, ca.SX) and expression.numel() != 1
     entries = ca.vertsplit(ca.vec(expression)) if several else [expression]
     return any(not entry.is_constant() and not entry.is_symbolic() and entry.op() in truths for entry in entries)
+
+
+def product(one: ca.SX, other: ca.SX | float) -> ca.SX:
+    """The product: CasADi's operators try every kind for their operands, at ten times the cost."""
+    return ca.SX.binary(ca.OP_MUL, one, ca.SX(other))
+
+
+def total(one: ca.SX, other: ca.SX | float) -> ca.SX:
+    """The sum, likewise."""
+    return ca.SX.binary(ca.OP_ADD, one, ca.SX(other))
 
 
 def in_scalars(symbols: Sequence[ca.MX], expression: ca.MX) -> ca.MX:

@@ -79,11 +79,22 @@ class OdeModel(Equations):
 
     def start(self, expression: Expression) -> Expression:
         """An expression in the state, taken at the start of the interval of a boundary-value problem."""
-        return ca.substitute(expression, self.full_state, self.ends[0])
+        return self._at_end(0, expression)
 
     def end(self, expression: Expression) -> Expression:
         """An expression in the state, taken at the end of the interval of a boundary-value problem."""
-        return ca.substitute(expression, self.full_state, self.ends[1])
+        return self._at_end(1, expression)
+
+    def _at_end(self, which: int, expression: Expression) -> Expression:
+        if isinstance(expression, ca.SX) and expression.is_scalar() and expression.is_symbolic():  # as most are
+            return self._at_ends.get(expression.element_hash(), (expression, expression))[which]
+        return ca.substitute(expression, self.full_state, self.ends[which])
+
+    @cached_property
+    def _at_ends(self) -> dict[int, tuple[ca.SX, ca.SX]]:
+        """Symbols of each component of the state at the start and at the end, by the key of its own."""
+        keys = (entry.element_hash() for entry in self.full_state.elements())
+        return dict(zip(keys, zip(*(end.elements() for end in self.ends), strict=True), strict=True))
 
     def rhs_and_jacobian(self) -> ca.Function:
         """Function (state, parameters) -> (rhs, sparse d rhs/d state, d rhs/d parameters)."""

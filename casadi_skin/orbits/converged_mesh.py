@@ -33,8 +33,14 @@ def converged_mesh(
     for resolution in [r for r in RUNGS if r > problem.resolution]:
         target = levels.problem(resolution)
         starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST)))
-        found = [f for start in starts if (f := _placed(levels, problem, z, start)) is not None]
-        errors = [_error(levels, *solution) for solution in found]
+        found, errors = [], []
+        for start in starts:
+            solution = _placed(levels, problem, z, start)
+            if solution is not None:
+                found.append(solution)
+                errors.append(_error(levels, *solution))
+                if errors[-1] <= RESOLVED:
+                    break
         if min(errors, default=np.inf) <= UNRESOLVED:
             return found[int(np.argmin(errors))]
     return None
