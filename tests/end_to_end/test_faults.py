@@ -71,9 +71,11 @@ def closed(descriptor: int) -> Callable[[], None]:
 
 
 @needs_full
-@pytest.mark.parametrize("word", ["run", *(pytest.param(w, marks=pytest.mark.slow) for w in ("spectrum", "--help"))])
+@pytest.mark.parametrize(
+    "word", ["run", *(pytest.param(w, marks=pytest.mark.slow) for w in ("spectrum", "check", "--help"))]
+)
 def test_a_full_standard_output_is_a_failure(word: str, scene: Path, tmp_path: Path) -> None:
-    more = {"run": [scene, "--out", tmp_path / "out"], "spectrum": [scene], "--help": []}[word]
+    more = {"run": [scene, "--out", tmp_path / "out"], "spectrum": [scene], "check": [scene], "--help": []}[word]
     with FULL.open("w", encoding="utf-8") as full:
         done = run(word, *more, stdout=full)
     assert done.returncode == 1

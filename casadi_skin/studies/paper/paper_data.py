@@ -125,11 +125,11 @@ class PaperData:
         self._say("time evolution of a mode")
         return simulate_orbit(orbit, np.linspace(0.0, EVOLUTION_TIME, 501))
 
-    def kicked(self, site: int, method: str = "cvodes") -> Evolution:
+    def kicked(self, site: int) -> Evolution:
         """The stable softening mode with its displacement at one site, from 1, changed by KICK."""
         self._say(f"time evolution after a kick at site {site}")
         t = np.linspace(0.0, KICK_TIME, 401)
-        return simulate_orbit(self.softening_orbit, t, KICK, site=site, method=method)
+        return simulate_orbit(self.softening_orbit, t, KICK, site=site)
 
     @cached_property
     def growth(self) -> TransientGrowth:
