@@ -50,6 +50,7 @@ class ArclengthContinuation:
         self.detail = ""
         self.rejected = 0
         self.missed: list[Target] = []
+        self.beyond: Point | None = None
         self._last_side: Side | None = None
 
     def __iter__(self) -> Iterator[Point]:
@@ -180,6 +181,7 @@ class ArclengthContinuation:
         inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
         passed, self._reported = max((point.along for point in self._reported), default=0.0), ()
         for target, point in self.point_solver.between(current, following, inside, passed):
+            self.beyond = following if target in ends else None
             if point is None:
                 self.missed.append(target)
                 self.detail = self.point_solver.failure

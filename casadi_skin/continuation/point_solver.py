@@ -114,6 +114,9 @@ class PointSolver:
         allowed = self.settings.guard_distance * reach
         if distance <= allowed:
             return correction
+        if reach <= 0.0:
+            self.failure = f"the next point lies behind the one before it ({problem.whereabouts(guess)})"
+            return None
         apart = f"the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
         self.failure = f"{apart} ({problem.whereabouts(guess)})"
         return None

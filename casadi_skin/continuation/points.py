@@ -98,6 +98,7 @@ class End(Enum):
     RESONANCE_TWO = "the tori end at a 1:2 resonance"
     POINTS = "the limit on the number of points was reached"
     TIME = "the time limit is over"
+    STILL = "the parameter no longer changes in double precision while the solution does"
     LIMIT = "S no longer changes in double precision while the period grows"
     FLOW = "the flow map of the variational system cannot reach the tolerance"
 
@@ -162,14 +163,16 @@ def known_end(settings: ContinuationSettings, points: Sequence[Point]) -> End | 
 class Continuation(Protocol):
     """A way along a branch: an iterator over its points in arclength order.
 
-    `end` is the cause of its end, `detail` where; `missed` lists targets passed at which no point was found. `history`
-    holds the last few points walked: a walk made from them, and from the points `reported` after the last of them, goes
-    on exactly as the one that was broken off.
+    `end` is the cause of its end, `detail` where; `missed` lists targets passed at which no point was found. `beyond`
+    is the point behind the end of the branch, where that lies between two points. `history` holds the last few points
+    walked: a walk made from them, and from the points `reported` after the last of them, goes on exactly as the one
+    that was broken off.
     """
 
     history: tuple[Point, ...]
     end: End | None
     detail: str
     missed: list[Target]
+    beyond: Point | None
 
     def __iter__(self) -> Iterator[Point]: ...

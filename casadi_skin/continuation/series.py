@@ -82,6 +82,7 @@ class SeriesContinuation:
         self.detail = self._trouble = ""
         self.rejected = 0
         self.missed: list[Target] = []
+        self.beyond: Point | None = None
         self._recursion, self._precision = recursion, precision
         self._ready: dict[_Stop, Polished] = {}  # stops of this stretch that are polished
         self._most = np.inf  # length of the next stretch, in the metric, where its base is next to a corner

@@ -68,8 +68,10 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     autonomous = kind == TORUS and space.moves_freely(point)
     if kind == TORUS:
         normal = normal_of(critical_plane(problem, point.z, angle, sizes, turn, autonomous)[2], sizes)
-    push = seen_push(problem, point.z, space.statement, sizes) if kind == BRANCH_POINT else np.zeros((0, 0))
-    return Critical(kind, space.statement, first, sizes, normal, turn, autonomous, push)
+    push, push_ends = np.zeros((0, 0)), np.zeros(0)
+    if kind == BRANCH_POINT:
+        push, push_ends = seen_push(problem, point.z, space.statement, sizes)
+    return Critical(kind, space.statement, first, sizes, normal, turn, autonomous, push, push_ends)
 
 
 def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:

@@ -11,6 +11,7 @@ from casadi_skin.critical_orbits.linearised import Linearised, Vector, null_vect
 from casadi_skin.critical_orbits.systems import Critical
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 
+UNSEEN = 1e-9  # of what a left null vector sees of the conditions: less of the field is rounding
 RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 
 
@@ -102,12 +103,18 @@ def normal_of(start: Vector, sizes: Array) -> Array:
     return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
 
 
-def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: Array) -> Array:
-    """The matrix of norm 1 that turns the null vector at a branch point into what its left null vector sees most."""
+def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: Array) -> tuple[Array, Array]:
+    """The matrix of norm 1 that turns the null vector at a branch point into what its left null vector sees most.
+
+    Where conditions alone decide, which that vector sees and not the field, the changes of these instead, of norm 1.
+    """
     linear = Linearised(problem, z, statement)
     v, psi = null_vectors(linear.jacobian)
     seen = linear.products(psi, v) * np.outer(sizes, 1.0 / sizes)
-    return np.asarray(seen / np.linalg.norm(seen) * np.outer(sizes, 1.0 / sizes))
+    conditions = psi[linear.inner :][: problem.formulation.conditions.numel()]
+    if np.linalg.norm(seen) > UNSEEN * np.linalg.norm(conditions):
+        return np.asarray(seen / np.linalg.norm(seen) * np.outer(sizes, 1.0 / sizes)), np.zeros(0)
+    return np.zeros_like(seen), np.asarray(conditions / np.linalg.norm(conditions))
 
 
 def _mean(problem: BoundaryProblem, v: Array) -> float:

@@ -68,6 +68,7 @@ class Critical:
         turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
         autonomous: of a torus, whether the velocity is a Floquet function with the multiplier 1.
         push: of a branch point, shape (components, components): the field is pushed along this times v1, or v1 itself.
+        push_ends: likewise, what the conditions are pushed by where they alone decide, shape (conditions,), or empty.
     """
 
     kind: str
@@ -78,6 +79,7 @@ class Critical:
     turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
     autonomous: bool = False
     push: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    push_ends: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def changes(self) -> tuple[str, ...]:
@@ -160,7 +162,8 @@ class Critical:
         stacked = ca.vertcat(*(ca.vec(c) for c in orbit.conditions))
         border = ca.Function("border", [*orbit.model.ends, orbit.model.parameters], [stacked])
         rows = border(first[:n], last[:n], p[:count])
-        conditions, integrals = [rows], self._means(model)
+        pushed = rows - p[-1] * ca.DM(self.push_ends) if self.push_ends.size else rows
+        conditions, integrals = [pushed], self._means(model)
         v0, v1 = first[n : 2 * n], last[n : 2 * n]
         if self.kind in (FOLD, BRANCH_POINT):
             for copy in range(1, 1 + self.copies):

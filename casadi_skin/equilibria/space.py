@@ -105,6 +105,9 @@ class EquilibriumSpace(EquilibriumEquations):
                 before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after)
 
+    def singular_near(self, guess: Point) -> None:
+        """None: all special points are sought on every stretch."""
+
     def target(self, name: str, value: float) -> Target:
         """Condition that the continuation parameter has a value."""
         if name != self.parameter or self.course is None:

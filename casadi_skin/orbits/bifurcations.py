@@ -21,6 +21,7 @@ from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS, turns_between
+from casadi_skin.orbits.stretch_points import snapped, target_of
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
@@ -114,6 +115,24 @@ def bifurcations_between(before: Solution, after: Solution) -> Iterator[Solution
         return
     if _stated(before) or space.symmetry.value == 1.0:
         yield from _between(space, _Stretch(before, after), HALVINGS)
+
+
+def at_requested_value(solution: Solution) -> Solution:
+    """A solution at a requested value; where one of its multipliers crosses there, the special orbit in its place."""
+    space, point = solution.space, solution.point
+    if type(space) is not BoundarySpace or point.walked or point.special or not solution.floquet().others.size:
+        return solution
+    others = solution.floquet().others
+    nearest = complex(others[np.argmin(np.abs(_outwards(others)))])
+    if abs(np.log(abs(nearest))) > CRITICAL:
+        return solution
+    kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
+    found: Point | None = methods.TASKS["special_orbit"].load()(space, kind, point, abs(float(np.angle(nearest))))
+    target = None if found is None else target_of(space, found)
+    if found is None or target is None or target.value != point.parameter:
+        return solution
+    there = replace(snapped(found, target, requested=True), along=point.along)
+    return solution_at(space, there, space.floquets([there])[0])
 
 
 def _stated(solution: Solution) -> bool:

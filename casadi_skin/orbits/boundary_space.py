@@ -174,6 +174,11 @@ class BoundarySpace:
         if first is not None:
             yield from self._turns_between(first, after)
 
+    def singular_near(self, guess: Point) -> Point | None:
+        """The solution near a guess at which branches cross: orbits there are sought by multipliers alone."""
+        found: Point | None = methods.TASKS["special_orbit"].load()(self, BRANCH_POINT, guess)
+        return found
+
     def _solved(self, branch_point: Point, before: Point) -> Point:
         """A branch point as a solution of its extended equations, where they have one in the same place."""
         located: Point | None = methods.TASKS["special_orbit"].load()(self, BRANCH_POINT, branch_point)
@@ -203,8 +208,11 @@ class BoundarySpace:
     def _fold_between(self, before: Point, after: Point) -> Point:
         """The fold between two points; of orbits as a solution of its extended equations."""
         fold = fold_between(self.point_solver, before, after)
-        located = None if self.periodic is None else methods.TASKS["special_orbit"].load()(self, FOLD, fold)
-        return located or fold
+        if self.periodic is None:
+            return fold
+        kinds = (FOLD, BRANCH_POINT) if self.left is None else (FOLD,)  # a branch that crosses upright turns there too
+        found = (methods.TASKS["special_orbit"].load()(self, kind, fold) for kind in kinds)
+        return next((point for point in found if point is not None), fold)
 
     def _unbounded(self, before: Point, after: Point) -> Point | None:
         """The later of two orbits where the period grows without bound there."""

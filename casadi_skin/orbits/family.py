@@ -223,6 +223,9 @@ class Family:
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
 
+    def singular_near(self, guess: Point) -> None:
+        """None: special points of a family are sought when they are asked for."""
+
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Folds on the stretch between two points, where S turns back."""
         yield from folds_between(self.point_solver, before, after)

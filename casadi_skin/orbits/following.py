@@ -12,7 +12,7 @@ import numpy as np
 
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.orbits.bifurcations import bifurcations_between
+from casadi_skin.orbits.bifurcations import at_requested_value, bifurcations_between
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
@@ -63,7 +63,7 @@ class Following:
     def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
         """Earlier solutions, with the orbits between them at which multipliers cross, sought again."""
         self.solutions = []
-        for solution in solutions:
+        for solution in map(self._critical, solutions):
             for special in (*self._bifurcations_before(solution), solution):
                 self.solutions.append(special)
                 yield special
@@ -105,7 +105,7 @@ class Following:
     def _finish_waiting(self) -> Iterator[Solution | StabilityChange]:
         """The solutions of the points that wait, with their stability and its changes, in order."""
         try:
-            for solution in self._with_stability():
+            for solution in map(self._critical, self._with_stability()):
                 for special in self._bifurcations_before(solution):
                     self.solutions.append(special)
                     yield special
@@ -134,6 +134,10 @@ class Following:
         if before.floquet().stable == solution.floquet().stable:
             return None
         return locate_change(self.space, before, solution)
+
+    def _critical(self, solution: Solution) -> Solution:
+        """A solution, or the special one at a requested value."""
+        return at_requested_value(solution) if self.events and _closes(solution) else solution
 
     def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
         """Orbits between the last orbit and this one at which multipliers cross the unit circle."""

@@ -87,6 +87,10 @@ class SolutionSpace(Protocol):
         """Special points between two points, in order, each marked by its kind; raises NotLocatedError."""
         ...
 
+    def singular_near(self, guess: Point) -> Point | None:
+        """The branch point near a guess that `special_between` does not find; None where there is none."""
+        ...
+
     def parameter_error(self, point: Point) -> float:
         """Estimated absolute error of the continuation parameter at a special point."""
         ...

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from casadi_skin.bvp.problem import Scalar
+from casadi_skin.bvp.problem import EPSILON, Scalar
 from casadi_skin.continuation.points import Continuation, End, Point, Target
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD, NotLocatedError
+from casadi_skin.orbits.special_points import NotLocatedError
+from casadi_skin.orbits.stretch_points import StretchPoints
 
+ROUNDED = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding
 CLOSED = 1e-3  # of a step: distance from the start of a branch that has come back to it
 
 
@@ -30,6 +31,8 @@ class Walk:
             self._continuation.missed.extend(missed)
         self._end: End | None = None
         self._detail = ""
+        self._settled = len(missed)  # targets that are known to be missed
+        self._pending = False  # whether points of a stretch that the continuation has left are still to come
 
     def _continued(self) -> Continuation:
         """The continuation from the points that are known."""
@@ -46,7 +49,7 @@ class Walk:
 
     @property
     def end(self) -> End | None:
-        return self._end or (None if self._continuation is None else self._continuation.end)
+        return self._end or (None if self._continuation is None or self._pending else self._continuation.end)
 
     @property
     def detail(self) -> str:
@@ -84,17 +87,31 @@ class Walk:
     def _all(self) -> Iterator[Point]:
         """The points of the branch, and those beyond its start where it may close."""
         known = [point for point in self._known if not point.located]
-        last = known[-1] if known else None
-        reported = len(self._known) - 1 - next((i for i, p in enumerate(self._known) if p is last), -1)
-        if last is not None:
-            self._end, self._detail = self.space.stop(last)
+        if known:
+            self._end, self._detail = self.space.stop(known[-1])
             if self._end is not None:
                 return
         if self._continuation is None:
-            last = self.space.start
-            self._continuation = self.space.continuation((last,))
-            yield last
-        for point in self._continuation:
+            self._continuation = self.space.continuation((self.space.start,))
+            yield self.space.start
+        if not self.space.locates_folds:
+            yield from self._plain(self._continuation)
+            return
+        walked = max((i for i, point in enumerate(self._known) if point.walked), default=-1)
+        before = self._known[walked] if walked >= 0 else self.space.start
+        reported = self._known[walked + 1 :]
+        for points in self._stretches(self._continuation):
+            self._pending = True
+            points[:0] = [point for point in reported if not point.located]
+            yield from self._stretch(before, points, len(reported))
+            self._pending = False
+            if self._end is not None or not points:
+                return
+            before, reported = points[-1], ()
+
+    def _plain(self, continuation: Continuation) -> Iterator[Point]:
+        """The points of a continuation on which no special points are sought."""
+        for point in continuation:
             end, words = self.space.stop(point)
             if self.space.start_is_limit and not self._has_amplitude(point):
                 self._end = End.RETURNED
@@ -102,26 +119,85 @@ class Walk:
             if words:
                 self._end, self._detail = end, words
                 return
-            closed = last is not None and not self.space.start_is_limit and self._closes(last, point)
-            point = replace(self.space.start, walked=False, requested=False) if closed else point
-            if self.space.locates_folds and last is not None:
-                try:
-                    for special in itertools.islice(self._special_between(last, point), reported, None):
-                        yield special
-                        self._end, self._detail = self.space.stop(special)
-                        if self._end is not None:
-                            return
-                except NotLocatedError as error:
-                    self._end, self._detail = End.NO_STEP, f"{error}, {last.problem.whereabouts(last.z)}"
-                    return
             yield point
-            last, reported = point, 0
-            if closed:
-                self._end = End.CLOSED
-                return
             if end is not None:
                 self._end = end
                 return
+
+    @staticmethod
+    def _stretches(continuation: Continuation) -> Iterator[list[Point]]:
+        """The points of the continuation, from behind one that is walked to the next one or to the end."""
+        points = list[Point]()
+        for point in continuation:
+            points.append(point)
+            if point.walked:
+                yield points
+                points = []
+        yield points
+
+    def _stretch(self, before: Point, points: list[Point], reported: int) -> Iterator[Point]:
+        """The points of a stretch with the special ones between them, but for the first ones that are `reported`."""
+        assert self._continuation is not None
+        end, words = None, ""
+        for number, point in enumerate(points):
+            end, words = self.space.stop(point)
+            if self._closes(points[number - 1] if number else before, point):
+                points[number:] = [replace(self.space.start, walked=False, requested=False)]
+                end = End.CLOSED
+            elif words:
+                del points[number:]
+            if end is not None or words:
+                break
+        after = self._continuation.beyond if end is None and not words else None
+        stretch = self._found(before, after or (points[-1] if points else before), points)
+        for point in stretch:
+            reported -= 1
+            if reported < 0:
+                yield point
+            if point.special:
+                self._end, self._detail = self.space.stop(point)
+            if self._end is None and point.parameter == self.space.point_solver.settings.parameter_max:
+                self._end, self._detail = End.REACHED, ""
+            if self._end is not None:
+                return
+        if self._end is None:
+            self._end, self._detail = end, words
+
+    def _found(self, before: Point, after: Point, points: Sequence[Point]) -> list[Point]:
+        """The points of a stretch in order, special ones among them; the end is set where one cannot be located."""
+        if after is before:
+            return []
+        assert self._continuation is not None
+        missed, last = self._continuation.missed, self.space.point_solver.settings.parameter_max
+        stretch = StretchPoints(self.space, before, after, points, missed[self._settled :])
+        try:
+            found = stretch.points()
+        except NotLocatedError as error:
+            if points and points[-1] is not after:  # it may lie beyond the end
+                return self._found(before, points[-1], points)
+            self._end, self._detail = End.NO_STEP, f"{error}, {before.problem.whereabouts(before.z)}"
+            if self._is_still(before):
+                value, digits = self._limit(before)
+                self._end, self._detail = End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}"
+            return []
+        missed[self._settled :] = stretch.missed
+        self._settled = len(missed)
+        if after is self._continuation.beyond and all(point.parameter != last for point in found):
+            found = list(points)  # up to where the branch was followed
+        return found
+
+    def _is_still(self, point: Point) -> bool:
+        """Whether the longest step from a point changes the parameter by no more than rounding does."""
+        settings, index = self.space.point_solver.settings, point.problem.parameter_index
+        change = settings.max_step * abs(float(point.tangent[index]))
+        return change <= ROUNDED * max(1.0, abs(point.parameter))
+
+    def _limit(self, point: Point) -> tuple[float, float]:
+        """The value of the parameter at a point, with what rounding leaves of it."""
+        name = self.space.parameter
+        value, start = (self.space.parameters(one)[name] for one in (point, self.space.start))
+        digits = ROUNDED * abs(self.space.to - start) * max(1.0, abs(point.parameter))
+        return (0.0 if abs(value) <= digits else value), digits
 
     def _closes(self, before: Point, after: Point) -> bool:
         """Whether the start of the branch lies between two points of it, passed in the same direction."""
@@ -139,29 +215,6 @@ class Walk:
             return False
         found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
         return found is not None and solver.distance(problem, z, found.z) <= CLOSED * length
-
-    def _special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points between two points, and the requested points so near to folds that they were passed by."""
-        found = list(self.space.special_between(before, after))
-        last = before
-        for special in (*found, after):
-            if any(one.special == FOLD for one in found):
-                yield from self._asked_between(last, special)
-            if special is not after:
-                yield replace(special, located=True)
-            last = special
-
-    def _asked_between(self, one: Point, other: Point) -> Iterator[Point]:
-        """The requested points between two points of which one is a fold, or beside one."""
-        solver = self.space.point_solver
-        low, high = sorted((one.parameter, other.parameter))
-        wanted = [t for t in solver.settings.at if t.held is Scalar.PARAMETER and low < t.value < high]
-        inside = tuple(t for t in wanted if not (t.meets(one) or t.meets(other)))
-        found = {target: point for target, point in solver.between(one, other, inside) if point is not None}
-        for point in found.values():
-            yield replace(point, requested=True, located=True)
-        assert self._continuation is not None
-        self._continuation.missed += [t for t in inside if t not in (*found, *self._continuation.missed)]
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""

@@ -218,7 +218,10 @@ class Branches:
                 if isinstance(result, StabilityChange):
                     changes.append(result)
                     continue
-                sought_again = result.point.special and not result.point.located  # by the multipliers of its neighbours
+                point = result.point
+                sought_again = point.special and not (
+                    point.located or point.requested
+                )  # by its neighbours' multipliers
                 periodic = isinstance(result, Orbit) or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result, changes))

@@ -235,3 +235,18 @@ def test_the_example_of_roessler_follows_its_period_doublings(tmp_path: Path) ->
     cycle = simulate(model, [3.0, 0.0, 0.0], np.linspace(0.0, 200.0, 4001), parameters={"c": at - 0.2}).last_cycle()
     orbit = find_orbit(model, cycle, parameters={"c": at - 0.2}).follow("c", at).orbits[-1]
     assert np.min(np.abs(orbit.floquet(by="cvodes").multipliers + 1.0)) < 1e-5
+
+
+def test_a_requested_value_that_is_a_special_point_is_one_in_the_tables(tmp_path: Path) -> None:
+    """x (1 - p^2 - x) = 0 branches at p = -1 and 1, where the run ends: both are requested, and none is missing."""
+    more = '[equilibrium]\nstart = [0.0]\n[continuation]\nparameter = "p"\nto = 1.0\nat = [-1.0, 0.5]\n'
+    out = tmp_path / "out"
+    assert main(["run", str(write(tmp_path, "crossing", more)), "--out", str(out), "--quiet"]) == 0
+    assert [(row["kind"], float(row["p"])) for row in rows(out / "special_points.csv")] == [
+        ("branch point", -1.0),
+        ("branch point", 1.0),
+    ]
+    branch = rows(out / "branch.csv")
+    assert [float(row["p"]) for row in branch if row["special"]] == [-1.0, 1.0]
+    assert [row["special"] for row in branch if float(row["p"]) == -1.0] == ["branch point"]
+    assert float(branch[-1]["p"]) == 1.0

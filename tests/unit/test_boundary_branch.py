@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
+from casadi_skin.continuation.points import End
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.follow import following_space
@@ -221,3 +222,19 @@ def test_orbits_at_a_period_of_a_branch() -> None:
         branch.at(amplitude=1.0)
     with pytest.raises(ValueError, match="at: given mu and period; accepted: one of mu"):
         branch.at(1.5, period=7.0)
+
+
+@pytest.mark.slow
+def test_a_branch_whose_parameter_comes_to_a_limit_ends_with_it() -> None:
+    """Bratu's larger solution grows without bound as p goes to 0: u = 2 log(cosh(theta / 4)) in the middle."""
+    u, v, p = (ca.SX.sym(name) for name in "uvp")
+    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -p * ca.exp(u)), p)
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"p": 1.0})
+    branch = problem.solve([0.0, 0.0]).follow("p", 4.0, back_to=0.0)
+    assert branch.end is End.STILL
+    assert "p comes to 0 +- " in branch.reason
+    assert "more than" not in branch.reason
+    last = next(solution for solution in branch.solutions[::-1] if solution.parameters["p"] > 1e-11)
+    middle = float(np.ravel(last.evaluate(0.5))[0])
+    theta = 4.0 * np.arccosh(np.exp(0.5 * middle))
+    assert theta**2 / (2.0 * np.cosh(theta / 4.0) ** 2) == pytest.approx(last.parameters["p"], rel=1e-4)

@@ -129,3 +129,21 @@ def test_squares_and_conditions_that_are_not_linear_enter_the_branching_equation
     for power, kind in ((3, PITCHFORK), (2, TRANSCRITICAL)):
         at_end = column(lambda u, lam, q: -lam * u, lambda u, v, q, n=power: u + (q - 0.3) * v**n + v ** (2 * n - 1))
         on_curve(at_end.curve("q", 1.0), {kind: 0.3})
+
+
+@pytest.mark.slow
+def test_branch_points_that_conditions_alone_decide_are_followed() -> None:
+    """(p - q^2) x - (1 + q) x^3 = 0 at the start of a constant, and with -q x^2 - x^3: p = q^2, at q = -1 and 0."""
+    x, y, p, q = symbols("x y p q")
+    model = OdeModel("conditions", ca.vertcat(x, y), ca.vertcat(0, -y), ca.vertcat(p, q), nominal=(-1.0, 0.5))
+    X, Y = model.start(x), model.start(y)
+    cubic, square = (p - q**2) * X - (1 + q) * X**3, (p - q**2) * X - q * X**2 - X**3
+    for condition, known in ((cubic, {PITCHFORK: -1.0}), (square, {TRANSCRITICAL: 0.0})):
+        problem = BoundaryValueProblem(model, [condition, Y - 1 - X**2], parameters={"p": -1.0})
+        branch = problem.solve([0.0, 1.0]).follow("p", 1.0)
+        assert isinstance(branch, Branch)
+        (point,) = branch.special_points
+        assert abs(point.parameters["p"] - 0.25) <= 3.0 * point.error < 1e-12
+        curve = point.curve("q", -2.0, max_step=1.0)
+        on_curve(curve, known)
+        np.testing.assert_allclose(curve["p"], curve["q"] ** 2, rtol=0, atol=1e-8)

@@ -148,9 +148,11 @@ def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
     saddle = _model("zero-Hopf", [x, u, v], rhs, [p, q], (-1.0, 0.5))
     points = find_equilibrium(saddle, [-1.0, 0.0, 0.0]).follow("p", 0.5).special_points
     assert [point.kind for point in points] == ["hopf", "fold"]
-    for start in points:
-        (found,) = start.curve("q", -0.5).special_points
+    for start, beyond in zip(points, (["generalized hopf"], []), strict=True):
+        found, *others = start.curve("q", -0.5).special_points
         assert found.kind == "zero-hopf"
+        at_end = [(point.kind, point.parameters["q"]) for point in others]
+        assert at_end == [(kind, -0.5) for kind in beyond]  # l1 is a multiple of 1/(2 x) - 1, and x = -q
         assert abs(found.parameters["q"]) < 1e-9
         assert abs(found.parameters["p"]) < 1e-9
 
