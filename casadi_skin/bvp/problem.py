@@ -100,6 +100,10 @@ class Problem(ABC):
     def prolong(self, z: Array, finer: Self) -> Array:
         """The same solution in the unknowns of another resolution of the same transcription."""
 
+    def all_prolonged(self, z: Array, finer: Self) -> Array:
+        """The same of several solutions, shape (states, size)."""
+        return np.stack([self.prolong(one, finer) for one in z])
+
     @abstractmethod
     def profile_change(self, z: Array, step: Array) -> float:
         """Change of the state in a step from z, relative to its size."""

@@ -106,7 +106,8 @@ class TrigonometricProblem(OrbitProblem):
         if model.parameters.numel() != 1 or model.normalisation is None:
             raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
         self.model, self.resolution, self.symmetry = model, harmonics, SymmetryClass.QUARTER
-        self.states = model.size * harmonics
+        self._sites = model.size
+        self.states = self._sites * harmonics
         self._to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
         self.half_bandwidth = harmonics * _half_bandwidth(model)
 
@@ -179,19 +180,24 @@ class TrigonometricProblem(OrbitProblem):
 
     def coefficients(self, z: Array) -> Array:
         """Coefficients c_k of cos((2k+1) theta), shape (model.size, harmonics)."""
-        return z[: self.states].reshape(self.model.size, self.resolution) @ self._to_coefficients
+        return z[: self.states].reshape(self._sites, self.resolution) @ self._to_coefficients
 
     def prolong(self, z: Array, finer: Problem) -> Array:
-        H = self.resolution
-        values = z[: self.states].reshape(self.model.size, H) @ prolongation_matrix(H, finer.resolution)
-        return np.concatenate([values.ravel(), z[self.states :]])
+        return np.asarray(self.all_prolonged(z[None], finer)[0])
+
+    def all_prolonged(self, z: Array, finer: Problem) -> Array:
+        # One product a state, as in `samples`.
+        H, found = self.resolution, np.empty((len(z), finer.size))
+        values = z[:, : self.states].reshape(len(z), self._sites, H) @ prolongation_matrix(H, finer.resolution)
+        found[:, : finer.states], found[:, finer.states :] = values.reshape(len(z), -1), z[:, self.states :]
+        return found
 
     def rounding(self, z: Array) -> float:
         return float(self.roundings(z[None])[0])
 
     def roundings(self, z: Array) -> Array:
         beyond = z.copy()
-        values = beyond[:, : self.states].reshape(len(z), self.model.size, self.resolution)
+        values = beyond[:, : self.states].reshape(len(z), self._sites, self.resolution)
         amplitudes = np.einsum("ijk,k->ij", values, self._to_coefficients[0])
         values -= amplitudes[:, :, None] * cosine_matrix(self.resolution)[0]
         products = np.abs(self.evaluate_all(beyond)[1] * np.take(beyond, self.pattern[1], axis=1))
@@ -203,7 +209,7 @@ class TrigonometricProblem(OrbitProblem):
 
     def expected_error(self, z: Array, error: float, other: Problem) -> float:
         lost = np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1)
-        sizes = np.max(np.abs(z[: self.states].reshape(self.model.size, -1)), axis=1)
+        sizes = np.max(np.abs(z[: self.states].reshape(self._sites, -1)), axis=1)
         ratio = np.max(lost) / np.max(sizes)
         if self.model.output_scale is not None:
             scale = np.array(self.model.output_scale)
@@ -215,7 +221,7 @@ class TrigonometricProblem(OrbitProblem):
 
     def samples(self, z: Array, theta: Array) -> Array:
         # One product an orbit: the last bit of a larger one depends on how many there are.
-        values = z[:, : self.states].reshape(len(z), self.model.size, self.resolution) @ self.sampling(theta)
+        values = z[:, : self.states].reshape(len(z), self._sites, self.resolution) @ self.sampling(theta)
         return np.asarray(values.swapaxes(1, 2))
 
     def sampling(self, theta: Array) -> Array:

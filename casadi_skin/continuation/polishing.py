@@ -42,9 +42,7 @@ class Guesses:
         targets: Sequence[Target | None],
     ) -> Guesses:
         """Those at places `taus` of a stretch: at a target its value is held, else the place along the tangent."""
-        z, slopes = (
-            np.stack([course(tau) for tau in taus]) for course in (stretch.at, stretch.slope)
-        )  # each by itself
+        z, slopes = stretch.at_each(np.array(taus))
         weights = point_solver.metrics(problem, z)
         rows = weights * slopes / np.sqrt(np.sum(weights * slopes**2, axis=1))[:, None]
         values = np.einsum("ij,ij->i", rows, z)

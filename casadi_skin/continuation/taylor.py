@@ -25,6 +25,11 @@ class Stretch:
         """Point of the branch, or points, shape (tau, unknowns)."""
         return np.asarray(_powers(tau, self.coefficients.shape[0]) @ self.coefficients)
 
+    def at_each(self, taus: Array) -> tuple[Array, Array]:
+        """Points and slopes at places, shape (taus, unknowns) each: one product a place, whose last bit is its own."""
+        powers = _powers(taus, self.coefficients.shape[0])[:, None]
+        return (powers @ self.coefficients)[:, 0], (powers[..., :-1] @ self._derivative)[:, 0]
+
     @cached_property
     def _derivative(self) -> Array:
         return np.arange(1, self.coefficients.shape[0])[:, None] * self.coefficients[1:]

@@ -204,7 +204,7 @@ class Levels:
         stack = None if finer is None else StackedSolver.of(finer)
         if finer is None or stack is None:
             return None
-        long_z, along = (np.stack([problem.prolong(v, finer) for v in values]) for values in (z, tangents))
+        long_z, along = (problem.all_prolonged(values, finer) for values in (z, tangents))
         rows = finer.metrics(long_z, 1.0) * along
         for i, which in enumerate(held):
             if which is not None:

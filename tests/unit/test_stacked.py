@@ -8,6 +8,7 @@ import pytest
 from casadi_skin import Chain, follow_family
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.solvers.bordered import BandLayout
 from casadi_skin.solvers.stacked import StackedSolver
 
@@ -79,6 +80,28 @@ def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
         monkeypatch.setattr("casadi_skin.solvers.stacked.ACCURATE", 0.0)
         monkeypatch.setattr("casadi_skin.solvers.bordered.ACCURATE", 0.0)
     assert solver_of(problem).steps(z, residuals, nonzeros, rows) is None
+
+
+@pytest.mark.usefixtures("way")
+@pytest.mark.parametrize("others", [1, 2, 5, 11])
+def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> None:
+    """A run that goes on has other batches than one that was not interrupted, and ends with the same bytes."""
+    problem, finer = (TrigonometricProblem(Chain(24, 1.0, 0.25, -1.0).gauge_model(), H) for H in (6, 8))
+    z, residuals, nonzeros, rows = random_states(problem, 12, 3)
+    solver, stretch = solver_of(problem), Stretch(np.random.default_rng(1).normal(size=(12, problem.size)), 1.0)
+
+    def of(chosen: slice) -> list[Array]:
+        steps = solver.steps(z[chosen], residuals[chosen], nonzeros[chosen], rows[chosen])
+        assert steps is not None
+        here = z[chosen]
+        return [
+            steps.newton, steps.along, steps.response, steps.orientation, problem.all_prolonged(here, finer),
+            problem.roundings(here), problem.metrics(here, 2.0), problem.profile_changes(here, rows[chosen]),
+            *problem.evaluate_all(here), *stretch.at_each(here[:, 0]),
+        ]  # fmt: skip
+
+    for alone, among in zip(of(slice(12 - others, 12)), of(slice(None)), strict=True):
+        np.testing.assert_array_equal(alone, among[12 - others :])
 
 
 def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
