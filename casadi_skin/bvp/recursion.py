@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,8 +156,23 @@ def _form(model: OdeModel) -> PolynomialForm:
     return PolynomialForm(force, norm)
 
 
+class Recursion(Protocol):
+    """Power series of the branch through a point."""
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
+        """Coefficients of the branch from z with first coefficient `slope`, shape (orders + 1, unknowns)."""
+        ...
+
+    @property
+    def end(self) -> tuple[int, float] | None:
+        """An unknown and its value up to which the last series holds; None where the equations are analytic."""
+        ...
+
+
 class TaylorRecursion:
     """Coefficients z_k of a branch of one trigonometric problem; buffers are made once and used again."""
+
+    end: tuple[int, float] | None = None  # equations are analytic everywhere
 
     def __init__(self, problem: TrigonometricProblem, form: PolynomialForm, orders: int) -> None:
         H, N = problem.resolution, problem.model.size
@@ -165,7 +181,9 @@ class TaylorRecursion:
         states = self._coefficients[:, : problem.states]
         D2, at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
         self._kernel = taylor_kernel(self._coefficients, D2, at_zero, _single(form.force), _single(form.norm))
+        self.put, self.right_side = self._put, self._right_side
         if self._kernel is not None:
+            self.put, self.right_side = self._kernel.put, self._kernel.right_side
             return
         self._start = np.zeros((orders + 1, N))  # the state at phase zero, which the normalisation is about
         self._curvature = np.zeros((orders + 1, N * H))
@@ -211,15 +229,21 @@ class TaylorRecursion:
 
         `solve` belongs to the Jacobian at z closed by a row; the higher orders have no component along that row.
         """
-        put, right_side = self._put, self._right_side
-        if self._kernel is not None:
-            put, right_side = self._kernel.put, self._kernel.right_side
-        put(0, z)
-        put(1, slope)
-        compiled = getattr(solve, "addresses", None)
-        if self._kernel is not None and compiled is not None:
-            self._kernel.solve_all(*compiled)
-            return self._coefficients.copy()
-        for k in range(2, self.orders + 1):
-            put(k, solve(right_side(k)))
+        self.put(0, z)
+        self.put(1, slope)
+        if not self.solve_all(getattr(solve, "addresses", None)):
+            for k in range(2, self.orders + 1):
+                self.put(k, solve(self.right_side(k)))
         return self._coefficients.copy()
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether a kernel computes the right-hand sides."""
+        return self._kernel is not None
+
+    def solve_all(self, compiled: tuple[int, int, int] | None) -> bool:
+        """All orders beyond the first two by a compiled solver at addresses; False where one of both is not there."""
+        if self._kernel is None or compiled is None:
+            return False
+        self._kernel.solve_all(*compiled)
+        return True

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,9 @@ from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Evaluate, Indices, 
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.lifted import Program, lifted
 from casadi_skin.models.ode import OdeModel
+
+if TYPE_CHECKING:
+    from casadi_skin.bvp.recursion import PolynomialForm, Recursion
 
 MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
 KEPT = 32  # resolutions of models whose functions are kept
@@ -163,6 +166,12 @@ class TrigonometricProblem(OrbitProblem):
 
     def evaluator_of_all(self) -> Evaluate | None:
         return None if self._kernel is None else self._kernel.kernel
+
+    def recursion(self, form: PolynomialForm, orders: int) -> Recursion:
+        """Power series of branches."""
+        from casadi_skin.bvp.recursion import TaylorRecursion
+
+        return TaylorRecursion(self, form, orders)
 
     def place(self, equation: int) -> str:
         """Place of an equation, counted from 0, in words."""

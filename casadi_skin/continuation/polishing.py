@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Target
@@ -23,7 +25,8 @@ class Guesses:
     """Places of a stretch, (places, unknowns) each, with what is held there, and the metric.
 
     What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
-    the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself.
+    the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself. It is
+    faint to users as well: amplitudes that grow into a tail in the gauge are no reason to leave out the edge.
     """
 
     z: Array
@@ -52,9 +55,14 @@ class Guesses:
                 rows[i] = problem.row_of(target.held) * float(np.sign(slopes[i, index]))
                 values[i] = wanted * rows[i, index]
         states = z[:, : problem.states]  # a view
-        sizes = np.abs(states)
-        states[sizes < FAINT * np.max(sizes, axis=1)[:, None]] = 0.0
+        faint, scale = _is_faint(states), problem.output_scale if isinstance(problem, OrbitProblem) else None
+        states[faint if scale is None else faint & _is_faint(scale * states)] = 0.0
         return cls(z, weights, rows, values, targets)
+
+
+def _is_faint(states: Array) -> NDArray[np.bool_]:
+    sizes = np.abs(states)
+    return np.asarray(sizes < FAINT * np.max(sizes, axis=1)[:, None])
 
 
 @dataclass(frozen=True)

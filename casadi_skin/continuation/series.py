@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
+from casadi_skin.bvp.problem import Problem, Scalar, SingularError
 from casadi_skin.continuation.arclength import START_FRACTION
 from casadi_skin.continuation.corners import CLOSE, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.continuation.point_solver import PointSolver
@@ -20,6 +20,9 @@ from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.continuation.polishing import Guesses, Polished, all_polished, polished
 from casadi_skin.continuation.taylor import Stretch
 from casadi_skin.solvers.corrector import Correction, Status
+
+if TYPE_CHECKING:
+    from casadi_skin.bvp.recursion import Recursion
 
 SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
@@ -30,14 +33,6 @@ NEARLY = 0.9  # of the way to a corner: a stretch to it, where the point before 
 SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
 BESIDE = (1.0, 0.9, 0.7, 0.5)  # of the way to a stop: where rounding is amplified in one place, it is less beside it
 BEYOND = 1.2  # of the way to the last stop, beyond which the series loses digits fast
-
-
-class Recursion(Protocol):
-    """Power series of the branch through a point."""
-
-    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
-        """Coefficients of the branch from z with first coefficient `slope`, shape (orders + 1, unknowns)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -216,11 +211,15 @@ class SeriesContinuation:
         if base.parameter == 0.0:
             z[problem.parameter_index] = 0.0  # but for round-off, which must not skip tiny requested values
         slope = base.step * self.point_solver.tangent(problem, z, solve)
-        coefficients = self._recursion(problem).series(z, slope, solve)
+        recursion = self._recursion(problem)
+        coefficients = recursion.series(z, slope, solve)
         sizes = np.sqrt(np.sum(self.point_solver.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
         orders = np.arange(coefficients.shape[0] - 2, coefficients.shape[0])
         stretch = Stretch(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
         stretch, self._most = replace(stretch, length=min(stretch.length, self._most / base.step)), np.inf
+        if recursion.end is not None:
+            passed = stretch.crossings(recursion.end[0], [recursion.end[1]])
+            stretch = replace(stretch, length=min([stretch.length, *(tau for tau, _ in passed)]))
         while stretch.length * base.step >= self.settings.min_step:
             end = stretch.at(stretch.length)
             allowed = precision * max(1.0, float(np.max(np.abs(end[: problem.states]))))

@@ -323,8 +323,8 @@ def long_lattice_coordinates(
     Raises ValueError, naming the argument, for a mode or a method without such a family.
     """
     number = lattice.mode_number(mode)
-    if method.transcription not in (None, TRIGONOMETRIC) or method.walker == "series":
-        raise ValueError("method: accepted with a linear tail: transcription trigonometric with walker arclength")
+    if method.transcription not in (None, TRIGONOMETRIC):
+        raise ValueError("method: accepted with a linear tail: transcription trigonometric")
     if method.tail == "full":
         raise ValueError('tail: given "full" with a LongLattice; accepted: eliminated')
     core = core_of(lattice, lattice.modes[number - 1], amplitude_max)

@@ -19,12 +19,16 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+
+ComplexArray = NDArray[np.complex128]
 
 STEP = 1e-30  # imaginary: derivatives without subtraction
 FARTHEST = 1e6  # of the highest edge: frequencies beyond are none
 LONGEST = 40.0  # cells times decay: beyond it the far end of the tail is not felt
+UNSEEN = 7.0  # cells times decay beyond which that is true to 1e-6 of the decay: for predictions
 ROUND_OFF = 1e-14
 WITHIN = 1e-12  # of the end of a lobe
 AT_END = 1e-10  # angle that rounding leaves there
@@ -151,6 +155,51 @@ class CellTail:
         across, down = self._vector(place, place.off)
         return float(across), float(down)
 
+    def end_unseen(self, place: Place) -> bool:
+        """Whether the far end of the tail is not felt in predictions."""
+        return not np.isfinite(self.cells) or self.cells * self.decay(place) > UNSEEN
+
+    def lobe(self, edge: int) -> float:
+        """The change of lambda at an edge of a finite tail's band by which (cells times decay)^2 changes by 1."""
+        _, _, _, oi, _, beyond = self._polynomials[edge]
+        return abs(2.0 * oi[0] / beyond[1]) / self.cells**2
+
+    def turns(self, edge: int, offs: Array, changes: ComplexArray, seen: bool) -> ComplexArray:
+        """Changes of phi by complex changes of lambda from places beside an edge; shapes (places,), (any, places).
+
+        Changes meet no edge of a band, but for that of the places where the far end of the tail is `seen`.
+        """
+        D, oo, ii, oi, C2, beyond = (_value(p, offs + _with_none(changes)) for p in self._polynomials[edge])
+        half, at_edge = 0.5 * beyond, self.edges[edge].sign * oi
+        if seen:
+            kappa = 2.0 * np.arcsinh(np.sqrt(half / (2.0 * at_edge)))
+            ratio = np.expm1(-2.0 * (self.cells - 1.0) * kappa) / np.expm1(-2.0 * self.cells * kappa)
+            small = at_edge * np.exp(-kappa) * ratio
+            return _turned(oo - (C2 + small) * self.wall, D - ii * self.wall - small)
+        return self._turned_unseen(D, oo, ii, C2, half + at_edge, np.sqrt(half * (half + 2.0 * at_edge)))
+
+    def turns_by_root(self, place: Place, changes: ComplexArray) -> ComplexArray:
+        """The same by changes of the square root of the distance to the edge, which they may meet: no end is felt."""
+        root = np.sqrt(abs(place.off)) + _with_none(changes[:, None])
+        off, polynomials = self.side(place) * root**2, self._polynomials[place.edge]
+        D, oo, ii, oi, C2, _ = (_value(p, off) for p in polynomials)
+        slope, at_edge = 0.5 * _value(polynomials[-1][1:], off), self.edges[place.edge].sign * oi
+        half = slope * off
+        apart = root * np.sqrt(self.side(place) * slope * (half + 2.0 * at_edge))
+        return self._turned_unseen(D, oo, ii, C2, half + at_edge, apart)[:, 0]
+
+    def _turned_unseen(self, D: Any, oo: Any, ii: Any, C2: Any, middle: Any, apart: Any) -> ComplexArray:
+        """Changes of phi from half the sum and half the difference of the eigenvalues of P."""
+        large = middle + np.where(middle[0].real >= 0.0, 1.0, -1.0) * apart
+        one, other = (oo + 0.0 * large, large + C2), (large - D, -ii + 0.0 * large)
+        sizes = [np.abs(across[0]) + np.abs(down[0]) for across, down in (one, other)]
+        first = sizes[0] >= sizes[1]
+        return _turned(np.where(first, one[0], other[0]), np.where(first, one[1], other[1]))
+
+    def side(self, place: Place) -> float:
+        """1 where a place is above its edge of a band, -1 below it; at the edge by the gap that it belongs to."""
+        return float(np.sign(place.off)) or (1.0 if place.edge % 2 else -1.0)
+
     def angle(self, place: Place) -> float:
         """phi, with tan(phi) the amplitude across the bond over that of the core's site; continuous about a gap."""
         below, above = self.sides(place.gap)
@@ -260,6 +309,17 @@ class CellTail:
     def square(self, place: Place) -> float:
         """lambda of a place."""
         return self.edges[place.edge].square + place.off
+
+
+def _with_none(changes: ComplexArray) -> ComplexArray:
+    """Changes with no change as their first."""
+    return np.concatenate([np.zeros((1, changes.shape[1])), changes])
+
+
+def _turned(across: ComplexArray, down: ComplexArray) -> ComplexArray:
+    """Changes of the angle of vectors from the first, which is left out."""
+    turned = (across * down[0] - down * across[0]) / (down * down[0] + across * across[0])
+    return np.asarray(np.arctan(turned[1:]))
 
 
 def _value(coefficients: list[float], off: Any) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.tail_parameter import KEPT, Regime, TailValues
+from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,12 @@ class CellTailParameter:
         return TailValues(
             Omega, squared_slope / (2.0 * Omega), np.sin(phi), np.cos(phi) * by_u, np.cos(phi), -np.sin(phi) * by_u, phi
         )
+
+    def series(self, u: float, orders: int) -> TailSeries:
+        """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
+        in_u = np.zeros(self.harmonics)
+        in_u[0] = 1.0
+        return Harmonics(self.tail, self.places(u), self.values(u).psi, 0, in_u).series(orders)
 
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega is pinned to a band."""

@@ -84,8 +84,8 @@ def _obstacle(chain: Chain, number: int, sites: int, method: Method) -> str:
         return "the highest mode with g > 0, or the lowest with g < 0 (others have no limit for long chains)"
     if not 0.0 < abs(chain.gamma) < 1.0:
         return "0 < |gamma| < 1, where a tail exists and is linear"
-    if method.transcription not in (None, TRIGONOMETRIC) or method.walker == "series":
-        return "transcription trigonometric with walker arclength"
+    if method.transcription not in (None, TRIGONOMETRIC):
+        return "transcription trigonometric"
     if sites > LONGEST_CORE:
         return f"a gamma at which fewer than {LONGEST_CORE} sites are nonlinear"
     if sites + 2 > chain.sites:

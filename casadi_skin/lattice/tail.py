@@ -11,6 +11,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from casadi_skin.bvp.problem import Array
+
 EDGE_ANGLE = 0.25 * math.pi  # psi of the band edge, in the limit of a long tail
 LONGEST = 40.0  # of c kappa: beyond it the far end of the tail is not felt
 
@@ -90,6 +94,21 @@ class Tail:
         kappa = 2.0 * math.asinh(math.sqrt(beyond))
         ratio = _ratio_beside(kappa, self.sites)
         return Wave(0.0, kappa, math.atan(ratio), _slope_beside(kappa, self.sites))
+
+    def waves_at(self, beyond: Array) -> tuple[Array, Array, Array]:
+        """kappa, psi and d psi / d kappa of `wave_at`, for all harmonics at once. Raises as that."""
+        if not np.min(beyond) > 0.0:
+            raise ArithmeticError("a harmonic lies in the band: the tail carries it away")
+        kappa, c = 2.0 * np.arcsinh(np.sqrt(beyond)), self.sites
+        ratio = np.exp(-kappa)
+        slope = -ratio
+        if math.isfinite(c):
+            far, farther = np.exp(-2.0 * (c - 1.0) * kappa), np.exp(-2.0 * c * kappa)
+            inside = -np.expm1(-2.0 * c * kappa)
+            # the ratio is a = sinh((c-1) kappa)/b with b = sinh(c kappa); da = c sinh(kappa)/b^2 - cosh((c-1) kappa)/b
+            slope = 4.0 * c * np.sinh(kappa) * farther / inside**2 - ratio * (1.0 + far) / inside
+            ratio = -ratio * np.expm1(-2.0 * (c - 1.0) * kappa) / inside
+        return kappa, np.arctan(ratio), slope / (1.0 + ratio**2)
 
     # Frequencies ----------------------------------------------------------------------------------------------------
 

@@ -11,11 +11,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.tail import Tail, Wave
+from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 
-KEPT = 16  # values that are used again
-NEWTON_STEPS = 8  # for an angle, before it is bracketed
-RESOLVED = 4e-16  # of an angle: a step that ends them
+KEPT = 24  # values that are used again
+NEWTON_STEPS = 10  # for an angle, before it is bracketed
+RESOLVED = 1e-11  # of an angle: a step that ends them
 
 
 class Regime(Enum):
@@ -111,11 +113,17 @@ class TailParameter:
         if self.edge < 0:
             return 1, self.tail.wave(u)
         psi_1, psi_3 = self._turn
+        at_1, at_3 = self._at_edges
         if u >= psi_1 - psi_3:
-            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3)
-        return 3, self._wave_beside(3, -u, psi_1 - u, max(-u, psi_3))
+            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3, u + at_3)
+        return 3, self._wave_beside(3, -u, max(-u, psi_3), psi_1 - u, at_1 - u)
 
-    def _wave_beside(self, k: int, apart: float, low: float, high: float) -> Wave:
+    @cached_property
+    def _at_edges(self) -> tuple[float, float]:
+        """psi_1 where the third harmonic is at its edge of the band, and psi_3 where the fundamental is."""
+        return self._psi(1, self.tail.edge_squared(-1) / 9.0), self._psi(3, self.tail.edge_squared(1))
+
+    def _wave_beside(self, k: int, apart: float, low: float, high: float, guess: float) -> Wave:
         """The wave of harmonic k, 1 or 3, whose angle is `apart` above that of the other one, between two angles."""
         from scipy.optimize import brentq
 
@@ -124,14 +132,12 @@ class TailParameter:
             other = self._beside(4 - k, self._squared(k, wave))
             return psi - other.psi - apart, 1.0 - self._slope(4 - k, other) * self._slope_by_psi(k, wave)
 
-        psi = 0.5 * (low + high)
+        psi = min(max(guess, low), high)
         for _ in range(NEWTON_STEPS):
             value, slope = above(psi)
             step = value / slope
-            if not low <= psi - step <= high:
-                break
-            psi -= step
-            if abs(step) <= RESOLVED * psi:
+            psi = min(max(psi - step, low), high)
+            if abs(step) <= RESOLVED * psi:  # the next one is its square
                 return self.tail.wave(psi)
         return self.tail.wave(float(brentq(lambda psi: above(psi)[0], low, high, xtol=1e-300, rtol=1e-15)))
 
@@ -145,6 +151,23 @@ class TailParameter:
         edge = self.edge if k == 1 else -1
         return -4.0 * edge * self.tail.coupling * self.tail.outside_slope(wave) / k**2
 
+    @cached_property
+    def _as_cells(self) -> CellTail:
+        """The same tail as one of cells of one site."""
+        tail = self.tail
+        return CellTail(tail.sites - 1.0, np.array([[2.0 + tail.alpha]]), tail.coupling, 0, 0)
+
+    def series(self, u: float, orders: int) -> TailSeries:
+        """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
+        k0, wave = _place(self.tail, self.edge, u)
+        resolved, in_u = (k0 - 1) // 2, np.zeros(self.harmonics)
+        offs = self._odd**2 * self._squared(k0, wave) - self._edge_squares
+        offs[resolved] = -4.0 * self._edges[resolved] * self.tail.coupling * self.tail.outside(wave)
+        numbers = [0 if edge > 0.0 else 1 for edge in self._edges]  # of edges, and of the gaps beside them
+        places = [Place(number, number, off) for number, off in zip(numbers, offs.tolist(), strict=True)]
+        in_u[:2] = (-1.0, 0.0) if self.edge < 0 else (1.0, 1.0)  # phi is -psi beside the upper edge
+        return Harmonics(self._as_cells, places, self._edges * self.values(u).psi, resolved, in_u).series(orders)
+
     def values(self, u: float) -> TailValues:
         """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
         return self._kept(u)
@@ -154,31 +177,45 @@ class TailParameter:
         return lru_cache(KEPT)(self._values)
 
     def _values(self, u: float) -> TailValues:
-        k0, wave = self._resolved(u)
+        k0, wave = _place(self.tail, self.edge, u)
         squared, by_psi = self._squared(k0, wave), self._slope_by_psi(k0, wave)
-        ks = 2 * np.arange(self.harmonics) + 1
-        edges = np.where(ks == 1, self.edge, -1)
-        psi, slopes = np.zeros(ks.size), np.zeros(ks.size)  # and d psi_k / d Omega^2
-        for h, k in enumerate(ks.tolist()):
-            if k != k0:
-                other = self._beside(k, squared)
-                psi[h] = other.psi
-                slopes[h] = self._slope(k, other)
+        k, edges = self._odd, self._edges
+        beyond = edges * (self._edge_squares - k**2 * squared) / (4.0 * self.tail.coupling)
         h0 = (k0 - 1) // 2
+        beyond[h0] = 1.0  # anything: known already
+        kappa, psi, slopes = self.tail.waves_at(beyond)
+        by_squared = -edges * k**2 * slopes / (2.0 * self.tail.coupling * np.sinh(kappa))  # d psi / d Omega^2
         sign = 1.0 if k0 == 1 else -1.0
-        partner = 0.0 if self.edge < 0 else slopes[1 if k0 == 1 else 0] * by_psi
+        partner = 0.0 if self.edge < 0 else float(by_squared[1 if k0 == 1 else 0]) * by_psi
         psi_slope = sign / (1.0 - partner)  # d psi_k0 / d u, with u = psi_1 - psi_3
         squared_slope = by_psi * psi_slope
         psi[h0] = wave.psi
-        by_u = slopes * squared_slope
+        by_u = by_squared * squared_slope
         by_u[h0] = psi_slope
-        Omega = math.sqrt(squared)
-        return TailValues(
-            Omega,
-            float(squared_slope / (2.0 * Omega)),
-            edges * np.sin(psi),
-            edges * np.cos(psi) * by_u,
-            np.cos(psi),
-            -np.sin(psi) * by_u,
-            psi,
-        )
+        Omega, across, down = math.sqrt(squared), np.sin(psi), np.cos(psi)
+        Omega_slope = float(squared_slope / (2.0 * Omega))
+        return TailValues(Omega, Omega_slope, edges * across, edges * down * by_u, down, -across * by_u, psi)
+
+    @cached_property
+    def _odd(self) -> Array:
+        return np.asarray(2.0 * np.arange(self.harmonics) + 1.0, dtype=np.float64)
+
+    @cached_property
+    def _edges(self) -> Array:
+        """The edge of the band that each harmonic is beside."""
+        return np.where(self._odd == 1.0, float(self.edge), -1.0)
+
+    @cached_property
+    def _edge_squares(self) -> Array:
+        return np.where(self._edges > 0.0, self.tail.edge_squared(1), self.tail.edge_squared(-1))
+
+
+@lru_cache(maxsize=2)
+def _two_harmonics(tail: Tail, edge: int) -> TailParameter:
+    return TailParameter(tail, edge, 2)
+
+
+@lru_cache(maxsize=KEPT)
+def _place(tail: Tail, edge: int, u: float) -> tuple[int, Wave]:
+    """The harmonic that resolves Omega at u, and its wave, for any number of harmonics."""
+    return _two_harmonics(tail, edge)._resolved(u)

@@ -11,8 +11,11 @@ import numpy as np
 
 from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
 from casadi_skin.bvp.problem import Array, Evaluate, Indices, Problem, Scalar
+from casadi_skin.bvp.recursion import PolynomialForm
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.tail_parameter import Regime, TailValues
+from casadi_skin.lattice.tail_recursion import TailRecursion
+from casadi_skin.lattice.tail_series import TailSeries
 from casadi_skin.models.ode import OdeModel
 
 
@@ -35,6 +38,10 @@ class TailUnknown(Protocol):
 
     def of_frequency(self, Omega: float) -> float:
         """u where the frequency is `Omega`; NaN where there is none."""
+        ...
+
+    def series(self, u: float, orders: int) -> TailSeries:
+        """Power series of the same at u; raises ArithmeticError where none is found."""
         ...
 
     def regime(self, values: TailValues) -> Regime:
@@ -117,13 +124,45 @@ class CoreWithTailProblem(TrigonometricProblem):
         raise NotImplementedError("the tail is no expression of CasADi: `evaluate` assembles the equations")
 
     @cached_property
-    def _core(self) -> TrigonometricProblem:
+    def core(self) -> TrigonometricProblem:
         """The same core, without the bond to the tail."""
         return TrigonometricProblem(self.model, self.resolution)
 
     @cached_property
     def _pattern(self) -> _Pattern:
-        return _Pattern.of(self._core, self.attached)
+        return _Pattern.of(self.core, self.attached)
+
+    @property
+    def touched(self) -> Indices:
+        """Unknowns in the equations of the attached site by itself."""
+        return self._pattern.touched
+
+    @property
+    def own_Omega(self) -> int:
+        """Place of Omega among these."""
+        return self._pattern.Omega
+
+    def attached_balance(self, own: Array) -> tuple[Array, Array, Array]:
+        """The core's equations of the attached site by harmonic, their derivatives, and those of all by Omega.
+
+        `own` are unknowns of the core by itself. Derivatives are by those `touched`, of the equations times Omega^2 and
+        over its value: a bond to the tail balances them.
+        """
+        pattern, H = self._pattern, self.resolution
+        residual, nonzeros = self.core.evaluate(own)
+        rows, columns = self.core.pattern
+        by_Omega = np.zeros(self.size - 1)
+        chosen = columns == self.Omega_index
+        by_Omega[rows[chosen]] = nonzeros[chosen]
+        block = np.zeros((H, pattern.touched.size))
+        block.ravel()[pattern.block] = nonzeros[pattern.of_block]
+        balance = residual[self.attached * H : (self.attached + 1) * H]
+        block[:, pattern.Omega] += 2.0 / own[self.Omega_index] * balance
+        return self._to_coefficients @ balance, self._to_coefficients @ block, by_Omega
+
+    def recursion(self, form: PolynomialForm, orders: int) -> TailRecursion:
+        """Power series of branches."""
+        return TailRecursion(self, form, orders)
 
     @property
     def pattern(self) -> tuple[Indices, Indices]:
@@ -143,39 +182,50 @@ class CoreWithTailProblem(TrigonometricProblem):
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """As that of other problems; not a number where a harmonic that should be bound is in the band."""
-        pattern, place, H = self._pattern, self.Omega_index, self.resolution
-        try:
-            v = self.values(z)
-        except ArithmeticError:
-            return np.full(self.size - 1, np.nan), np.full(pattern.rows.size, np.nan)
-        own = z.copy()
-        own[place] = v.Omega
-        residual, nonzeros = self._core.evaluate(own)
-        rows = slice(self.attached * H, (self.attached + 1) * H)
-        T, bond = self._to_coefficients, self.tail.coupling / v.Omega**2
-        balance, a = T @ residual[rows], T @ z[rows]
-        from_tail = bond * v.across * a  # the force that the core's own equations lack, over Omega^2
-        residual[rows] = v.down * balance - from_tail
-
-        block = np.zeros((H, pattern.touched.size))
-        block.ravel()[pattern.block] = nonzeros[pattern.of_block]
-        block = v.down[:, None] * (T @ block)
-        block[:, pattern.own] -= (bond * v.across)[:, None] * T
-        block[:, pattern.Omega] *= v.Omega_slope
-        block[:, pattern.Omega] += v.down_slope * balance - bond * v.across_slope * a
-        block[:, pattern.Omega] += 2.0 * v.Omega_slope / v.Omega * from_tail
-        found = np.concatenate([nonzeros, block.ravel()])[pattern.source]
-        found[pattern.by_Omega] *= v.Omega_slope
-        return residual, found
+        residuals, nonzeros = self.evaluate_all(z[None])
+        return residuals[0], nonzeros[0]
 
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
-        return Problem.evaluate_all(self, z)
+        try:
+            tails = [self.values(one) for one in z]
+        except ArithmeticError:
+            if len(z) > 1:
+                return Problem.evaluate_all(self, z)
+            return np.full((1, self.size - 1), np.nan), np.full((1, self._pattern.rows.size), np.nan)
+        pattern, place, H = self._pattern, self.Omega_index, self.resolution
+        columns = [(v.Omega, v.Omega_slope, v.across, v.across_slope, v.down, v.down_slope) for v in tails]
+        Omega, Omega_slope, across, across_slope, down, down_slope = (np.array(v) for v in zip(*columns, strict=True))
+        own = z.copy()
+        own[:, place] = Omega
+        residuals, nonzeros = self.core.evaluate_all(own)
+        rows = slice(self.attached * H, (self.attached + 1) * H)
+        T, bond = self._to_coefficients, (self.tail.coupling / Omega**2)[:, None]  # T is symmetric
+        balance, a = residuals[:, rows] @ T, z[:, rows] @ T
+        from_tail = bond * across * a  # the force that the core's own equations lack, over Omega^2
+        residuals[:, rows] = down * balance - from_tail
+
+        block = np.zeros((len(z), H, pattern.touched.size))
+        block.reshape(len(z), -1)[:, pattern.block] = nonzeros[:, pattern.of_block]
+        block = down[:, :, None] * (T @ block)
+        block[:, :, pattern.own] -= (bond * across)[:, :, None] * T
+        relative = (Omega_slope / Omega)[:, None]
+        block[:, :, pattern.Omega] *= Omega_slope[:, None]
+        block[:, :, pattern.Omega] += down_slope * balance - bond * across_slope * a + 2.0 * relative * from_tail
+        found = np.take(np.concatenate([nonzeros, block.reshape(len(z), -1)], axis=1), pattern.source, axis=1)
+        found[:, pattern.by_Omega] *= Omega_slope[:, None]
+        return residuals, found
+
+    def rounding(self, z: Array) -> float:
+        """That of the core by itself, whose equations have the largest terms."""
+        own = z.copy()
+        own[self.Omega_index] = self.frequency(z)
+        return self.core.rounding(own)
 
     def evaluator(self) -> Evaluate:
         return lambda z, _: self.evaluate(z)
 
     def evaluator_of_all(self) -> Evaluate | None:
-        return None
+        return None if self.core.evaluator_of_all() is None else lambda z, _: self.evaluate_all(z)
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         return Problem.metrics(self, z, parameter_scale)

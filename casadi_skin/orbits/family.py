@@ -39,7 +39,7 @@ from casadi_skin.stability.result import Floquet
 from casadi_skin.threads import one_thread
 
 if TYPE_CHECKING:
-    from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+    from casadi_skin.bvp.recursion import PolynomialForm, Recursion
     from casadi_skin.orbits.coordinates import Localised
     from casadi_skin.stability.localised import LocalisedFloquet
 
@@ -74,7 +74,7 @@ class Family:
 
     def __init__(self, request: FamilyRequest) -> None:
         self.request = request
-        self._recursions: dict[int, TaylorRecursion] = {}
+        self._recursions: dict[int, Recursion] = {}
         self._cuts: dict[int, Family] = {}
 
     @property
@@ -182,13 +182,11 @@ class Family:
         series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
         return series
 
-    def _recursion(self, problem: Problem) -> TaylorRecursion:
+    def _recursion(self, problem: Problem) -> Recursion:
         """Power series at one resolution, made once."""
-        from casadi_skin.bvp.recursion import TaylorRecursion
-
         assert isinstance(problem, TrigonometricProblem)
         if problem.resolution not in self._recursions:
-            self._recursions[problem.resolution] = TaylorRecursion(problem, self._polynomial_form, SERIES_ORDERS)
+            self._recursions[problem.resolution] = problem.recursion(self._polynomial_form, SERIES_ORDERS)
         return self._recursions[problem.resolution]
 
     @cached_property

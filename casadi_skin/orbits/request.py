@@ -144,10 +144,9 @@ class FamilyRequest:
 
     def _walker(self, method: Method, transcription: str) -> str:
         """The requested continuation, or the fastest: a Taylor series has half the cost of predicted steps."""
-        whole = self.coordinates.is_whole
         if method.walker is not None:
             return method.walker
-        return "series" if transcription == TRIGONOMETRIC and whole and is_polynomial(self.coordinates) else "arclength"
+        return "series" if transcription == TRIGONOMETRIC and is_polynomial(self.coordinates) else "arclength"
 
     def for_stability(self, walker: str | None = None) -> FamilyRequest:
         """With every position an unknown, as stability needs, unless the method states another choice."""
@@ -178,7 +177,7 @@ class FamilyRequest:
             tuple(dict.fromkeys(at)),
             None if targets.period_max is None else TWO_PI / targets.period_max,
             max_points=targets.max_points,
-            rounds_corners=self.coordinates.is_whole,
+            rounds_corners=True,
         )
         if self.tolerance < QUICK_LOOK:
             return settings

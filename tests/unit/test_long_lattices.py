@@ -151,6 +151,19 @@ def test_the_edge_breather_of_a_dimer_agrees_with_harmonic_balance() -> None:
         np.testing.assert_allclose(np.abs(orbit.evaluate(0.0)[0, -6:]), np.abs(a.sum(axis=0)[-6:]), atol=1e-9)
 
 
+@pytest.mark.slow
+def test_a_mode_that_grows_into_the_tail_in_the_gauge_is_followed_as_well() -> None:
+    """Its amplitudes at the edge are a millionth of those in the tail, and all that users see."""
+    endless = long(DIMER, math.inf, **VALUES)
+    by_series, by_steps = (
+        follow_family(endless, 1, 2.0, at=(2.0,), tolerance=1e-7, corrector="newton", walker=walker).at(S=2.0)
+        for walker in ("series", "arclength")
+    )
+    assert by_series.Omega == pytest.approx(by_steps.Omega, abs=1e-12)
+    np.testing.assert_allclose(by_series.evaluate(0.0), by_steps.evaluate(0.0), atol=1e-7)
+    assert np.ptp(np.log(np.abs(by_series.point.z[:-2]))) > math.log(1e6)
+
+
 # Stability of localised perturbations -------------------------------------------------------------------------------
 
 

@@ -11,6 +11,9 @@ import pytest
 from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.bvp.recursion import PolynomialForm
+from casadi_skin.continuation.taylor import Stretch
+from casadi_skin.lattice import tail_recursion
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
@@ -86,6 +89,71 @@ def test_what_the_core_needs_is_consistent(sites: float, edge: int, u: float) ->
         np.testing.assert_allclose(getattr(here, f"{name}_slope"), difference, atol=2e-8)
     np.testing.assert_allclose(np.hypot(here.across, here.down), 1.0, rtol=1e-14)
     assert (here.psi[0] - here.psi[1] if edge > 0 else here.psi[0]) == pytest.approx(u, abs=1e-14)
+
+
+@pytest.mark.parametrize("sites", [120, 925, 10**6, math.inf])
+@pytest.mark.parametrize(
+    ("edge", "u"), [*((1, u) for u in (0.637, 0.6, 0.4, 0.1, -0.2)), *((-1, u) for u in (0.787, 0.78, 0.3))]
+)
+def test_power_series_of_the_tail_are_its_values_beside_the_place(sites: float, edge: int, u: float) -> None:
+    """In and beside the band, up to where it is not analytic if the tail is endless."""
+    parameter = TailParameter(Tail(sites, 1.0, GAP), edge, 6)
+    series = parameter.series(u, 24)
+    found = np.column_stack([series.Omega, series.across, series.down])
+    reach = 0.5 * min((1e-6 / np.max(np.abs(found[k]))) ** (1 / k) for k in (23, 24))
+    reach = min(reach, 0.02, 0.25 * abs(u - parameter.at(0.25 * math.pi)))
+    for v in (-reach, -0.5 * reach, 0.5 * reach, reach):
+        there = parameter.values(u + v)
+        known = np.concatenate([[there.Omega], there.across, there.down])
+        np.testing.assert_allclose(v ** np.arange(25) @ found, known, atol=2e-8 if np.isfinite(sites) else 1e-13)
+
+
+def test_an_endless_tail_has_no_power_series_across_the_edge_of_its_band() -> None:
+    parameter = TailParameter(Tail(math.inf, 1.0, GAP), 1, 6)
+    edge = parameter.at(0.25 * math.pi)
+    end = edge + 2e-3 + parameter.series(edge + 2e-3, 24).end
+    assert 0.0 < edge - end < 1e-3
+    assert 0.0 < parameter.values(edge).Omega - parameter.values(end).Omega < 1e-7
+    assert math.isnan(parameter.series(edge - 1e-3, 24).end)
+
+
+@pytest.mark.parametrize("way", ["compiled", "numpy"])
+@pytest.mark.parametrize(
+    ("sites", "mode"),
+    [
+        (120, 1),
+        *(pytest.param(*more, marks=pytest.mark.slow) for more in ((math.inf, 1), (300, 300), (math.inf, "last"))),
+    ],
+)
+def test_power_series_of_a_branch_solve_the_equations(
+    sites: float, mode: int | str, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Residuals fall as the 25th power of the distance, from points in and beside the band."""
+    if way == "numpy":
+        monkeypatch.setattr(tail_recursion, "has_tail_kernel", lambda: False)
+    chain = Chain(sites, 1.0, 0.4, -1.0 if mode == 1 else 1.0)  # type: ignore[arg-type]
+    request = family_request(chain, mode, 2.0, tolerance=1e-10, corrector="newton", tail="eliminated")
+    tools, form = Family(request), PolynomialForm.of(request.coordinates.scaled)
+    points = [point for point in tools.continuation((tools.start,)) if point.walked]
+    for point in (tools.start, points[1], points[-2]):
+        problem, z = point.problem, point.z
+        assert isinstance(problem, CoreWithTailProblem)
+        solve = tools.point_solver.factor(problem, z, tools.point_solver.metric(problem, z) * point.tangent)
+        z = z - solve(np.append(problem.evaluate(z)[0], 0.0))
+        if point is tools.start:
+            z[-1] = 0.0
+        recursion = problem.recursion(form, 24)
+        series = recursion.series(z, tools.point_solver.tangent(problem, z, solve), solve)
+        sizes = np.sqrt(np.sum(tools.point_solver.metric(problem, z) * series[-2:] ** 2, axis=1))
+        reach = float(np.min((1e-6 / sizes) ** (1.0 / np.array([23, 24]))))
+        if recursion.end is not None:
+            reach = min(
+                [reach, *(tau for tau, _ in Stretch(series, reach).crossings(recursion.end[0], [recursion.end[1]]))]
+            )
+        left = [np.max(np.abs(problem.evaluate((part * reach) ** np.arange(25) @ series)[0])) for part in (0.25, 0.5)]
+        rounding = 1000.0 * problem.rounding(z)
+        assert left[0] < rounding
+        assert left[1] < max(rounding, 1e-9 if np.isfinite(sites) else 1e-11)
 
 
 def test_three_times_the_lowest_frequency_in_the_band_is_refused() -> None:
@@ -242,7 +310,12 @@ def test_thresholds_scale_with_g_and_do_not_know_sites_or_direction() -> None:
         (Chain(200, 1.0, 0.0, 1.0), 200, {"tail": "eliminated"}, "0 < |gamma| < 1"),
         (Chain(50, 1.0, 0.25, 1.0), 50, {"tail": "eliminated"}, "more than 9. sites"),
         (Chain(200, 0.1, 0.25, -1.0), 1, {"tail": "eliminated"}, "three times the lowest frequency"),
-        (Chain(200, 1.0, 0.25, 1.0), 200, {"tail": "eliminated", "walker": "series"}, "walker arclength"),
+        (
+            Chain(200, 1.0, 0.25, 1.0),
+            200,
+            {"tail": "eliminated", "transcription": "gauss"},
+            "transcription trigonometric",
+        ),
         (Chain(200, 1.0, 0.25, 1.0), 200, {"tail": "cut"}, "tail: given 'cut'; accepted: eliminated, full"),
         (Chain(math.inf, 1.0, 0.25, 1.0), 5, {}, "accepted in an infinite chain: first, last"),  # type: ignore[arg-type]
         (Chain(math.inf, 1.0, 0.25, 1.0), "first", {}, "sites: given an infinite chain; accepted: the highest"),  # type: ignore[arg-type]
