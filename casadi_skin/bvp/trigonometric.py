@@ -173,6 +173,17 @@ class TrigonometricProblem(OrbitProblem):
 
         return TaylorRecursion(self, form, orders)
 
+    def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
+        """The equations of unknown sites alone where others are eliminated, and z in their unknowns."""
+        return self, z
+
+    def eliminated(self, z: Array) -> tuple[Array, slice, int]:
+        """What eliminated sites add to the derivative of these equations by states: a block, its place, and a number.
+
+        It is the number of positive eigenvalues of the eliminated equations, up to one that is the same for all z.
+        """
+        return np.zeros((0, 0)), slice(0), 0
+
     def place(self, equation: int) -> str:
         """Place of an equation, counted from 0, in words."""
         if equation >= self.states:

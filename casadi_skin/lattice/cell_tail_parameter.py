@@ -85,6 +85,10 @@ class CellTailParameter:
         in_u[0] = 1.0
         return Harmonics(self.tail, self.places(u), self.values(u).psi, 0, in_u).series(orders)
 
+    def passed(self, values: TailValues) -> int:
+        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
+        return int(np.sum(np.floor(values.psi / np.pi + 0.5)))
+
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega is pinned to a band."""
         below, above = self.tail.sides(self.gap)

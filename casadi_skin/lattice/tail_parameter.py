@@ -66,6 +66,10 @@ class TailParameter:
         """Coupling of neighbouring sites in the gauge."""
         return self.tail.coupling
 
+    def passed(self, values: TailValues) -> int:
+        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
+        return int(np.sum(np.floor(self._edges * values.psi / np.pi + 0.5)))
+
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega, or three times it, is pinned to the band."""
         edge = self.tail.edge_angle

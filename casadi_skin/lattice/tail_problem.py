@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.orbit_problem import FREQUENCY_WEIGHT
 from casadi_skin.bvp.problem import Array, Evaluate, Indices, Problem, Scalar
 from casadi_skin.bvp.recursion import PolynomialForm
@@ -42,6 +43,10 @@ class TailUnknown(Protocol):
 
     def series(self, u: float, orders: int) -> TailSeries:
         """Power series of the same at u; raises ArithmeticError where none is found."""
+        ...
+
+    def passed(self, values: TailValues) -> int:
+        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
         ...
 
     def regime(self, values: TailValues) -> Regime:
@@ -215,11 +220,21 @@ class CoreWithTailProblem(TrigonometricProblem):
         found[:, pattern.by_Omega] *= Omega_slope[:, None]
         return residuals, found
 
-    def rounding(self, z: Array) -> float:
-        """That of the core by itself, whose equations have the largest terms."""
+    def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
         own = z.copy()
         own[self.Omega_index] = self.frequency(z)
-        return self.core.rounding(own)
+        return self.core, own
+
+    def eliminated(self, z: Array) -> tuple[Array, slice, int]:
+        H, values = self.resolution, self.values(z)
+        bonds = self.tail.coupling / values.Omega**2 * values.across / values.down
+        block = -(cosine_matrix(H) * bonds) @ self._to_coefficients
+        return block, slice(self.attached * H, (self.attached + 1) * H), -self.tail.passed(values)
+
+    def rounding(self, z: Array) -> float:
+        """That of the core by itself, whose equations have the largest terms."""
+        core, own = self.by_itself(z)
+        return core.rounding(own)
 
     def evaluator(self) -> Evaluate:
         return lambda z, _: self.evaluate(z)

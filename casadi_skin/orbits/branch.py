@@ -192,9 +192,9 @@ class Branch(Result):
         """Stretches of a family that may have gone past an internal resonance too narrow to be resolved.
 
         Two runs of other tolerances may have other folds there and nowhere else. Computed on first use; None where it
-        is not sought: without odd cosines, with an eliminated tail, or where the Jacobian is not symmetric.
+        is not sought: without odd cosines, or where the Jacobian is not symmetric.
         """
-        if not (isinstance(self.space, Family) and self.space.coordinates.is_whole):
+        if not isinstance(self.space, Family):
             return None
         points = [solution.point for solution in self.solutions]
         return passed_resonances(self.space.point_solver.levels, points, self.S.tolist())

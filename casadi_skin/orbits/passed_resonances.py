@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -95,7 +96,10 @@ def _unexplained(known: Sequence[_Counted]) -> list[int]:
 
 @dataclass(frozen=True)
 class _Counted:
-    """Positive eigenvalues at a point, the sign of the rate of Omega, and the eigenvalues of each harmonic alone."""
+    """Positive eigenvalues at a point, the sign of the rate of Omega, and the eigenvalues of each harmonic alone.
+
+    The number may be one up to a constant, and harmonics are left out, where sites are eliminated.
+    """
 
     positive: int
     direction: float
@@ -107,19 +111,27 @@ def _counted(levels: Levels, point: Point) -> _Counted | None:
     problem, z = point.problem, point.z
     if not isinstance(problem, TrigonometricProblem):
         return None
-    highest = BEYOND * float(np.sqrt(np.max(np.sum(np.abs(_forces(problem, z)), axis=1))))
+    core, own = problem.by_itself(z)
+    highest = BEYOND * float(np.sqrt(np.max(np.sum(np.abs(_forces(core, own)), axis=1))))
     enough = [r for r in levels.resolutions if r >= problem.resolution and 2 * r - 1 > highest]
     if not enough:
         return None
     finer = levels.problem(enough[0])
     assert isinstance(finer, TrigonometricProblem)
     z = problem.prolong(z, finer)
-    matrix = _jacobian(finer, z)
+    core, own = finer.by_itself(z)
+    matrix: Any = _jacobian(core, own)
     if abs(matrix - matrix.T).max() > SYMMETRIC * abs(matrix).max():
         return None
-    rate = problem.frequency_step(point.z, point.tangent)
-    positive = _positive_eigenvalues(matrix, finer.half_bandwidth or finer.states)
-    return _Counted(positive, float(np.sign(rate)), _by_harmonic(finer, z))
+    block, there, beyond = finer.eliminated(z)
+    if block.size:
+        matrix = matrix.tolil()
+        matrix[there, there] += block
+        matrix = matrix.tocsr()
+    # u in the place of Omega rises with it, or falls, also where Omega itself stands still
+    direction = float(np.sign(point.tangent[problem.Omega_index]))
+    positive = beyond + _positive_eigenvalues(matrix, core.half_bandwidth or core.states)
+    return _Counted(positive, direction, np.zeros((0, 1)) if block.size else _by_harmonic(finer, z))
 
 
 def _jacobian(problem: TrigonometricProblem, z: Array) -> csr_matrix:
