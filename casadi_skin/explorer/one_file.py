@@ -41,8 +41,8 @@ def _write_branch(branch: Branch, stem: Path, title: str) -> None:
     """The netCDF file of a branch, and the kinds of its special points, or the changes of stability of a family."""
     write_netcdf(stem.with_suffix(".nc"), replace(dataset_of([branch]), attributes={"title": title}))
     if isinstance(branch.space, Family):
-        if branch.stability_diagram is not None:
-            rows = event_rows(branch.space.coordinates.mode_number, branch.stability_diagram)
+        if branch.diagram_of_changes is not None:
+            rows = event_rows(branch.space.coordinates.mode_number, branch.diagram_of_changes)
             write_csv(stem.with_name("events.csv"), EVENT_COLUMNS, rows)
         return
     kinds = [{"special": place.special or ""} for place in places_of(branch)]

@@ -18,6 +18,7 @@ from casadi_skin.optimise.result import SearchResult
 from casadi_skin.orbits.certificate import Certificate, ProvedStability, ProvedStretch
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram
 
 if TYPE_CHECKING:
@@ -37,6 +38,15 @@ def _(result: StabilityDiagram, axes: Axes) -> None:
     colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]
     draw_moduli(axes, result, colour, "family")
     axes.set(xlabel=AMPLITUDE, ylabel=r"largest $|\lambda|$ over a period")
+    legend_once(axes)
+
+
+@draw.register(LocalisedDiagram)
+def _(result: LocalisedDiagram, axes: Axes) -> None:
+    for kind in dict.fromkeys(change.kind for change in result.all):
+        chosen = [change for change in result.all if change.kind == kind]
+        axes.plot([c.S for c in chosen], [c.angle for c in chosen], "o", label=kind)
+    axes.set(xlabel=AMPLITUDE, ylabel=r"angle of $\lambda$ over half a period", ylim=(-0.1, np.pi + 0.1))
     legend_once(axes)
 
 

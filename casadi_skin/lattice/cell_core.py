@@ -24,6 +24,7 @@ from casadi_skin.orbits.coordinates import Localised, normalised
 from casadi_skin.orbits.linear_modes import linear_modes
 from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.model_coordinates import DEEPEST, ModelCoordinates
+from casadi_skin.stability.waves import Medium
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
 DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
@@ -94,6 +95,12 @@ class CellCoreWithTail(ModelCoordinates):
         sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
         ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
         return Localised(sites, tuple(zip(ends[::2], ends[1::2], strict=True)), self.lattice.at_last, p)
+
+    @property
+    def medium(self) -> Medium:
+        """The tail as it answers perturbations, without an end."""
+        lattice = self.lattice
+        return Medium(lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet)
 
     def cut(self, sites: int) -> tuple[EdgeCells, int]:
         return EdgeCells(self._cells_at_edge(sites)), self.mode_number

@@ -106,6 +106,8 @@ class Chain:
 
     def linear_frequencies(self) -> Array:
         """Frequencies omega_j, j = 1..N, closed form, (sites,); raises ValueError where one does not oscillate."""
+        if self.infinite:
+            raise ValueError("linear_frequencies: given infinitely many sites; accepted: a number of sites")
         return np.array([self.linear_frequency(j) for j in range(1, self.sites + 1)])
 
     def linear_frequency(self, mode: int | str) -> float:

@@ -18,6 +18,7 @@ from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.orbits.coordinates import Localised, normalised
+from casadi_skin.stability.waves import Medium
 from casadi_skin.theory import multiple_scales
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
@@ -62,6 +63,11 @@ class CoreWithTail(ChainCoordinates):
         sites = (self._stability_sites,) if self._stability_sites is not None else self._as_many_as_decide
         low, high = self.chain.band()
         return Localised(sites, ((math.sqrt(low), math.sqrt(high)),), self.chain.gamma >= 0)
+
+    @property
+    def medium(self) -> Medium:
+        """The tail as it answers perturbations, without an end."""
+        return Medium(np.array([[2.0 + self.chain.alpha]]), self.chain.coupling)
 
     @property
     def _as_many_as_decide(self) -> tuple[int, ...]:

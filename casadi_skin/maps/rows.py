@@ -113,6 +113,14 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
             yield "first_tongue", f"{first.kind}{modes}", "kind of the first instability, and the modes that meet there"
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
         yield "changes", len(branch.changes), "changes of stability along the branch"
+    elif branch.localised_diagram is not None:
+        lost = branch.localised_diagram.first_instability()
+        if lost is not None:
+            yield "first_instability", lost.S, "S at which the family first becomes unstable"
+            yield "first_instability_error", lost.S_error, "its estimated absolute error"
+            yield "first_tongue", lost.kind, "kind of the first instability, and the modes that meet there"
+        yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
+        yield "changes", len(branch.changes), "changes of stability along the branch"
     elif branch.with_events and not branch.space.stability_included:
         change = next((c for c in branch.located if not c.stable_after), None)
         where, error = (math.nan, math.nan) if change is None else (change.value, change.error)

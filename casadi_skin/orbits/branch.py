@@ -17,7 +17,6 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.orbits.at_edges import between, orbit_at_edge
 from casadi_skin.orbits.certificate import ProvedStretch
-from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.making import solution_at
@@ -36,6 +35,7 @@ from casadi_skin.orbits.special_points import (
 )
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
+from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
 
 REAL = "real"  # kind of an edge at which a multiplier is 1
@@ -78,7 +78,7 @@ class Branch(Result):
     def __repr__(self) -> str:
         values = self.values
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
-        known = self.with_events and (not isinstance(self.space, Family) or "stability_diagram" in vars(self))
+        known = self.with_events and self.changes_known
         sought = known and self.with_stability and not self.space.stability_included
         changes = f", {len(self.changes)} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
@@ -162,30 +162,52 @@ class Branch(Result):
 
         Computed on first use, from the course of the family and not from its points.
         """
-        if not (self.with_stability and self.with_events and self.solutions and isinstance(self.space, Family)):
+        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is not None:
             return None
         from casadi_skin.orbits.family_tongues import family_tongues
 
         return family_tongues(self.space, (self.start, *(solution.point for solution in self.solutions)))
 
     @property
-    def changes_not_sought(self) -> str:
-        """Why changes of stability of a family are not sought though its stability is; empty where they are."""
-        localised = self.with_stability and isinstance(self.space, Family) and self.space.coordinates.localised
-        return NO_CHANGES if localised else ""
+    def changes_known(self) -> bool:
+        """Whether changes of stability need no computation now: those of a family are sought on first use."""
+        return not isinstance(self.space, Family) or not {"stability_diagram", "localised_diagram"}.isdisjoint(
+            name for name, value in vars(self).items() if value is not None
+        )
+
+    @cached_property
+    def localised_diagram(self) -> LocalisedDiagram | None:
+        """Every change of localised multipliers of a family whose linear tail is endless, or cut; None of others.
+
+        Computed on first use. Weak instabilities of waves in the tail depend on its length, and are not among them.
+        """
+        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is None:
+            return None
+        from casadi_skin.orbits.family_localised import localised_changes
+
+        return localised_changes(self.space, [solution.point for solution in self.solutions])
 
     @property
-    def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
+    def _seeks_changes(self) -> bool:
+        return bool(self.with_stability and self.with_events and self.solutions)
+
+    @property
+    def diagram_of_changes(self) -> StabilityDiagram | LocalisedDiagram | None:
+        """Changes of stability of a family: `stability_diagram`, or `localised_diagram` of one with an endless tail."""
+        return self.localised_diagram if self.stability_diagram is None else self.stability_diagram
+
+    @property
+    def changes(self) -> tuple[StabilityChange | StabilityEdge | LocalisedChange, ...]:
         """Changes of stability in order: every one of a family, of other branches those between two solutions.
 
         Empty where stability was not computed: `with_stability` says whether it was; and where they are not sought.
         """
-        return self.located if self.stability_diagram is None else self.stability_diagram.changes
+        return self.located if self.diagram_of_changes is None else self.diagram_of_changes.changes
 
     @property
     def unresolved(self) -> tuple[Unresolved, ...]:
         """Stretches of a family on which changes of stability may be missing, with the reason."""
-        return () if self.stability_diagram is None else self.stability_diagram.unresolved
+        return () if self.diagram_of_changes is None else self.diagram_of_changes.unresolved
 
     @cached_property
     def passed_resonances(self) -> tuple[PassedResonance, ...] | None:
@@ -212,8 +234,11 @@ class Branch(Result):
         Raises:
             ValueError: changes of stability were not sought, or the branch is not a family.
         """
-        if self.changes_not_sought:
-            raise ValueError(f"first_instability: changes of stability are not sought: {self.changes_not_sought}")
+        if self.localised_diagram is not None:
+            if growth:
+                raise ValueError("first_instability: given growth with an endless tail; accepted: without")
+            change = self.localised_diagram.first_instability()
+            return None if change is None else change.place
         if self.stability_diagram is None:
             raise ValueError("first_instability: accepted: a family followed with stability=True, events=True")
         tongue = self.stability_diagram.first_instability(growth)
@@ -239,6 +264,7 @@ class Branch(Result):
         if str(number) not in map(str, range(len(edges))):
             where = "further edges" if further else "changes"
             accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
+            accepted += "; those of localised multipliers are not followed" if self.localised_diagram else ""
             raise ValueError(f"number: given {number!r}; accepted: {accepted}")
         orbit = orbit_at_edge(self, edges[number])
         values = {**orbit.parameters, self.parameter: edges[number].value}
@@ -279,6 +305,7 @@ class Branch(Result):
         """Edges of real tongues of a family at which other orbits leave it."""
         diagram = self.stability_diagram
         if diagram is None:
+            yield from self._not_followed()
             return
         real = (edge for edge in (*diagram.changes, *diagram.further) if edge.kind == REAL and edge.mu in (-1.0, 0.0))
         for edge in sorted(real, key=lambda edge: edge.place.coordinate):
@@ -293,6 +320,13 @@ class Branch(Result):
                     orbit = between(self, edge) or orbit
                 kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}
                 yield SpecialPoint(kind, self.parameter, values, edge.error, orbit, edge.mu)
+
+    def _not_followed(self) -> Iterator[NotLocated]:
+        """Places at which a localised multiplier is 1, of a family with an endless tail."""
+        for change in () if self.localised_diagram is None else self.localised_diagram.all:
+            if change.kind == REAL:
+                words = "orbits that leave a family with an endless tail are not sought"
+                yield NotLocated(EDGE, change.S, change.S, words)
 
     def _special(self, solution: Solution) -> SpecialPoint:
         values = {**solution.parameters, self.parameter: solution.value(self.parameter)}

@@ -20,13 +20,13 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.stability.waves import Medium
 
 if TYPE_CHECKING:
     from casadi_skin.continuation.points import Point
     from casadi_skin.stability.result import ReversibleFloquet
 
 LOG10 = float(np.log(10.0))
-NO_CHANGES = "weak instabilities in the tail depend on its length"
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,16 @@ class Coordinates(ABC):
     def localised(self) -> Localised | None:
         """Where stability is that of localised perturbations alone, their sites; None where it is that of all."""
         return None
+
+    @property
+    def medium(self) -> Medium | None:
+        """What is beyond the edge where stability is that of localised perturbations, without an end."""
+        return None
+
+    @property
+    def attached(self) -> int:
+        """Index of the position that is joined to the medium."""
+        return 0
 
     def cut(self, sites: int) -> tuple[Any, int | str]:
         """The model of so many sites at the edge alone, and the mode of the same family there."""

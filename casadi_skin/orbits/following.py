@@ -50,7 +50,7 @@ class Following:
         time_limit: float = math.inf,
     ) -> None:
         stability = stability and not space.stability_included
-        events = events and stability and not (isinstance(space, Family) and space.coordinates.localised)
+        events = events and stability
         self.space, self.stability, self.events, self.until = space, stability, events, until
         self.solutions, self.changes = list(solutions), list(changes)
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions

@@ -66,9 +66,8 @@ def _(result: Branch) -> tuple[str, Rows]:
     if result.with_stability and not result.space.stability_included:
         stable = int(np.count_nonzero(result.stable))
         rows.append(("stable", f"{stable} of {len(result)} points"))
-        known = result.with_events and (not isinstance(result.space, Family) or "stability_diagram" in vars(result))
+        known = result.with_events and result.changes_known
         rows += [("changes of stability", listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
-        rows += [("not sought", f"changes: {result.changes_not_sought}")] if result.changes_not_sought else []
     elif result.solutions and not result.space.stability_included and getattr(result.space, "closes", True):
         rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if result.space.locates_folds else ()

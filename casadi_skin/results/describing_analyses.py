@@ -14,6 +14,7 @@ from casadi_skin.orbits.certificate import Certificate, ProvedStability, ProvedS
 from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.results.wording import Rows, listed, model_name, named, parameter_rows, with_error, words
 from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram
 
 
@@ -33,6 +34,14 @@ def _(result: StabilityDiagram) -> tuple[str, Rows]:
     rows += [("tongues", f"{len(result.tongues)}, deepest log |multiplier| {_deepest(result):.6g}")]
     rows += [("unresolved", listed([f"{u.S_start:.6g} to {u.S_end:.6g}" for u in result.unresolved]))]
     return "Stability along a family", rows
+
+
+@words.register
+def _(result: LocalisedDiagram) -> tuple[str, Rows]:
+    rows = [("changes", listed([f"{change.kind} at {change.S:.8g}" for change in result.changes]))]
+    rows += [("further", listed([f"{change.kind} at {change.S:.8g}" for change in result.further]))]
+    rows += [("unresolved", listed([f"{u.S_start:.6g} to {u.S_end:.6g}" for u in result.unresolved]))]
+    return "Localised multipliers along a family", rows
 
 
 def _last(diagram: StabilityDiagram) -> float:

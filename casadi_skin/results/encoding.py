@@ -54,6 +54,8 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "KickOptimum": "optimise.kick.nlp",
     "Kkt": "optimise.optimality",
     "LatticeModes": "lattice.linear",
+    "LocalisedChange": "stability.localised_diagram",
+    "LocalisedDiagram": "stability.localised_diagram",
     "LocalisedFloquet": "stability.localised",
     "LongLattice": "lattice.long_lattice",
     "MatrixSeries": "stability.interpolation",

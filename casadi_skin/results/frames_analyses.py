@@ -15,6 +15,7 @@ from casadi_skin.orbits.special_points import SpecialPoint
 from casadi_skin.results.columns import Columns, table
 from casadi_skin.results.stability_tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram
 
 
@@ -33,6 +34,14 @@ def _(result: StabilityDiagram) -> tuple[str, str, Columns]:
     rows = [*edge_rows(1, result, result.changes)]
     columns = {name: [row[name] for row in rows] for name in EVENT_COLUMNS if name != "mode"}
     return "change", "changes of stability", {"change": np.arange(1, len(rows) + 1), **columns}
+
+
+@table.register
+def _(result: LocalisedDiagram) -> tuple[str, str, Columns]:
+    rows = [*edge_rows(1, result, result.all)]
+    names = [name for name in EVENT_COLUMNS if name != "mode" and "tongue" not in name]
+    columns = {name: [row[name] for row in rows] for name in names}
+    return "change", "changes of localised multipliers", {"change": np.arange(1, len(rows) + 1), **columns}
 
 
 @table.register

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from casadi_skin.results.dataset import Cell
+from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge, Tongue, Unresolved
 
 EVENT_COLUMNS = (
@@ -23,8 +25,8 @@ UNRESOLVED = "unresolved"  # kind of the rows of stretches that are not known
 
 def event_rows(
     mode: int,
-    diagram: StabilityDiagram,
-    prove: Callable[[StabilityEdge], tuple[float, float] | None] | None = None,
+    diagram: StabilityDiagram | LocalisedDiagram,
+    prove: Callable[[Any], tuple[float, float] | None] | None = None,
 ) -> list[dict[str, Cell]]:
     """Rows of events.csv: changes of stability in order, and stretches on which some may be missing.
 
@@ -38,21 +40,31 @@ def event_rows(
     return sorted(rows, key=lambda row: row["S"] if isinstance(row["S"], float) else -1.0)
 
 
-def further_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
-    """Rows of further_events.csv: edges of tongues where orbits are unstable on both sides."""
+def further_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
+    """Rows of further_events.csv: places where orbits are unstable on both sides, or stable on both."""
     return list(edge_rows(mode, diagram, diagram.further))
 
 
-def edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdge]) -> Iterator[dict[str, Cell]]:
-    """Rows of edges of tongues."""
+def edge_rows(
+    mode: int, diagram: StabilityDiagram | LocalisedDiagram, edges: Sequence[StabilityEdge | LocalisedChange]
+) -> Iterator[dict[str, Cell]]:
+    """Rows of edges of tongues, and of changes of localised multipliers, which bound none."""
     for e in edges:
         signatures = "".join("+" if sign > 0 else "-" for sign in e.signatures)
         values: tuple[Cell, ...] = (
             mode, e.S, e.Omega, e.kind, int(e.stable_before), int(e.stable_after), e.mu, e.S_width,
-            e.S_error, e.multiplier.real, e.multiplier.imag, signatures, e.tongue + 1, e.width,
-            diagram.tongues[e.tongue].growth,
+            e.S_error, e.multiplier.real, e.multiplier.imag, signatures, *_of_tongue(diagram, e),
         )  # fmt: skip
         yield dict(zip(EVENT_COLUMNS, values, strict=True))
+
+
+def _of_tongue(
+    diagram: StabilityDiagram | LocalisedDiagram, edge: StabilityEdge | LocalisedChange
+) -> tuple[Cell, Cell, Cell]:
+    """Number, width and growth of the tongue that an edge bounds."""
+    if isinstance(diagram, LocalisedDiagram) or isinstance(edge, LocalisedChange):
+        return "", "", ""
+    return edge.tongue + 1, edge.width, diagram.tongues[edge.tongue].growth
 
 
 def _unresolved(mode: int, stretch: Unresolved) -> dict[str, Cell]:
@@ -62,8 +74,10 @@ def _unresolved(mode: int, stretch: Unresolved) -> dict[str, Cell]:
     return {**row, "mode": mode, "S": start, "kind": UNRESOLVED, "S_width": width}
 
 
-def tongue_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
+def tongue_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
     """Rows of tongues.csv: every tongue, also those too narrow to decide whether they open."""
+    if isinstance(diagram, LocalisedDiagram):
+        return []
     decided = [_tongue(mode, number, tongue) for number, tongue in enumerate(diagram.tongues, start=1)]
     rows = [*decided, *(_tongue(mode, "", tongue) for tongue in diagram.undecided)]
     return sorted(rows, key=lambda row: float(row["S_start"]))

@@ -132,7 +132,7 @@ class Branches:
         """Every change of stability of a family, where the scene requests events."""
         if branch.with_events and isinstance(branch.space, Family):
             self.progress.say(f"j = {name}: changes of stability")
-            branch.stability_diagram  # noqa: B018  computed once, and kept by the branch
+            branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
 
     def _spaces(self, journal: Records) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; a single orbit or solution is kept at once."""

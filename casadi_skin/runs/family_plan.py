@@ -75,14 +75,13 @@ def chain_line(sites: float, alpha: float, gamma: float, g: float) -> tuple[str,
     return "chain", f"N = {sites}, alpha = {alpha:g}, gamma = {gamma:g}, g = {g:g}"
 
 
-def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None, not_sought: str = "") -> Lines:
+def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None) -> Lines:
     """Families, their accuracy, methods and stability.
 
     Arguments:
         scene: the scene.
         plan: choices for its model.
         measured: lines on the problem, and last one on the cost, where these are measured.
-        not_sought: a reason why changes of stability are not sought.
     """
     stability = scene.stability
     lines = [
@@ -99,7 +98,8 @@ def family_lines(scene: Scene, plan: FamilyPlan, measured: Lines | None = None, 
         if plan.localised is not None:
             sites = f"{plan.localised} sites at the edge or more"
             what = f"localised multipliers, on {sites}; waves have theirs in closed form"
-            lines.append(("not sought", f"changes of stability: {not_sought}"))
+            if stability.events:
+                lines.append(("changes", "of localised multipliers; weak instabilities of waves depend on the length"))
         lines.append(("built", f"{built}, variational system with the {plan.flow} flow for {what}"))
     else:
         lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]

@@ -72,6 +72,10 @@ def follow_edges(
         return
     known = {record.branch: record for record in journal.records if isinstance(record, EdgeRecord)}
     for family in families:
+        if family.localised_diagram is not None:
+            where = f"[continuation] curve: mode {mode_of(family)}"
+            failures.append(f"{where}: changes of localised multipliers are not followed in another parameter")
+            continue
         diagram = family.stability_diagram
         counts = {EVENTS: len(family.changes), FURTHER: len(diagram.further) if diagram and asked.further else 0}
         for listed, number in ((listed, k) for listed, count in counts.items() for k in range(1, count + 1)):

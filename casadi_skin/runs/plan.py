@@ -13,7 +13,6 @@ from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.coordinates import NO_CHANGES
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
@@ -119,7 +118,7 @@ def _family_lines(request: Request, measure: bool) -> Lines:
         None if localised is None else localised.sites[0],
         int(request.model.sites) if full and isinstance(request.model, Chain) else None,
     )
-    return family_lines(request.scene, plan, _measured(request, family) if measure else None, NO_CHANGES)
+    return family_lines(request.scene, plan, _measured(request, family) if measure else None)
 
 
 def _measured(request: Request, family: Family) -> Lines:

@@ -65,7 +65,7 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     """events.csv with the tables beside it, and the pictures of families."""
     stability = request.scene.stability
     if stability is not None and any(branch.with_events for branch in branches):
-        diagrams = [(b, b.stability_diagram) for b in branches]
+        diagrams = [(b, b.diagram_of_changes) for b in branches]
         known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
         if request.scene.accuracy.certify:
             rows_of = [event_rows(mode_of(b), diagram, b.certify_change) for b, diagram in diagrams if diagram]

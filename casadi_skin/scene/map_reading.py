@@ -106,7 +106,7 @@ def check_map(scene: Scene) -> None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
     if scene.sites == math.inf and (table.growth or table.boundary):
         name = "growth" if table.growth else "boundary"
-        accepted = "with a whole number of sites: changes of stability of an infinite chain are not sought"
+        accepted = "with a whole number of sites: an infinite chain has no tongues to be followed"
         raise refusal(f"[map] {name}", "with sites = inf", accepted)
 
 

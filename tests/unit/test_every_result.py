@@ -67,6 +67,11 @@ def rest() -> Any:
     return find_equilibrium(HOPF, [0.0, 0.0], parameters={"mu": -0.25})
 
 
+@functools.cache
+def endless_family() -> Any:
+    return follow_family(Chain(np.inf, 1.0, 0.7, 1.0), "last", 0.5, stability=True, tolerance=1e-6)
+
+
 def solution() -> Any:
     line = OdeModel("line", ca.vertcat(X, Y), ca.vertcat(Y, -MU * X), MU)
     problem = BoundaryValueProblem(line, [line.start(X), line.end(X) - 1], parameters={"mu": 1.0})
@@ -112,6 +117,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Evolution": evolution,
     "FullPeriodFloquet": lambda: cycle().floquet(),
     "LatticeModes": lambda: lattice_modes(RING),
+    "LocalisedDiagram": lambda: endless_family().localised_diagram,
     "LocalisedFloquet": lambda: endless().floquet(),
     "Orbit": cycle,
     "ParetoFront": front,
@@ -132,6 +138,7 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
     "Diagram": lambda diagram: diagram.branches[0].solutions[-1].follow("mu", -0.1, max_points=3).values,
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
+    "LocalisedDiagram": lambda diagram: np.array([change.S for change in diagram.all]),
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
     "Solution": lambda found: found.follow("mu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,

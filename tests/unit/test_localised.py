@@ -184,8 +184,9 @@ def test_results_print_become_tables_and_are_read_back(tmp_path: Path) -> None:
     assert "localised" in words
     assert "omega T from" in words
     assert "on 120 sites" in words
-    assert not branch.with_events
+    assert branch.with_events
     assert branch.changes == ()
+    assert branch.unresolved == ()
     branch.save(tmp_path / "branch.skin")
     again = read_result(tmp_path / "branch.skin")
     for orbit, other in zip(branch.orbits, again.orbits, strict=True):
@@ -218,13 +219,3 @@ def test_vectors_and_growth_of_infinite_chains_are_refused() -> None:
     for act in (orbit.floquet_vectors, orbit.transient_growth):
         with pytest.raises(ValueError, match="accepted: "):
             act()
-
-
-def test_a_family_of_an_infinite_chain_says_that_its_changes_are_not_sought() -> None:
-    branch = follow_family(SOFT, 1, 0.1, tolerance=1e-6, stability=True)
-    assert branch.changes == ()
-    assert "the tail depend on its length" in branch.changes_not_sought
-    assert "not sought" in str(branch)
-    with pytest.raises(ValueError, match="first_instability: changes of stability are not sought"):
-        branch.first_instability()
-    assert follow_family(SOFT, 1, 0.02, tolerance=1e-4).changes_not_sought == ""

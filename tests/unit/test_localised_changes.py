@@ -1,0 +1,337 @@
+"""Changes of localised multipliers: closed forms, dense tails, finite chains, cut problems, energies."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
+from casadi_skin.cli import main
+from casadi_skin.orbits.family_localised import EdgeOrbits
+from casadi_skin.stability.gaps import Layout, crossings
+from casadi_skin.stability.hill import Hill
+from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.localised_counts import count, zeros_in
+from casadi_skin.stability.localised_diagram import LocalisedDiagram
+from casadi_skin.stability.waves import Medium
+
+Array = NDArray[np.float64]
+
+SOFT, HARD = Chain(math.inf, 1.0, 0.25, -1.0), Chain(math.inf, 1.0, 0.25, 1.0)
+LOW, HIGH = (math.sqrt(square) for square in SOFT.band())
+CHAIN = Medium(np.array([[3.0]]), math.sqrt(1.0 - 0.25**2))
+TWO_SITES = Medium(np.array([[3.0, -0.4], [-0.4, 3.5]]), 0.9, 0, 1)
+THREE_SITES = Medium(np.array([[3.0, -0.4, 0.0], [-0.4, 3.5, -0.7], [0.0, -0.7, 2.8]]), 0.9, 0, 2)
+MEDIA = [CHAIN, TWO_SITES, THREE_SITES]
+
+
+@cache
+def soft(S: float = 2.9, tolerance: float = 1e-9) -> Branch:
+    return follow_family(SOFT, "first", S, tolerance=tolerance, stability=True)
+
+
+@cache
+def hard(chain: Chain = HARD, S: float = 2.2) -> Branch:
+    return follow_family(chain, "last", S, tolerance=1e-9, stability=True)
+
+
+def diagram_of(branch: Branch) -> LocalisedDiagram:
+    found = branch.localised_diagram
+    assert found is not None
+    return found
+
+
+def dense_tail(medium: Medium, cells: int) -> Array:
+    """Stiffness of many cells in a row, that nearest to the edge last."""
+    p = medium.sites
+    K = np.kron(np.eye(cells), medium.stiffness)
+    for n in range(cells - 1):
+        far, near = n * p + medium.outlet, (n + 1) * p + medium.inlet
+        K[far, near] = K[near, far] = -medium.coupling
+    return K
+
+
+# The medium -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+@pytest.mark.parametrize("frequency", [0.7 + 0.3j, 1.9 + 0.5j, -1.6 + 0.4j, 3.1 + 0.1j, 0.2j])
+def test_a_medium_answers_as_many_cells_do(medium: Medium, frequency: complex) -> None:
+    cells, p = 120, medium.sites
+    matrix = dense_tail(medium, cells) - frequency**2 * np.eye(cells * p)
+    force = np.zeros(cells * p)
+    force[(cells - 1) * p + medium.outlet] = 1.0
+    moved = np.linalg.solve(matrix, force).reshape(cells, p)[::-1, medium.outlet]
+    beta, response, free = medium.answers(np.array([frequency]))
+    assert abs(moved[0] - response[0]) < 1e-12
+    assert abs(moved[1] / moved[0] - beta[0]) < 1e-12
+    (_, one), (_, more) = (np.linalg.slogdet(matrix[-n * p :, -n * p :]) for n in (cells - 1, cells))
+    assert math.log(abs(free[0])) == pytest.approx(more - one, abs=1e-12)
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_real_frequencies_are_the_limit_from_above(medium: Medium) -> None:
+    """In the bands of both signs of frequency, and in the gaps, where the answer is real."""
+    at = np.linspace(-2.6, 2.6, 41)
+    for near, exact in zip(medium.answers(at + 1e-7j), medium.answers(at), strict=True):
+        assert np.max(np.abs(near - exact) / np.abs(exact)) < 1e-4
+    assert medium.answers(np.array([0.01, 5.0]))[0].dtype == float
+
+
+def test_bands_of_a_medium_are_those_of_bloch_waves() -> None:
+    for medium in MEDIA:
+        for phase in (0.0, 0.4, 2.0, np.pi):
+            K = medium.stiffness.astype(complex)
+            K[medium.inlet, medium.outlet] -= medium.coupling * np.exp(1j * phase)
+            K[medium.outlet, medium.inlet] -= medium.coupling * np.exp(-1j * phase)
+            C = medium.cosine(np.linalg.eigvalsh(K))
+            assert np.allclose(np.abs(C), abs(math.cos(phase)), atol=1e-12) or medium.sites > 1
+            assert np.allclose(C, math.cos(phase), atol=1e-10)
+
+
+# Hill's determinant ---------------------------------------------------------------------------------------------------
+
+
+def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5) -> Hill:
+    """Two cells whose stiffness oscillates."""
+    p = medium.sites
+    cells = np.zeros((2, 3, p, p))
+    cells[:, 0] = medium.stiffness
+    cells[0, 1:, medium.inlet, medium.inlet] = 0.1 * strength, 0.02
+    cells[1, :, medium.outlet, medium.outlet] += [strength, -0.7 * strength, 0.1]
+    bonds = np.zeros((1, 3, p, p))
+    bonds[0, 0, medium.outlet, medium.inlet] = -medium.coupling
+    bonds[0, 1, medium.outlet, medium.inlet] = 0.05
+    return Hill(Omega, medium, cells, bonds, medium.inlet)
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_the_determinant_is_that_of_many_cells(medium: Medium) -> None:
+    """Ratios at two exponents, with the free medium's determinant taken off by hand."""
+    hill, tail = example(medium), dense_tail(medium, 24)
+    p = medium.sites
+    m = np.arange(-hill.sidebands - 1, hill.sidebands + 1)
+
+    def dense(sigma: complex) -> complex:
+        size = 26 * p
+        blocks = np.zeros((m.size, size, m.size, size), dtype=complex)
+        for k in range(m.size):
+            for other in range(m.size):
+                apart = abs(k - other)
+                K = np.zeros((size, size))
+                if apart == 0:
+                    K[: 24 * p, : 24 * p] = tail
+                    K[23 * p + medium.outlet, 24 * p + medium.inlet] = -medium.coupling
+                    K[24 * p + medium.inlet, 23 * p + medium.outlet] = -medium.coupling
+                if apart < 3:
+                    for n in (0, 1):
+                        at = slice((24 + n) * p, (25 + n) * p)
+                        K[at, at] += hill.cells[n, apart]
+                    K[24 * p : 25 * p, 25 * p :] += hill.bonds[0, apart]
+                    K[25 * p :, 24 * p : 25 * p] += hill.bonds[0, apart].T
+                blocks[k, :, other, :] = K
+        matrix = blocks.reshape(m.size * size, -1)
+        matrix -= np.diag(np.repeat((sigma + 2.0 * m * hill.Omega) ** 2, size))
+        sign, log = np.linalg.slogdet(matrix)
+        return complex(np.log(sign) + log)
+
+    def free(sigma: complex) -> complex:
+        frequency = sigma + 2.0 * m * hill.Omega
+        total = sum(np.linalg.slogdet(dense_tail(medium, 26) - w**2 * np.eye(26 * p))[1] for w in frequency)
+        return complex(total)
+
+    one, other = 0.3 + 1.6j, 0.8 + 1.4j
+    logs, phases = hill.determinant(np.array([one, other]))
+    expected = dense(one) - dense(other) - free(one) + free(other)
+    assert logs[0] - logs[1] == pytest.approx(expected.real, abs=1e-9)
+    assert np.all(np.abs(np.abs(phases) - 1.0) < 1e-12)
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+@pytest.mark.parametrize("end", [0.0, 1.3])
+def test_cosines_and_sines_part_at_the_ends(medium: Medium, end: float) -> None:
+    """The sign of the determinant is the product of both; Omega = 1.3 has no band edge there."""
+    hill = example(medium, 9.0 if end == 0.0 else 6.0)
+    end = 0.0 if end == 0.0 else hill.Omega
+    logs, signs = hill.determinant(np.array([end]))
+    parts = [hill.at_end(end, "cosine"), hill.at_end(end, "sine")]
+    assert np.sign(np.real(signs[0])) == np.sign(parts[0] * parts[1])
+    if end:  # both have the same sidebands there
+        assert math.log(abs(parts[0] * parts[1])) == pytest.approx(logs[0], abs=1e-9)
+
+
+def defect(v: float, Omega: float = 1.6) -> tuple[Hill, Layout]:
+    """A chain at rest whose last site has a stiffness more by v: above |v| = s it has a bound state."""
+    cells = np.zeros((1, 2, 1, 1))
+    cells[0, 0] = 3.0 + v
+    return Hill(Omega, CHAIN, cells, np.zeros((0, 2, 1, 1)), 0), Layout(Omega, ((LOW, HIGH),))
+
+
+@pytest.mark.parametrize("v", [-1.4, -1.05, -0.9, 0.9, 1.0, 1.4])
+def test_bound_states_of_a_defect_are_counted(v: float) -> None:
+    """omega^2 = 3 + v + s^2/v where |v| > s, in closed form."""
+    hill, layout = defect(v)
+    s = CHAIN.coupling
+    expected = []
+    if abs(v) > s:
+        omega = math.sqrt(3.0 + v + s * s / v)
+        sigma = omega % (2.0 * layout.Omega)
+        expected = [min(sigma, 2.0 * layout.Omega - sigma)]
+    found = [sigma for start, end in layout.gaps if end.name != "Omega" for sigma in zeros_in(hill, start, end)]
+    seen = [e for e in expected if not layout.covered(e)]
+    assert found == pytest.approx(seen, abs=1e-10)
+
+
+def test_a_bound_state_leaves_the_band_at_its_edge() -> None:
+    """The determinant at the edge is zero at |v| = s."""
+    s, layout = CHAIN.coupling, Layout(1.6, ((LOW, HIGH),))
+    (edge,) = (end for end in layout.ends if end.edge == 0)
+    below, at, above = (
+        np.real(logs_and_sign[1][0]) * np.exp(logs_and_sign[0][0])
+        for logs_and_sign in (defect(v)[0].determinant(np.array([edge.sigma])) for v in (-0.99 * s, -s, -1.01 * s))
+    )
+    assert below > 1e-3
+    assert above < -1e-3
+    assert abs(at) < 1e-12
+
+
+# Arcs and gaps --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("Omega", [0.7, 0.82, 0.95, LOW, 1.6, HIGH, 2.5, 5.0])
+def test_arcs_cover_the_exponents_of_waves(Omega: float) -> None:
+    """Against folded frequencies of 20001 waves, with their signatures."""
+    layout = Layout(Omega, ((LOW, HIGH),))
+    omega = np.sqrt(np.linspace(LOW**2, HIGH**2, 20001))
+    turned = omega % (2.0 * Omega)
+    sigma, sign = np.minimum(turned, 2.0 * Omega - turned), np.where(turned <= Omega, 1, -1)
+    for a, b, covered in layout.intervals:
+        inside = (sigma > a.sigma + 1e-9) & (sigma < b.sigma - 1e-9)
+        assert bool(inside.any()) == covered
+        if covered:
+            signs = set(layout.covered(0.5 * (a.sigma + b.sigma)))
+            assert signs == set(sign[inside].tolist())
+    assert layout.intervals[0][0].sigma == 0.0
+    assert layout.intervals[-1][1].sigma == Omega
+    assert layout.pinned == (Omega in (LOW, HIGH, 0.7, 1.6))
+    assert layout.fills == (Omega in (0.7, 1.6))  # 3 * 0.7 is in the band
+
+
+def test_ends_of_arcs_meet_at_frequencies_in_closed_form() -> None:
+    """2 m Omega = a sum or a difference of band edges: there the order of ends changes, and nowhere else."""
+    bands = ((LOW, HIGH),)
+    found = crossings(Layout(2.9, bands), Layout(0.75, bands))
+    sums = [(2 * LOW, m) for m in (1, 2)] + [(LOW + HIGH, m) for m in (1, 2, 3)] + [(2 * HIGH, m) for m in (1, 2, 3)]
+    expected = {total / (2 * m) for total, m in [*sums, (HIGH - LOW, 1)] if 0.75 < total / (2 * m) < 2.9}
+    assert found == sorted(expected, reverse=True)
+    places = [2.9, *found, 0.75]
+    for a, b in itertools.pairwise(places):
+        inside = [Layout(b + part * (a - b), bands).names for part in (0.01, 0.3, 0.6, 0.99)]
+        assert len(set(inside)) == 1
+
+
+# Families -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_changes_of_the_softening_chain() -> None:
+    """Four places: the first below the threshold, one at an extremum of the energy, a pair born at a band's edge."""
+    found = diagram_of(soft())
+    kinds = [(change.kind, change.off_before, change.off_after) for change in found.all]
+    assert kinds == [("real", 0, 1), ("real", 1, 0), ("band edge", 0, 0), ("complex", 0, 2)]
+    assert not found.unresolved
+    assert [change.S for change in soft().changes] == [change.S for change in found.changes]
+    assert [change.kind for change in found.further] == ["band edge"]
+    branch, (first, second, _, last) = soft(), found.all
+    assert branch.first_instability().S == first.S  # type: ignore[union-attr]
+
+    def slope(S: float) -> float:
+        return float(branch.at(S + 1e-3).energy - branch.at(S - 1e-3).energy)
+
+    low, high = slope(second.S - 2e-3), slope(second.S + 2e-3)
+    assert low * high < 0.0  # the energy is extremal where multipliers leave 1 with the velocity
+    assert second.S - 2e-3 - 4e-3 * low / (high - low) == pytest.approx(second.S, abs=1e-5)
+    for S, stable in ((last.S - 2e-6, True), (last.S + 2e-6, False)):  # 500 sites: decay over 60 sites
+        cut = follow_family(SOFT, "first", S + 0.01, at=(S,), tolerance=1e-9, stability_sites=500).at(S).floquet()
+        assert isinstance(cut, LocalisedFloquet)
+        near = cut.mu[np.abs(cut.mu - last.mu) < 0.01]
+        assert near.size == 2
+        assert np.all(near.imag == 0.0) == stable
+        assert abs(near.mean() - last.mu) < 1e-4
+
+
+@pytest.mark.slow
+def test_changes_do_not_depend_on_tolerance_and_are_those_of_finite_chains() -> None:
+    """Above the threshold by exponentially little: 60 sites have the change at S = 1.86 to 1e-9."""
+    (first, second) = diagram_of(hard()).all
+    assert (first.kind, second.kind) == ("real", "real")
+    whole = follow_family(Chain(60, 1.0, 0.25, 1.0), 60, 2.2, tolerance=1e-9, stability=True)
+    assert len(whole.changes) == 2
+    assert abs(whole.changes[1].value - second.S) <= whole.changes[1].error + second.S_error
+    assert whole.changes[0].value > first.S  # in the tail's band: it comes down as the chain becomes longer
+    (again,) = diagram_of(follow_family(HARD, "last", 0.12, tolerance=1e-6, stability=True)).all
+    assert abs(again.S - first.S) <= again.S_error + first.S_error + 1e-11
+
+
+@pytest.mark.slow
+def test_the_chain_as_a_long_lattice_and_its_mirror_image_have_the_same_changes() -> None:
+    parameters = {"alpha": 1.0, "gamma": 0.25, "g": 1.0}
+    site, bond = Site("a", onsite="alpha*y + g*y^3"), Bond("a", "a", [1], "d", ("1 - gamma", "1 + gamma"))
+    lattice = LongLattice(math.inf, [site], [bond], "fixed", parameters)
+    there = diagram_of(follow_family(lattice, "last", 0.12, tolerance=1e-9, stability=True)).all
+    mirrored = diagram_of(hard(Chain(math.inf, 1.0, -0.25, 1.0), 0.12)).all
+    (expected,) = diagram_of(hard(HARD, 0.12)).all
+    for (found,) in (there, mirrored):
+        assert abs(found.S - expected.S) <= found.S_error + expected.S_error + 1e-11
+
+
+@pytest.mark.slow
+def test_counts_are_those_of_cut_problems() -> None:
+    """At single orbits of a short stretch: on the circle and off it."""
+    branch = follow_family(SOFT, "first", 0.2, at=(0.08, 0.2), tolerance=1e-7)
+    orbits = EdgeOrbits(branch.space, [branch.at(S).point for S in (0.08, 0.2)])  # type: ignore[arg-type]
+    for place, expected in ((0.0, 0), (1.0, 1)):
+        sample = orbits.sample(place)
+        assert sample.counts.off == expected
+        assert count(sample.hill.with_more(3), sample.layout) == sample.counts
+
+
+@pytest.mark.slow
+def test_scenes_write_changes_of_infinite_chains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "long.toml"
+    scene.write_text(
+        "[chain]\nsites = inf\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
+        '[family]\nmode = "last"\namplitude_max = 0.12\n[stability]\nevents = true\n'
+    )
+    assert main(["check", str(scene)]) == 0
+    assert "of localised multipliers" in capsys.readouterr().out
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "events.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert row["kind"] == "real"
+    assert float(row["S"]) == pytest.approx(0.1018498977, abs=1e-8)
+    assert (row["stable_before"], row["stable_after"], row["tongue"]) == ("1", "0", "")
+
+
+@pytest.mark.slow
+def test_results_print_become_tables_and_are_read_back(tmp_path: Path) -> None:
+    branch = hard(HARD, 0.12)
+    found = diagram_of(branch)
+    assert "real at 0.10184" in str(found)
+    assert "changes of stability" in str(branch)
+    assert list(found.to_xarray()["kind"].values) == ["real"]
+    branch.save(tmp_path / "branch.skin")
+    again = read_result(tmp_path / "branch.skin")
+    assert again.with_events
+    with pytest.raises(ValueError, match="number: given 0; accepted: none"):
+        branch.edge(0)
+    with pytest.raises(ValueError, match="growth"):
+        branch.first_instability(1e-3)
+    assert [point.S_start for point in branch.not_located] == [found.changes[0].S]
