@@ -28,6 +28,7 @@ CLOSE = 1e-3  # to -1 or 0: a mu there is looked at
 REAL = 1e-13  # imaginary part of a mu, below which rounding may have made it
 REGULAR = 1e8  # condition number of eigenvectors up to which they serve as coordinates
 LARGEST = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
+PAIRS = 20_000  # of mu at nodes of intervals that are compared at a time: what stays in the cache of a core
 CLEAR = 2.0  # times what couplings move a mu by: a distance from -1 and 0 that it does not cross
 
 
@@ -240,11 +241,14 @@ def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
     middle = diagonal[:, MIDDLE, :, None] - diagonal[:, MIDDLE, None, :]
     distance = np.abs(middle)
     nearest, farthest, coupling = distance.copy(), np.zeros(distance.shape), np.zeros(distance.shape)
-    for node in range(diagonal.shape[1]):  # pair by pair, without an array of all nodes and pairs at once
-        difference = diagonal[:, node, :, None] - diagonal[:, node, None, :]
-        np.minimum(nearest, np.abs(difference), out=nearest)
-        np.maximum(farthest, np.abs(difference - middle), out=farthest)
-        np.maximum(coupling, np.abs(K[:, node] * K[:, node].swapaxes(1, 2)), out=coupling)
+    step = max(1, PAIRS // distance.size)
+    for first in range(0, diagonal.shape[1], step):
+        nodes = slice(first, first + step)
+        difference = diagonal[:, nodes, :, None] - diagonal[:, nodes, None, :]
+        np.minimum(nearest, np.min(np.abs(difference), axis=1), out=nearest)
+        np.maximum(farthest, np.max(np.abs(difference - middle[:, None]), axis=1), out=farthest)
+        products = np.abs(K[:, nodes] * K[:, nodes].swapaxes(2, 3))
+        np.maximum(coupling, np.max(products, axis=1), out=coupling)
     away = np.clip(distance / np.maximum(farthest, 1e-300), 1.0, 1e3)
     expected = coupling * away**2 / np.maximum(distance, 1e-300) * (away + np.sqrt(away**2 - 1.0)) ** -DEGREE
     joined = (distance < APART * farthest) | (coupling > (COUPLED * nearest) ** 2) | (expected > RESOLVED) | glued
