@@ -91,7 +91,8 @@ def _hopf_near(space: BoundarySpace, orbit: Point) -> tuple[EquilibriumSpace, Lo
     known: Mapping[str, float] = {name: values[name] for name in model.parameter_names}
     start = space.statement.values[space.parameter]
     statics = Statics(model, {**known, space.parameter: start})
-    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), space.parameter, space.to)
+    sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
+    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, space.parameter, space.to)
     y, u = x / equilibria.sizes, orbit.parameter
     found = locate(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
     if found is None:

@@ -14,15 +14,17 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.equilibria.cycles import TOLERANCE, born_at
 from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.equilibria.leaving_orbits import leaving_orbits
 from casadi_skin.equilibria.leaving_solutions import doubled_solutions, other_solutions
 from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
 from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.breaking import breaking_space, start_of
-from casadi_skin.orbits.follow import following_settings
+from casadi_skin.orbits.follow import following_settings, following_space
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
@@ -53,13 +55,14 @@ def switch(
 ) -> Branch:
     """The branch that leaves at a special point.
 
-    At a Hopf point that of the cycles born there, from amplitude zero; at a branch point the other branch; at a period
-    doubling the orbits of twice the period.
+    At a Hopf point that of the cycles born there, from amplitude zero, or that of the equilibria to which orbits have
+    shrunk; at a branch point the other branch; at a period doubling the orbits of twice the period.
 
     Arguments:
-        point: a Hopf point or a branch point of equilibria; of orbits a period doubling, or a branch point that the
-            other branch leaves to both sides, as where a symmetry is lost; of a family too, whose amplitude is then a
-            parameter, "S"; of boundary-value problems a branch point or, where solutions close, a period doubling.
+        point: a Hopf point or a branch point of equilibria; of orbits the Hopf point at which they end, a period
+            doubling, or a branch point that the other branch leaves to both sides, as where a symmetry is lost; of a
+            family too, whose amplitude is then a parameter, "S"; of boundary-value problems a branch point or, where
+            solutions close, a period doubling.
         parameter: name of the parameter to follow: at a branch point that in which it was found.
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
@@ -100,6 +103,10 @@ def leaving_space(
         )
         both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
         return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
+    if point.kind == HOPF and isinstance(solution, Orbit):
+        return following_space(
+            _at_rest(solution), parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+        )
     of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
     of_orbits = point.kind == DOUBLING and not isinstance(solution, Equilibrium)
     if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
@@ -121,6 +128,13 @@ def leaving_space(
         leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
         return leaving(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
+
+
+def _at_rest(orbit: Orbit) -> Equilibrium:
+    """The equilibrium that an orbit of amplitude zero is."""
+    space = cast(BoundarySpace, orbit.space)
+    values = {name: orbit.parameters[name] for name in space.given.parameter_names}
+    return find_equilibrium(space.given, orbit.evaluate(0.0).ravel(), parameters=values)
 
 
 def _kind_of(solution: Solution) -> str:

@@ -213,3 +213,21 @@ def test_branch_points_that_a_symmetry_keeps_are_followed_in_closed_form() -> No
     (takens,) = curve.special_points
     assert takens.kind == "bogdanov-takens"
     assert abs(takens.parameters["q"]) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_hopf_curve_goes_on_where_its_plane_turns_by_a_right_angle() -> None:
+    """The pair p +- i in a plane that turns by 180 degrees for q from 0 to 1: at p = 0 for every q."""
+    p, q = symbols("p q")
+    x = ca.SX.sym("x", 4)
+    c, s = ca.cos(np.pi * q), ca.sin(np.pi * q)
+    one, zero = ca.SX.eye(2), ca.SX(2, 2)
+    turned = ca.vertcat(ca.horzcat(c * one, -s * one), ca.horzcat(s * one, c * one))
+    pair, damped = ca.vertcat(ca.horzcat(p, -1), ca.horzcat(1, p)), ca.DM([[-1.0, -0.3], [0.2, -2.0]])
+    matrix = ca.vertcat(ca.horzcat(pair, zero), ca.horzcat(zero, damped))
+    rhs = turned @ matrix @ turned.T @ x - ca.dot(x, x) * x
+    model = OdeModel("turning", x, rhs, ca.vertcat(p, q), nominal=(-1.0, 0.0))
+    (hopf,) = find_equilibrium(model, np.zeros(4)).follow("p", 0.5).special_points
+    curve = hopf.curve("q", 1.0)
+    assert curve.complete
+    np.testing.assert_allclose(curve["p"], 0.0, atol=1e-13)

@@ -8,6 +8,7 @@ import pytest
 from equilibrium_models import ab, abc, hopf_pairs, lorenz, rosenzweig_macarthur, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit
+from casadi_skin.continuation.points import End
 
 
 def test_cycles_of_the_normal_form_have_the_radius_in_closed_form_from_zero_on() -> None:
@@ -139,3 +140,19 @@ def test_nothing_leaves_at_a_fold() -> None:
     fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
     with pytest.raises(ValueError, match="follow: given a fold of equilibria; accepted: a Hopf point"):
         fold.follow("p", 0.2)
+
+
+@pytest.mark.slow
+def test_the_equilibria_to_which_orbits_shrink_are_followed_from_there() -> None:
+    """x'' = (p - x'^2) x' - x + p in first order: cycles about x = p, born at p = 0."""
+    x, v, p = symbols("x v p")
+    model = OdeModel("Rayleigh", ca.vertcat(x, v), ca.vertcat(v, (p - v**2) * v - x + p), p)
+    guess = lambda t: np.stack([1.0 + np.cos(t), -np.sin(t)], axis=-1)  # noqa: E731
+    cycles = find_orbit(model, guess, 2.0 * np.pi, parameters={"p": 0.75}).follow("p", -1.0)
+    end = cycles.special_points[-1]
+    assert (end.kind, cycles.end) == ("hopf", End.HOPF)
+    assert abs(end.parameters["p"]) <= end.error + 1e-15
+    rest = end.follow("p", -0.5, at=[-0.25])
+    assert rest.complete
+    np.testing.assert_allclose([solution.state for solution in rest], np.outer(rest["p"], [1.0, 0.0]), atol=1e-12)
+    assert all(solution.stable for solution in rest.solutions[1:])
