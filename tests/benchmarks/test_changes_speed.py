@@ -49,9 +49,12 @@ def solves(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_the_first_family_of_the_readme(record: Record, unit: float, solves: list[int]) -> None:
     """47 changes by fewer than 1500 solves in all."""
     changes(24, -1.0, 1)
-    solves[0], started = 0, time.process_time()
-    diagram = changes(24, -1.0, 1)
-    value = time.process_time() - started
+    values = []
+    for _ in range(5):  # the least of them: others may be at work too
+        solves[0], started = 0, time.process_time()
+        diagram = changes(24, -1.0, 1)
+        values.append(time.process_time() - started)
+    value = min(values)
     assert len(diagram.changes) == 47
     record("every change of j = 1, g = -1, N = 24 to S = 3", value, diagram.samples)
     print(f"    {solves[0]} factorisations, {diagram.samples} orbits")
