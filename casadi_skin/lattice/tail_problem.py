@@ -205,7 +205,8 @@ class CoreWithTailProblem(TrigonometricProblem):
         residuals, nonzeros = self.core.evaluate_all(own)
         rows = slice(self.attached * H, (self.attached + 1) * H)
         T, bond = self._to_coefficients, (self.tail.coupling / Omega**2)[:, None]  # T is symmetric
-        balance, a = residuals[:, rows] @ T, z[:, rows] @ T
+        # One product a state: the last bit of a larger one depends on how many there are.
+        balance, a = ((values[:, None, rows] @ T)[:, 0] for values in (residuals, z))
         from_tail = bond * across * a  # the force that the core's own equations lack, over Omega^2
         residuals[:, rows] = down * balance - from_tail
 
