@@ -16,7 +16,8 @@ from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError, Solve
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import ContinuationSettings, Point, Target
 from casadi_skin.solvers.corrector import Correction, confirmations
-from casadi_skin.solvers.levels import ErrorEstimate, Levels, Measured, step_error
+from casadi_skin.solvers.estimates import ErrorEstimate, Measured, step_error
+from casadi_skin.solvers.levels import Levels
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
 COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once

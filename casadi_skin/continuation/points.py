@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
-from casadi_skin.solvers.levels import ErrorEstimate, Refinement
+from casadi_skin.solvers.estimates import ErrorEstimate, Refinement
 
 SAME = 1e-12  # relative difference below which a point walked is the requested one
 NEXT = 1e-10  # and its distance along the branch

@@ -13,7 +13,7 @@ from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Target
 from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.solvers.levels import Measured
+from casadi_skin.solvers.estimates import Measured
 from casadi_skin.solvers.stacked import StackedSolver, Steps
 
 FAINT = 1e-7  # of the largest state: its square is round-off

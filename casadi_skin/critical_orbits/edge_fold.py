@@ -20,7 +20,7 @@ from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.equilibria.problem import ExactLevels
 from casadi_skin.orbits.branch_sampler import flow_error
 from casadi_skin.orbits.family import Family, orbit_state
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.half_period import reduced_matrices
 from casadi_skin.stability.reduction import ComplexArray

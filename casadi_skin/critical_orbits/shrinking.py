@@ -20,7 +20,7 @@ from casadi_skin.equilibria.space import EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.following import Following, run_following
 from casadi_skin.orbits.special_points import FOLD, TORUS, SpecialPoint
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 KINDS = {FOLD: ("generalized hopf",), TORUS: ("hopf-hopf", "zero-hopf")}  # at which curves of orbits end
 AROUND = 0.5  # of the way of the second parameter: how far Hopf points are followed

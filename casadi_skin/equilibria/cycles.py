@@ -20,7 +20,7 @@ from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import FIRST, Periodic, Sizes, boundary_method
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.find_orbit import closed_statement
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 TOLERANCE = 1e-8  # of orbits, by default
 REACH = 0.5  # of the variation of an orbit: largest distance of the equilibrium that it shrinks to

@@ -19,7 +19,7 @@ from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
 from casadi_skin.equilibria.search import Search
 from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
 BISECTIONS = 40

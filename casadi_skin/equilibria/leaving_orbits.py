@@ -19,7 +19,7 @@ from casadi_skin.orbits.find_orbit import closed_statement, forced_statement
 from casadi_skin.orbits.lost_symmetry import lost_operations
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.rejoining import Left
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 RESTS, SHARE = 1e-5, 1e-2  # of the largest component: a component below it rests; of a usual one: its scale
 STILL = 1e-6  # rate of a parameter that does not change along a tangent

@@ -19,7 +19,7 @@ from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
 from casadi_skin.equilibria.statics import Spectrum, Statics
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.stability.result import Floquet
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"

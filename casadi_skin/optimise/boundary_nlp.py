@@ -28,7 +28,7 @@ from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solve import packed, space_of
-from casadi_skin.solvers.levels import SAFETY, ErrorEstimate
+from casadi_skin.solvers.estimates import SAFETY, ErrorEstimate
 from casadi_skin.solvers.nlp import SOLVED, nlp_reason
 
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only

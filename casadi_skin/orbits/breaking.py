@@ -36,7 +36,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.orbit_statement import OrbitRequest, statement_of
 from casadi_skin.orbits.restating import restated, with_amplitude
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 SINGULAR = 1e-6  # smallest singular value of a block that is singular, relative to its largest
 SHIFT, ROUNDS = 1e-11, 4  # of inverse iteration, relative

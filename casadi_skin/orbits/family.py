@@ -31,7 +31,8 @@ from casadi_skin.orbits.small_components import with_small_components
 from casadi_skin.orbits.special_points import folds_between
 from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector
-from casadi_skin.solvers.levels import Levels, Refinement
+from casadi_skin.solvers.estimates import Refinement
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray

@@ -18,7 +18,7 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
-from casadi_skin.solvers.levels import ErrorEstimate, Refinement
+from casadi_skin.solvers.estimates import ErrorEstimate, Refinement
 from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet

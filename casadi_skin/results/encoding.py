@@ -18,7 +18,7 @@ import numpy as np
 
 from casadi_skin.arguments import short_repr
 from casadi_skin.continuation.points import Point
-from casadi_skin.solvers.levels import Refinement
+from casadi_skin.solvers.estimates import Refinement
 
 KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
 PLACES = {  # of every class that a file may name, with its own name where that is another one
@@ -46,7 +46,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Ending": "optimise.search_problem",
     "Equilibrium": "equilibria.equilibrium",
     "EquilibriumSpace": "equilibria.space",
-    "ErrorEstimate": "solvers.levels",
+    "ErrorEstimate": "solvers.estimates",
     "Evolution": "dynamics.evolution",
     "FamilyRequest": "orbits.request",
     "FamilySearch": "optimise.family_search",

@@ -20,7 +20,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
 from casadi_skin.runs.words import Lines, listed, named
 from casadi_skin.scene.model_tables import LEAVING, ContinuationTable, EquilibriumTable
-from casadi_skin.solvers.levels import ErrorEstimate
+from casadi_skin.solvers.estimates import ErrorEstimate
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones

@@ -24,7 +24,8 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
-from casadi_skin.solvers.levels import ErrorEstimate, Levels
+from casadi_skin.solvers.estimates import ErrorEstimate
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
 
 Array = NDArray[np.float64]
@@ -68,6 +69,8 @@ class Graph(OrbitProblem):
 
 class Expansion:
     """The power series of the hand-made curve, in which the parameter is linear."""
+
+    end: tuple[int, float] | None = None
 
     def series(self, z: Array, slope: Array, solve: Solve) -> Array:
         coefficients = np.zeros((9, 3))
