@@ -124,7 +124,10 @@ class Hill:
         squares = np.repeat(frequency**2, p, axis=1)
         complex_ = np.iscomplexobj(beta)
         diagonal, at_inlet = np.arange(count * p), np.arange(count) * p + self.inlet
-        logs, phases = np.zeros(values), np.ones(values, complex if complex_ else float)
+        sizes = 1.0 + (2.0 * self.Omega * np.arange(-(count // 2), count - count // 2)[:, None]) ** 2
+        poles = np.prod((frequency[:, :, None] ** 2 - self.medium.bound) / sizes, axis=2)  # of the medium's answer
+        logs = np.sum(np.log(np.maximum(np.abs(poles), 1e-300)), axis=1)
+        phases = np.prod(np.where(poles == 0.0, 1.0, poles / np.maximum(np.abs(poles), 1e-300)), axis=1)
         log_free = np.sum(np.log(np.abs(free)), axis=1)
         phase_free = np.prod(free / np.abs(free), axis=1)
         behind: Any = None

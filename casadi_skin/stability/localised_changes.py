@@ -202,6 +202,8 @@ class _Stretch:
         near = {zero.coordinate for zero in zeros}
         checks = [c for c in checks if c not in near]
         self.counted = [(c, counts) for c in checks if (counts := self._counts(c)) is not None]
+        if 2 * len(self.counted) < len(checks):
+            self.search.gaps.append((self.start, self.end, "localised multipliers cannot be counted"))
         for (a, before), (b, after) in pairwise(self.counted):
             self._between(a, before, b, after, [zero for zero in zeros if a < zero.coordinate < b])
 

@@ -51,7 +51,7 @@ def count(hill: Hill, layout: Layout) -> Counts:
     zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
     rough = hill.coarser(ROUGH)
     turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
-    total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1)
+    total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
     if abs(total - round(total)) > WHOLE or round(total) < 0:
         raise CountError(f"the argument of Hill's determinant turns by {total:.3f} half turns")
     return Counts(zeros, round(total))

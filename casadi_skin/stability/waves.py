@@ -57,6 +57,16 @@ class Medium:
         both = 0.0 if self.inlet == self.outlet else np.prod(rest - np.asarray(z)[..., None], axis=-1)
         return np.prod(apart, axis=-1), others @ oo, others @ oi, both
 
+    @cached_property
+    def bound(self) -> Array:
+        """Squares of the frequencies of states bound at its end: where it answers without limit."""
+        kept = [n for n in range(self.sites) if n != self.inlet]
+        if not kept:
+            return np.empty(0)
+        z = np.linalg.eigvalsh(self.stiffness[np.ix_(kept, kept)])  # the inlet is at rest in such a state
+        D, _, oi, _ = self._cofactors(z)
+        return np.asarray(z[np.abs(D) < np.abs(self.coupling * oi)])
+
     def cosine(self, z: Any) -> Any:
         """C at squares of frequencies: within -1 and 1 in the bands."""
         D, _, oi, both = self._cofactors(z)

@@ -96,6 +96,18 @@ def test_bands_of_a_medium_are_those_of_bloch_waves() -> None:
             assert np.allclose(C, math.cos(phase), atol=1e-10)
 
 
+def test_states_bound_at_the_end_of_a_medium_are_those_of_many_cells() -> None:
+    """Cells joined more strongly than the sites within have one; the chain, and cells joined weakly, have none."""
+    weak = Medium(TWO_SITES.stiffness, 0.3, 0, 1)
+    assert [medium.bound.size for medium in (CHAIN, weak, TWO_SITES)] == [0, 0, 1]
+    for medium in (TWO_SITES, THREE_SITES):
+        squares = np.linalg.eigvalsh(dense_tail(medium, 60))
+        inside = np.abs(medium.cosine(squares)) <= 1.0
+        far = [s for s in squares[~inside] if np.min(np.abs(medium.bound - s)) > 1e-9]
+        assert all(np.min(np.abs(squares - bound)) < 1e-12 for bound in medium.bound)
+        assert len(far) <= medium.bound.size  # those at the other end
+
+
 # Hill's determinant ---------------------------------------------------------------------------------------------------
 
 
@@ -140,7 +152,8 @@ def test_the_determinant_is_that_of_many_cells(medium: Medium) -> None:
         matrix = blocks.reshape(m.size * size, -1)
         matrix -= np.diag(np.repeat((sigma + 2.0 * m * hill.Omega) ** 2, size))
         sign, log = np.linalg.slogdet(matrix)
-        return complex(np.log(sign) + log)
+        poles = np.subtract.outer((sigma + 2.0 * m * hill.Omega) ** 2, medium.bound)  # are taken out
+        return complex(np.log(sign) + log + np.sum(np.log(np.abs(poles))))
 
     def free(sigma: complex) -> complex:
         frequency = sigma + 2.0 * m * hill.Omega
@@ -163,7 +176,7 @@ def test_cosines_and_sines_part_at_the_ends(medium: Medium, end: float) -> None:
     logs, signs = hill.determinant(np.array([end]))
     parts = [hill.at_end(end, "cosine"), hill.at_end(end, "sine")]
     assert np.sign(np.real(signs[0])) == np.sign(parts[0] * parts[1])
-    if end:  # both have the same sidebands there
+    if end and not medium.bound.size:  # both have the same sidebands there
         assert math.log(abs(parts[0] * parts[1])) == pytest.approx(logs[0], abs=1e-9)
 
 
