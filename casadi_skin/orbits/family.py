@@ -42,6 +42,7 @@ from casadi_skin.threads import one_thread
 if TYPE_CHECKING:
     from casadi_skin.bvp.recursion import PolynomialForm, Recursion
     from casadi_skin.orbits.coordinates import Localised
+    from casadi_skin.orbits.edge_hill import EdgeHill
     from casadi_skin.stability.localised import LocalisedFloquet
 
 HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
@@ -345,7 +346,15 @@ class Family:
             )  # fmt: skip
             if not found.unresolved.size:
                 break
-        return found
+        counted = self._edge.off_circle(orbit_state(point)) if found.power == 2 else None  # of odd orbits alone
+        return replace(found, counted=counted)
+
+    @cached_property
+    def _edge(self) -> EdgeHill:
+        """Hill's equations of orbits at the edge of the tail."""
+        from casadi_skin.orbits.edge_hill import EdgeHill
+
+        return EdgeHill(self.coordinates)
 
     def _cut(self, sites: int) -> Family:
         """The same family on so many sites at the edge alone."""

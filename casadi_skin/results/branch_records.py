@@ -45,6 +45,7 @@ class LocalisedRecord(msgspec.Struct, frozen=True, tag="localised"):
     sites: int
     finite_size: bytes
     unresolved: bytes
+    counted: int | None = None
 
 
 class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
@@ -189,7 +190,7 @@ def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityCh
         found: ReversibleRecord | LocalisedRecord | FullPeriodRecord = LocalisedRecord(
             bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error), floquet.trivial_deviation, floquet.power,
             floquet.continuous.Omega, floquet.continuous.bands, floquet.sites, bytes_of(floquet.finite_size, "<c16"),
-            bytes_of(floquet.unresolved, "<c16"),
+            bytes_of(floquet.unresolved, "<c16"), floquet.counted,
         )  # fmt: skip
     elif isinstance(floquet, ReversibleFloquet):
         mu, errors = bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error)
@@ -310,10 +311,12 @@ def _refinement(record: RefinementRecord, space: SolutionSpace) -> Refinement:
 
 def _floquet(record: ReversibleRecord | LocalisedRecord | FullPeriodRecord) -> Floquet:
     if isinstance(record, LocalisedRecord):
-        mu, *others = (doubles_of(values, "<c16") for values in (record.mu, record.finite_size, record.unresolved))
+        mu, weak, left = (doubles_of(values, "<c16") for values in (record.mu, record.finite_size, record.unresolved))
         continuous = ContinuousSpectrum(record.Omega, record.bands, record.power)
         errors, deviation = doubles_of(record.mu_error), record.trivial_deviation
-        return LocalisedFloquet(mu, errors, deviation, record.power, continuous, record.sites, *others)
+        return LocalisedFloquet(
+            mu, errors, deviation, record.power, continuous, record.sites, weak, left, record.counted
+        )
     if isinstance(record, ReversibleRecord):
         mu, errors = doubles_of(record.mu, "<c16"), doubles_of(record.mu_error)
         return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)

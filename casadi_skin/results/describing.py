@@ -116,6 +116,12 @@ def _of_waves(result: LocalisedFloquet) -> Rows:
     rows.append(("finite-size", f"{count}; they depend on the number of sites"))
     if result.unresolved.size:
         rows.append(("undecided", f"{result.unresolved.size} pairs; more stability_sites decide"))
+    if result.counted is None:
+        rows.append(("not counted", f"stability is that of the cut problem of {result.sites} sites"))
+    elif result.counted != result.listed:
+        words = f"{result.counted} outside the circle, {result.listed} in the list"
+        words += ": too weakly localised to be resolved by the cut"
+        rows.append(("counted", words))
     return rows
 
 
@@ -136,6 +142,7 @@ def _(result: Evolution) -> tuple[str, Rows]:
 def _stability(floquet: Floquet) -> str:
     if floquet.stable:
         return "stable"
-    largest = f"largest modulus {floquet.max_abs_multiplier:.8g}"
     outside = f"{floquet.unstable_real} real and {floquet.unstable_complex} complex multipliers outside"
-    return f"unstable: {outside}, {largest}"
+    if floquet.max_abs_multiplier == 1.0:  # the cut of a tail does not resolve them
+        return f"unstable: {outside}"
+    return f"unstable: {outside}, largest modulus {floquet.max_abs_multiplier:.8g}"

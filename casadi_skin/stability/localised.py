@@ -38,12 +38,36 @@ class LocalisedFloquet(ReversibleFloquet):
             say nothing about an infinite tail.
         unresolved: mu of this problem off the circle that decay into the tail, but not by as much as the tolerance
             asks for: more sites decide.
+        counted: number of localised multipliers outside the circle of an infinite tail, by Hill's determinant, which
+            nothing cuts: it decides `stable`, and how many are unstable. None where they cannot be counted; then the
+            cut problem decides.
     """
 
     continuous: ContinuousSpectrum
     sites: int
     finite_size: ComplexArray
     unresolved: ComplexArray
+    counted: int | None = None
+
+    @property
+    def stable(self) -> bool:
+        return super().stable if self.counted is None else self.counted == 0
+
+    @property
+    def listed(self) -> int:
+        """Number of multipliers outside the circle in the list of the cut problem."""
+        return super().unstable_real + super().unstable_complex
+
+    @property
+    def unstable_real(self) -> int:
+        """Number of real multipliers outside the unit circle: nearest to the list's, as complex ones come in twos."""
+        real = super().unstable_real
+        return real if self.counted is None else min(real + (self.counted - real) % 2, self.counted)
+
+    @property
+    def unstable_complex(self) -> int:
+        """Number of the other multipliers outside the unit circle; a complex pair counts two."""
+        return super().unstable_complex if self.counted is None else self.counted - self.unstable_real
 
     @property
     def finite_size_modulus(self) -> float:

@@ -200,9 +200,9 @@ class ReversibleFloquet(Floquet):
         The latter from the multipliers at mu changed by its error: near the circle they go with the root of mu.
         """
         largest = float(np.max(self.mu_error, initial=0.0))
-        if self.stable:
-            return largest
         outside = ~self.is_inside
+        if not np.any(outside):
+            return largest
         real = self.is_real[outside]
         mu = np.where(real, self.mu.real[outside], self.mu[outside])
         directions = np.where(real, np.sign(DIRECTIONS.real)[:, None], DIRECTIONS[:, None])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.cli import main
 from casadi_skin.orbits.family_localised import EdgeOrbits
+from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.gaps import Layout, crossings
 from casadi_skin.stability.hill import Hill
 from casadi_skin.stability.localised import LocalisedFloquet
@@ -248,6 +250,39 @@ def test_ends_of_arcs_meet_at_frequencies_in_closed_form() -> None:
     for a, b in itertools.pairwise(places):
         inside = [Layout(b + part * (a - b), bands).names for part in (0.01, 0.3, 0.6, 0.99)]
         assert len(set(inside)) == 1
+
+
+# Stability of one orbit -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_count_decides_stability_where_the_cut_resolves_no_multiplier() -> None:
+    """One leaves the circle at S = 0.1018: at 0.105 the cut problem does not show it, at 0.11 and beyond it does."""
+    branch = follow_family(SOFT, "first", 0.3, at=(0.1, 0.105, 0.11), stability=True)
+    (change,) = branch.changes
+    assert 0.1 < change.S < 0.105
+    assert [orbit.stable for orbit in branch.orbits] == [orbit.S < change.S for orbit in branch.orbits]
+    for S, off, listed in ((0.1, 0, 0), (0.105, 1, 0), (0.3, 1, 1)):
+        found = branch.at(S).floquet()
+        assert isinstance(found, LocalisedFloquet)
+        assert (found.counted, found.listed, found.stable) == (off, listed, off == 0)
+        assert (found.unstable_real, found.unstable_complex) == (off, 0)
+        assert ("too weakly localised" in str(found)) == (off != listed)
+        uncounted = replace(found, counted=None)
+        assert (uncounted.stable, "not counted" in str(uncounted)) == (listed == 0, True)
+    assert not branch.at(0.11).stable
+
+
+@pytest.mark.parametrize(("counted", "numbers"), [(0, (0, 0)), (1, (1, 0)), (2, (0, 2)), (3, (1, 2)), (4, (0, 4))])
+def test_counted_numbers_beside_a_complex_pair_leave_complex_ones_in_twos(
+    counted: int, numbers: tuple[int, int]
+) -> None:
+    mu, spectrum = np.array([-0.5 + 0.1j, -0.5 - 0.1j]), ContinuousSpectrum(1.1, ((LOW, HIGH),), 2)
+    none = np.empty(0, complex)
+    found = LocalisedFloquet(mu, np.full(2, 1e-9), 0.0, 2, spectrum, 40, none, none, counted)
+    assert found.listed == 2
+    assert (found.unstable_real, found.unstable_complex) == numbers
+    assert found.stable == (counted == 0)
 
 
 # Families -------------------------------------------------------------------------------------------------------------

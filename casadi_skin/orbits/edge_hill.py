@@ -1,0 +1,69 @@
+"""Hill's equations of orbits at the edge of an endless tail, and the number of their multipliers off the circle."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.orbits.coordinates import Coordinates
+from casadi_skin.stability.flow import OrbitState
+from casadi_skin.stability.gaps import Layout
+from casadi_skin.stability.hill import Hill, coefficients
+from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP, Sample
+
+PHASES = 4  # values over half a period for each odd cosine
+SPARE = 16  # further ones
+
+
+class EdgeHill:
+    """Hill's equations of the orbits of a family in its coordinates, which have a medium."""
+
+    def __init__(self, coordinates: Coordinates) -> None:
+        self.coordinates = coordinates
+        self._mapped: dict[int, ca.Function] = {}
+
+    def off_circle(self, state: OrbitState) -> int | None:
+        """Number of localised multipliers outside the circle, of the better orbit; None where they are not counted."""
+        best, localised = state.better or state, self.coordinates.localised
+        assert localised is not None
+        if self.coordinates.medium is None:
+            return None
+        with np.errstate(all="ignore"):
+            hill = self.hill(best.problem, best.z)
+            sample = Sample(0.0, 0.0, hill, Layout(hill.Omega, localised.bands), lambda: hill)
+            if sample.names in ((FILLS,), (NARROW_GAP,)):
+                return None
+            try:
+                return sample.counts.off
+            except (ArithmeticError, np.linalg.LinAlgError):
+                return None
+
+    def _forces(self, count: int) -> ca.Function:
+        """Accelerations and their derivatives at so many phases."""
+        if count not in self._mapped:
+            self._mapped[count] = self.coordinates.solved.rhs_and_jacobian().map(count)
+        return self._mapped[count]
+
+    def hill(self, problem: Problem, z: Array) -> Hill:
+        """Hill's equations of an orbit."""
+        coordinates = self.coordinates
+        medium = coordinates.medium
+        assert medium is not None
+        count, p = PHASES * problem.resolution + SPARE, medium.sites
+        q = problem.sample(z, np.pi * np.arange(count) / count)
+        parameter = np.full((1, count), float(z[problem.parameter_index]))
+        slopes = self._forces(count)(q.T, parameter)[1]
+        rows, columns = (np.asarray(part) for part in slopes.sparsity().get_triplet())
+        phases, columns = np.divmod(columns, q.shape[1])
+        cells = q.shape[1] // p
+        own, beside = np.zeros((count, cells, p, p)), np.zeros((count, cells - 1, p, p))
+        cell, next_cell = rows // p, columns // p
+        if coordinates.attached >= p:  # the medium is behind the last cell
+            cell, next_cell = cells - 1 - cell, cells - 1 - next_cell
+        entries = -np.asarray(slopes.nonzeros())
+        for target, apart in ((own, 0), (beside, 1)):
+            here = next_cell - cell == apart
+            target[phases[here], cell[here], rows[here] % p, columns[here] % p] = entries[here]
+        parts = [coefficients(part).transpose(1, 0, 2, 3) for part in (own, beside)]
+        return Hill(problem.frequency(z), medium, parts[0], parts[1], medium.inlet).without_tail()
