@@ -93,12 +93,15 @@ def floquets(
             break
         waiting = waiting[over]
         norms = np.array([transitions[i].error for i in waiting.tolist()])
-        wanted = max(float(np.min(0.5 * norms * tolerance / flow_errors[over])), 1e-3 * tolerance)
-        again = flow.transitions([orbits[i] for i in waiting.tolist()], wanted, banded=symplectic)
-        solved = solve(again, waiting)
-        flow_errors = solved.flow_errors
-        for i, transition, result in zip(waiting.tolist(), again, solved.results, strict=True):
-            transitions[i], results[i] = transition, result
+        shares = np.exp2(np.floor(np.log2(np.maximum(0.5 * norms / flow_errors[over], 1e-3))))
+        flow_errors = np.empty(waiting.size)
+        for share in np.unique(shares).tolist():  # an orbit's own errors decide, not those of its batch
+            those = np.flatnonzero(shares == share)
+            again = flow.transitions([orbits[i] for i in waiting[those].tolist()], share * tolerance, banded=symplectic)
+            solved = solve(again, waiting[those])
+            flow_errors[those] = solved.flow_errors
+            for i, transition, result in zip(waiting[those].tolist(), again, solved.results, strict=True):
+                transitions[i], results[i] = transition, result
     return results
 
 

@@ -63,7 +63,7 @@ class SteppedFlow(ABC):
         self.model, self.tolerance = model, tolerance
         self.fraction = symmetry_class(model).value
         self._maps: dict[tuple[int, int | None], StepMap] = {}
-        self._level = len(self.orders)  # of the finest map where the last orbits met the tolerance
+        self._level = len(self.orders)  # of the finest map where the last orbits with `alike` met the tolerance
 
     @abstractmethod
     def _build(self, steps: int) -> StepMap:
@@ -137,58 +137,62 @@ class SteppedFlow(ABC):
         alike: bool = False,
     ) -> list[Transition]:
         """Transition matrices of the full state along several orbits; raises FlowError where one cannot be had."""
-        results = self._in_batches(orbits, tolerance, banded)
+        allowed = self.tolerance if tolerance is None else tolerance
+        results = self._in_batches(orbits, allowed, banded, self._level if alike else len(self.orders))
         while alike and len({found.steps for found in results}) > 1:
             most = max(found.steps for found in results)
             fewer = [i for i, found in enumerate(results) if found.steps < most]
-            again = self._in_batches([orbits[i] for i in fewer], tolerance, banded, self.step_numbers.index(most))
+            again = self._in_batches([orbits[i] for i in fewer], allowed, banded, self.step_numbers.index(most))
             for i, found in zip(fewer, again, strict=True):
                 results[i] = found
         if alike and results:
             level = self.step_numbers.index(results[0].steps)
-            allowed = self.tolerance if tolerance is None else tolerance
             self._level = self._lower(level, max(found.error for found in results), allowed)
         return results
 
-    def _in_batches(
-        self, orbits: Sequence[OrbitState], tolerance: float | None, banded: bool, level: int | None = None
-    ) -> list[Transition]:
-        """Those of several orbits, batch by batch; each begins with the `level`, where one is given."""
+    def _in_batches(self, orbits: Sequence[OrbitState], tolerance: float, banded: bool, level: int) -> list[Transition]:
+        """Those of several orbits, batch by batch; each begins with the `level`."""
         results: list[Transition] = []
         for first in range(0, len(orbits), self.batch):
             part = orbits[first : first + self.batch]
             half_width = self.half_width(part) if banded else None
-            self._level = self._level if level is None else level
-            results += self._adapted(part, self.tolerance if tolerance is None else tolerance, half_width)
+            results += self._adapted(part, tolerance, half_width, min(level, len(self.step_numbers) - 1))
         return results
 
-    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, half_width: int | None) -> list[Transition]:
-        """One batch, with more steps for those that need more."""
+    def _adapted(
+        self, orbits: Sequence[OrbitState], tolerance: float, half_width: int | None, level: int
+    ) -> list[Transition]:
+        """One batch, with more steps for those that need more: how many, an orbit's own errors decide.
+
+        The digits of an orbit then depend neither on the others given with it nor on those before.
+        """
         done: dict[int, Transition] = {}
-        places, level = np.arange(len(orbits)), min(self._level, len(self.step_numbers) - 1)
-        maps: dict[int, Array] = {}  # by level, of the orbits that still wait
-        while True:
-            waiting = [orbits[i] for i in places.tolist()]
+        waiting: list[tuple[int, NDArray[np.int64], dict[int, Array]]] = [(level, np.arange(len(orbits)), {})]
+        while waiting:
+            level, places, maps = waiting.pop()
+            those = [orbits[i] for i in places.tolist()]
             levels = range(level - len(self.orders), level + 1)
             missing = [r for r in levels if r not in maps]
-            found = self.several([(self.step_numbers[r], waiting) for r in missing], half_width)
+            found = self.several([(self.step_numbers[r], those) for r in missing], half_width)
             maps |= dict(zip(missing, found, strict=True))
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation, round_off = _norms(errors), ROUND_OFF * _norms(matrices)
             met = truncation <= np.maximum(tolerance, round_off)
-            pairs = self._pairs(waiting, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
+            pairs = self._pairs(those, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
                 done[int(places[k])] = Transition(*known, self.step_numbers[level])
-            if met.all():
-                self._level = self._lower(level, float(np.min(truncation)), tolerance)
-                return [done[i] for i in range(len(orbits))]
-            worst = int(np.argmax(np.where(met, -np.inf, truncation)))
-            place = _place(waiting[worst], errors[worst], self.model.size)
-            level = self._higher(level, float(np.max(truncation[~met])), tolerance, place)
-            places, maps = places[~met], {r: m[~met] for r, m in maps.items()}
+            if not met.all():
+                worst = int(np.argmax(np.where(met, -np.inf, truncation)))
+                place = _place(those[worst], errors[worst], self.model.size)
+                higher = np.full(len(those), level)
+                higher[~met] = [self._higher(level, t, tolerance, place) for t in truncation[~met].tolist()]
+                for above in np.unique(higher[~met]).tolist():
+                    group = higher == above
+                    waiting.append((above, places[group], {r: m[group] for r, m in maps.items()}))
+        return [done[i] for i in range(len(orbits))]
 
     def _extrapolated(self, level: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
         """Extrapolated matrices, and matrices like their errors."""

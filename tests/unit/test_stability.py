@@ -590,3 +590,16 @@ def test_trigonometric_and_gauss_orbits_have_the_same_stability() -> None:
     cosines = followed(chain, 1, S, 1e-9).at(S)
     assert isinstance(cosines.point.problem, TrigonometricProblem)
     np.testing.assert_allclose(gauss.floquet().mu, cosines.floquet().mu, rtol=0, atol=1e-8)
+
+
+def test_the_digits_of_multipliers_do_not_depend_on_the_orbits_computed_with_them() -> None:
+    """A run that goes on has other batches than one that never stopped, and ends with the same bytes."""
+    branch = followed(SOFT, 1, 3.0, 1e-9)
+    points = [solution.point for solution in branch.solutions]
+    together = branch.space.floquets(points)
+    in_fives = [found for k in range(0, len(points), 5) for found in branch.space.floquets(points[k : k + 5])]
+    alone = [branch.space.floquets([point])[0] for point in reversed(points)][::-1]
+    for others in (in_fives, alone):
+        for one, other in zip(together, others, strict=True):
+            np.testing.assert_array_equal(one.mu, other.mu)
+            np.testing.assert_array_equal(one.mu_error, other.mu_error)
