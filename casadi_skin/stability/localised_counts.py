@@ -117,14 +117,17 @@ class Gap:
 def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
     """Exponents in a gap, all of them as zeros of a converged series."""
     gap = Gap(start, end)
+    values = np.empty(0)
+    middle = [by_velocity(hill, gap.half)] if gap.mirrored else []
     for degree in DEGREES:
         x = chebyshev.nodes(degree)
-        if gap.mirrored:
-            values = gap.values(hill, x[x < 0.0])
-            values = np.concatenate([values, [by_velocity(hill, gap.half)], values[::-1]])
-        else:
-            values = gap.values(hill, x)
-        series = chebyshev.transform(degree) @ values
+        x, known = (x[x < 0.0] if gap.mirrored else x), values
+        values = np.empty(x.size)
+        new = np.full(x.size, True)
+        new[: 2 * known.size : 2] = False  # nodes of half the degree
+        values[~new], values[new] = known, gap.values(hill, x[new])
+        everywhere = np.concatenate([values, middle, values[::-1]]) if gap.mirrored else values
+        series = chebyshev.transform(degree) @ everywhere
         if np.sum(np.abs(series[-chebyshev.TAIL :])) <= CONVERGED * np.max(np.abs(series)):
             break
     else:
@@ -139,14 +142,11 @@ def by_velocity(hill: Hill, gap: float) -> float:
 
     It is even about Omega: from two distances along either axis errors are of the eighth order.
     """
-    h = NEAR * gap
-
-    def mean(h: float) -> float:
-        logs, phases = hill.determinant(hill.Omega + np.array([-h, 1j * h]))
-        values = np.exp(logs) * np.real(phases) * (gap / h) ** 2
-        return float(0.5 * (values[0] - values[1]))
-
-    return (16.0 * mean(0.5 * h) - mean(h)) / 15.0
+    h = NEAR * gap * np.array([1.0, 0.5])
+    logs, phases = hill.determinant(hill.Omega + np.concatenate([-h, 1j * h]))
+    values = np.exp(logs) * np.real(phases) * np.tile((gap / h) ** 2, 2)
+    wide, near = 0.5 * (values[:2] - values[2:])
+    return float((16.0 * near - wide) / 15.0)
 
 
 def at_end(hill: Hill, end: End, gap: float) -> dict[str, float]:
