@@ -57,7 +57,7 @@ SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend
 CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
 SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
-STABILITY_BATCH = 32  # points whose stability is computed at a time: more gain little and are lost in an interruption
+STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
 SLOW = 3.0  # times the period of the linear mode
 UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 

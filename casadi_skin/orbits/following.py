@@ -96,7 +96,8 @@ class Following:
             self._waiting.append(point)
             if self._keep is not None:
                 self._keep(point, self._walk.missed)
-            if len(self._waiting) >= together:
+            # The first ones sooner: a run that is interrupted early has something to write.
+            if len(self._waiting) >= (together if self.solutions else max(1, together // 2)):
                 yield from self._finish_waiting()
             if self._stopped or self._walk.end is End.FLOW:
                 return
