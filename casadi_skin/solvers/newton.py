@@ -13,7 +13,7 @@ from casadi_skin.solvers.watch import heed
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
 FAST = 0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST^2
-SAFETY = 4.0  # times the error that the last two steps with old factors foresee: twice their ratio is seen at first
+SAFETY = 100.0  # times the error that the last two steps with old factors foresee: places on branches want more digits
 SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
 DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
 NEGLIGIBLE = 1e-3  # of the tolerance: such a step need not be taken
