@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.result import Result
-from casadi_skin.stability.tongues import Place, Unresolved
+from casadi_skin.stability.tongues import Meeting, Unresolved
 
 REAL, COMPLEX, BAND_EDGE, RESONANCE, OVERLAP = "real", "complex", "band edge", "resonance", "overlap"
 
 
 @dataclass(frozen=True)
-class LocalisedChange:
+class LocalisedChange(Meeting):
     """A place where the localised multipliers of an orbit change, or the arcs of its continuous spectrum do.
 
     `kind` is "real" where a pair meets at 1 (`mu` is -1 or 0); "complex" where two of opposite signatures collide, on
@@ -24,42 +24,8 @@ class LocalisedChange:
     outside the circle.
     """
 
-    place: Place
-    kind: str
-    mu: float
-    signatures: tuple[int, ...]
     off_before: int
     off_after: int
-
-    @property
-    def S(self) -> float:
-        """Amplitude."""
-        return self.place.S
-
-    @property
-    def value(self) -> float:
-        """S, the continuation parameter of a family."""
-        return self.place.S
-
-    @property
-    def error(self) -> float:
-        """Estimated error of S."""
-        return self.place.S_error
-
-    @property
-    def S_error(self) -> float:
-        """Estimated error of S."""
-        return self.place.S_error
-
-    @property
-    def S_width(self) -> float:
-        """Length of the interval of S that holds the place."""
-        return 2.0 * self.place.S_error
-
-    @property
-    def Omega(self) -> float:
-        """Frequency."""
-        return self.place.Omega
 
     @property
     def stable_before(self) -> bool:
@@ -70,11 +36,6 @@ class LocalisedChange:
     def stable_after(self) -> bool:
         """Whether no localised multiplier is off the circle behind it."""
         return self.off_after == 0
-
-    @property
-    def angle(self) -> float:
-        """Angle of the multiplier over half a period where multipliers meet, in [0, pi]."""
-        return float(np.arccos(np.clip(1.0 + 2.0 * self.mu, -1.0, 1.0)))
 
     @property
     def multiplier(self) -> complex:

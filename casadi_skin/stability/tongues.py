@@ -29,26 +29,13 @@ class Place:
 
 
 @dataclass(frozen=True)
-class StabilityEdge:
-    """The place where an instability begins, ends or changes its kind.
-
-    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
-    on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
-    these two: opposite ones where a collision is on the circle, one for "real", none where there are none.
-    `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
-    in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
-    multipliers over the period.
-    """
+class Meeting:
+    """A place on a branch where multipliers meet; `mu` and `signatures` are theirs."""
 
     place: Place
     kind: str
     mu: float
     signatures: tuple[int, ...]
-    stable_before: bool
-    stable_after: bool
-    tongue: int
-    width: float
-    power: int
 
     @property
     def S(self) -> float:
@@ -67,7 +54,7 @@ class StabilityEdge:
 
     @property
     def S_width(self) -> float:
-        """Length of the interval of S that holds the edge."""
+        """Length of the interval of S that holds the place."""
         return 2.0 * self.place.S_error
 
     @property
@@ -84,6 +71,25 @@ class StabilityEdge:
     def angle(self) -> float:
         """Angle of lambda(M) where multipliers meet, in [0, pi]; 0 or pi where they meet on the real axis."""
         return float(np.arccos(np.clip(1.0 + 2.0 * self.mu, -1.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class StabilityEdge(Meeting):
+    """The place where an instability begins, ends or changes its kind.
+
+    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
+    on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
+    these two: opposite ones where a collision is on the circle, one for "real", none where there are none.
+    `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
+    in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
+    multipliers over the period.
+    """
+
+    stable_before: bool
+    stable_after: bool
+    tongue: int
+    width: float
+    power: int
 
     @property
     def multiplier(self) -> complex:
