@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.bvp.problem import Array, Indices, Solve
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, polynomial_terms
 from casadi_skin.native.taylor import Term, taylor_kernel
@@ -169,12 +168,29 @@ class Recursion(Protocol):
         ...
 
 
+class CosineUnknowns(Protocol):
+    """Where the unknowns of a problem in odd cosines stand: states by site, then node, and then the scalars."""
+
+    model: OdeModel
+    resolution: int
+    states: int
+
+    @property
+    def size(self) -> int: ...
+
+    @property
+    def Omega_index(self) -> int: ...
+
+    @property
+    def parameter_index(self) -> int: ...
+
+
 class TaylorRecursion:
     """Coefficients z_k of a branch of one trigonometric problem; buffers are made once and used again."""
 
     end: tuple[int, float] | None = None  # equations are analytic everywhere
 
-    def __init__(self, problem: TrigonometricProblem, form: PolynomialForm, orders: int) -> None:
+    def __init__(self, problem: CosineUnknowns, form: PolynomialForm, orders: int) -> None:
         H, N = problem.resolution, problem.model.size
         self.problem, self.orders = problem, orders
         self._coefficients = np.zeros((orders + 1, problem.size))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,12 +18,10 @@ from casadi_skin.bvp.cosine_equations import CompiledEquations, odd_cosine_equat
 from casadi_skin.bvp.cosines import cosine_matrix, prolongation_matrix
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Evaluate, Indices, Problem
+from casadi_skin.bvp.recursion import PolynomialForm, Recursion, TaylorRecursion
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.lifted import Program, lifted
 from casadi_skin.models.ode import OdeModel
-
-if TYPE_CHECKING:
-    from casadi_skin.bvp.recursion import PolynomialForm, Recursion
 
 MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
 KEPT = 32  # resolutions of models whose functions are kept
@@ -169,8 +167,6 @@ class TrigonometricProblem(OrbitProblem):
 
     def recursion(self, form: PolynomialForm, orders: int) -> Recursion:
         """Power series of branches."""
-        from casadi_skin.bvp.recursion import TaylorRecursion
-
         return TaylorRecursion(self, form, orders)
 
     def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
