@@ -82,9 +82,9 @@ def follow_all(
 ) -> Diagram:
     """Follow all branches that leave a branch of equilibria, orbits or solutions, and those that leave these.
 
-    Cycles at Hopf points of equilibria, both halves of the other branch at branch points, orbits of twice the period
-    at period doublings, within the values of the parameter that the branch was followed in. No branch is followed
-    twice.
+    Cycles at Hopf points of equilibria, and equilibria where cycles shrink to one; both halves of the other branch at
+    branch points, orbits of twice the period at period doublings, within the values of the parameter that the branch
+    was followed in. No branch is followed twice.
 
     Arguments:
         branch: where the diagram starts.
@@ -121,9 +121,13 @@ def follow_all(
 
 @dataclass(eq=False)
 class _Met:
-    """A special point with the directions followed from it, and whether the branches that leave it were followed."""
+    """A special point with the directions followed from it, and whether the branches that leave it were followed.
+
+    `shrunk` is whether cycles that were followed shrink to an equilibrium there.
+    """
 
     point: SpecialPoint
+    shrunk: bool = False
     directions: list[Array] = field(default_factory=list)
     left: bool = False
 
@@ -158,7 +162,7 @@ class Further:
                     continue
                 met.left = True
                 self.reached.append((f"{prefix}_{number}", point))
-                if point.kind not in self._kinds or depth >= self._depth or not is_left(point):
+                if point.kind not in self._kinds or depth >= self._depth:
                     continue
                 for suffix, space in zip(("", "b"), self._leaving(point, met), strict=False):
                     name = f"{prefix}_{number}{suffix}"
@@ -189,6 +193,8 @@ class Further:
             if isinstance(point.solution, Equilibrium):
                 along = _direction(cast(EquilibriumSpace, branch.space), point.solution.point)
                 met.directions += [along, -along]
+            else:
+                met.shrunk = met.shrunk or point.kind == HOPF
 
     def _of(self, point: SpecialPoint) -> _Met:
         known = next((met for met in self._met if is_same(met.point, point)), None)
@@ -199,6 +205,9 @@ class Further:
 
     def _leaving(self, point: SpecialPoint, met: _Met) -> Iterator[SolutionSpace]:
         """Branches that leave at a special point in directions that were not followed before."""
+        of_equilibria = isinstance(point.solution, Equilibrium)
+        if point.kind == HOPF and (met.shrunk if of_equilibria else met.directions):  # followed before
+            return
         first = self.branches[0]
         course = (first.solutions[0].parameters[first.parameter], first.space.to)
         reasons, started, here = list[str](), 0, met.point.parameters[first.parameter]
@@ -207,7 +216,7 @@ class Further:
         ends = [(to, back) for back, to in (course, course[::-1]) if (to - here) * (back - here) < 0.0]
         ends = ends or [(to, None) for to in course[::-1] if to != here]
         done = list[Array]()
-        for to, back in ends if isinstance(point.solution, Equilibrium) and point.kind != HOPF else ends[:1]:
+        for to, back in ends if of_equilibria != (point.kind == HOPF) else ends[:1]:
             for side in sides:
                 if started == self._halves:
                     return
@@ -216,7 +225,7 @@ class Further:
                 except (ValueError, ArithmeticError) as error:
                     reasons.append(str(error))
                     continue
-                if isinstance(space, EquilibriumSpace) and space.first is not None:
+                if isinstance(space, EquilibriumSpace) and space.leaves and space.first is not None:
                     direction = _direction(space, space.first)
                     along = _direction(cast(EquilibriumSpace, point.solution.space), point.solution.point)
                     if any(_is_along(known, direction, along) for known in (*met.directions, *done)):
@@ -227,11 +236,6 @@ class Further:
                 yield space
         if not started:
             self.failures.append(f"{point.kind} at {first.parameter} = {here:.8g}: {reasons[0]}")
-
-
-def is_left(point: SpecialPoint) -> bool:
-    """Whether something leaves a special point: not where cycles that were followed shrink to an equilibrium."""
-    return point.kind != HOPF or isinstance(point.solution, Equilibrium)
 
 
 def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:

@@ -13,7 +13,7 @@ from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End
 from casadi_skin.critical_orbits.curve import curve_space
 from casadi_skin.equilibria.curve import UnfoldingError
-from casadi_skin.equilibria.diagram import LEAVING, Further, is_left
+from casadi_skin.equilibria.diagram import LEAVING, Further
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.figures.portrait import chosen_solutions
@@ -65,7 +65,7 @@ def further_spaces(
             most = "one branch belongs" if table.limit == 1 else f"{table.limit} branches belong"
             failures.append(f"[continuation] limit: more than {most} to the diagram")
             break
-        yield f"{CYCLES if point.kind == HOPF else OTHER}{name}", space
+        yield f"{CYCLES if _has_cycles(point) else OTHER}{name}", space
         if branches[-1].space is space:
             further.add(branches[-1], space, point)
     failures += [f"[continuation] switch: {line}" for line in further.failures]
@@ -73,7 +73,7 @@ def further_spaces(
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
         crossing = point.kind == BRANCH_POINT and point.mu is None
-        if table.curve is not None and (point.kind in FOLLOWED or crossing) and is_left(point) and not passed:
+        if table.curve is not None and (point.kind in FOLLOWED or crossing) and not _at_rest(point) and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
@@ -83,6 +83,16 @@ def further_spaces(
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
             else:
                 curves.append(branches[-1])
+
+
+def _has_cycles(point: SpecialPoint) -> bool:
+    """Whether cycles leave a special point of equilibria."""
+    return point.kind == HOPF and isinstance(point.solution, Equilibrium)
+
+
+def _at_rest(point: SpecialPoint) -> bool:
+    """Whether cycles have shrunk to an equilibrium there: its own branch has the curve."""
+    return point.kind == HOPF and isinstance(point.solution, Orbit)
 
 
 def _passes(curve: Branch, point: SpecialPoint) -> bool:

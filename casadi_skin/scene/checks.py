@@ -152,8 +152,8 @@ def _check_continuation(scene: Scene) -> None:
         _check_of_family(scene, table)
     if table.depth is not None and scene.family is not None:
         raise refusal("[continuation] depth", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
-    if "hopf" in table.switch and scene.equilibrium is None:
-        beside = next(name for name in ("family", "orbit", "solution") if getattr(scene, name) is not None)
+    if "hopf" in table.switch and scene.equilibrium is None and scene.orbit is None:
+        beside = "family" if scene.family is not None else "solution"
         raise refusal("[continuation] switch", f'"hopf" beside [{beside}]', '"branch point" and "period doubling"')
     _check_multipliers(scene, table)
     if table.curve is not None and table.curve.further and scene.family is None:

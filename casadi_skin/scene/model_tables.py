@@ -190,7 +190,7 @@ class ContinuationTable(Table, frozen=True):
         Meta(
             title="Special points at which the branches that leave are followed too",
             description=f"a list of {one_of(LEAVING)}, each once; "
-            "hopf beside [equilibrium] alone; multipliers, and so period doublings, need [stability]",
+            "hopf beside [equilibrium] and [orbit]; multipliers, and so period doublings, need [stability]",
         ),
     ] = ()
     depth: Annotated[

@@ -36,6 +36,24 @@ def test_both_halves_leave_a_branch_point_and_what_meets_the_branch_again_is_not
 
 
 @pytest.mark.slow
+def test_cycles_between_two_hopf_points_are_walked_once_and_lead_to_the_equilibria() -> None:
+    """r' = r (1 - p^2 - r^2) at the angular velocity 1: cycles of radius 1 at p = 0, born at p = -1 and 1."""
+    x, y, p = symbols("x y p")
+    growth = 1 - p**2 - x**2 - y**2
+    model = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(x * growth - y, y * growth + x), p)
+    from_rest = find_equilibrium(model, [0.0, 0.0], parameters={"p": -2.0}).follow_all("p", 2.0, stability=False)
+    assert from_rest.names == ("", "_1")
+    guess = lambda t: np.stack([np.cos(t), np.sin(t)], axis=-1)  # noqa: E731
+    cycles = find_orbit(model, guess, 2.0 * np.pi, parameters={"p": 0.0}).follow("p", 2.0)
+    from_cycles = cycles.follow_all(stability=False)
+    assert from_cycles.names == ("", "_1", "_1b")
+    assert [point.kind for point in from_cycles.special_points] == ["hopf"]
+    assert from_cycles.special_points[0].parameters["p"] == pytest.approx(1.0, abs=1e-12)
+    assert [float(branch.values[-1]) for branch in from_cycles.branches[1:]] == [2.0, 0.0]
+    assert [branch.solutions[-1].stable for branch in from_cycles.branches[1:]] == [True, False]
+
+
+@pytest.mark.slow
 def test_depth_and_limit_bound_a_diagram() -> None:
     """Prey alone; with predators from K = 1 on; cycles from K = 3 on."""
     branch = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5}).follow("K", 3.2)
@@ -82,10 +100,10 @@ def test_orbits_of_twice_the_period_belong_to_a_diagram_of_orbits() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_said_to_leave_where_orbits_shrink_to_an_equilibrium(
+def test_equilibria_leave_where_orbits_shrink_to_one_and_nothing_else_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Cycles that fold, then end at a Hopf point: their diagram is one branch, and their fold alone has a curve."""
+    """Cycles that fold, then end at a Hopf point of the equilibrium 0; of both their fold alone has a curve."""
     start = "from critical_models import cycles_with_fold\nmodel = cycles_with_fold()\n"
     (tmp_path / "model.py").write_text(start, encoding="utf-8")
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
@@ -108,4 +126,6 @@ def test_nothing_is_said_to_leave_where_orbits_shrink_to_an_equilibrium(
     diagram = orbit.follow("mu", -0.3).follow_all(depth=1, max_points=40)
     assert [point.kind for point in diagram.special_points] == ["fold", "hopf"]
     assert diagram.failures == ()
-    assert len(diagram) == 1
+    assert diagram.names == ("", "_2", "_2b")
+    assert [float(branch.values[-1]) for branch in diagram.branches[1:]] == [-0.3, 0.1]
+    assert all(np.all(np.abs(solution.positions) < 1e-12) for branch in diagram.branches[1:] for solution in branch)
