@@ -7,24 +7,50 @@ order of theirs is that of the series put into one another, and linear in the pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array, SingularError, Solve
-from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
+from casadi_skin.bvp.problem import Array, Indices, SingularError, Solve
+from casadi_skin.bvp.recursion import CosineUnknowns, PolynomialForm, TaylorRecursion
 from casadi_skin.lattice.tail_series import TailSeries
 from casadi_skin.native.tail import TailKernel, has_tail_kernel
 
-if TYPE_CHECKING:
-    from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+
+class Tail(Protocol):
+    """A tail, as a power series of the unknown u in place of Omega."""
+
+    @property
+    def coupling(self) -> float: ...
+
+    def series(self, u: float, orders: int) -> TailSeries: ...
+
+
+class TailedCore(CosineUnknowns, Protocol):
+    """A core by itself, and the balance of its site that is attached to a tail."""
+
+    attached: int
+
+    @property
+    def core(self) -> CosineUnknowns: ...
+
+    @property
+    def tail(self) -> Tail: ...
+
+    @property
+    def touched(self) -> Indices: ...
+
+    @property
+    def own_Omega(self) -> int: ...
+
+    def attached_balance(self, own: Array) -> tuple[Array, Array, Array]: ...
 
 
 class _Orders:
     """Orders of a branch in turn, with those of all that depends on it."""
 
-    def __init__(self, problem: CoreWithTailProblem, tail: TailSeries, z: Array) -> None:
+    def __init__(self, problem: TailedCore, tail: TailSeries, z: Array) -> None:
         H, orders, place = problem.resolution, tail.Omega.size - 1, problem.Omega_index
         self._place, self._touched, self._own_Omega = place, problem.touched, problem.own_Omega
         self._first, self._rows = problem.attached * H, slice(problem.attached * H, (problem.attached + 1) * H)
@@ -82,7 +108,7 @@ class _Orders:
 class TailRecursion:
     """Coefficients of a branch of one problem with an eliminated tail, by the recursion of its core alone."""
 
-    def __init__(self, problem: CoreWithTailProblem, form: PolynomialForm, orders: int) -> None:
+    def __init__(self, problem: TailedCore, form: PolynomialForm, orders: int) -> None:
         self.problem, self.orders = problem, orders
         self._core = TaylorRecursion(problem.core, form, orders)
         self.end: tuple[int, float] | None = None

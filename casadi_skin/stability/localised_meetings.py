@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebroots
@@ -15,12 +16,13 @@ from numpy.polynomial.chebyshev import chebroots
 from casadi_skin.bvp.problem import Array
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.hill import Hill
-from casadi_skin.stability.localised_counts import Gap
+from casadi_skin.stability.localised_counts import Counts, Gap
+from casadi_skin.stability.localised_search import PRECISE, ROUNDING, SAFETY, Search, layout_like, others
 
 STEPS = 12
-PRECISE = 1e-12
 REACH = 0.1  # to either side of a pair: where D is a series
 DEGREE = 16
+PARTS = 8  # of an interval, by which a pair is followed
 DIFFERENCE = 1e-6  # of Omega, for derivatives
 ARC = 100  # values under an arc among which the smallest determinant is sought
 
@@ -37,13 +39,13 @@ class Pair:
     square: float
 
 
-def values(hill: Hill, sigma: Array, scale: float) -> Array:
+def _values(hill: Hill, sigma: Array, scale: float) -> Array:
     """D over exp(scale) at values of sigma."""
     logs, phases = hill.determinant(sigma)
     return np.asarray(phases * np.exp(logs - scale))
 
 
-def pair_near(hill: Hill, gap: Gap, pair: Pair) -> Pair:
+def _pair_near(hill: Hill, gap: Gap, pair: Pair) -> Pair:
     """The pair of zeros near another, real or conjugate; raises MeetingError."""
     for _ in range(STEPS):
         reach = max(REACH, 2.0 * float(np.sqrt(abs(pair.square))))
@@ -65,7 +67,7 @@ def pair_near(hill: Hill, gap: Gap, pair: Pair) -> Pair:
     raise MeetingError("two multipliers that meet are not found")
 
 
-def least_under_arcs(hill: Hill, intervals: list[tuple[float, float]]) -> float:
+def _least_under_arcs(hill: Hill, intervals: list[tuple[float, float]]) -> float:
     """The exponent under arcs at which a zero of the determinant is nearest, by |D / D'|."""
     best, where = np.inf, 0.0
     for start, end in intervals:
@@ -79,7 +81,7 @@ def least_under_arcs(hill: Hill, intervals: list[tuple[float, float]]) -> float:
     return where
 
 
-def resonance(
+def _zero_under_arc(
     hill_at: Callable[[float], Hill], sigma: float, coordinate: float, width: float
 ) -> tuple[float, float, Array]:
     """Exponent and coordinate where the determinant has a zero under an arc, with the Jacobian; raises MeetingError."""
@@ -87,7 +89,7 @@ def resonance(
     step, off = DIFFERENCE * hill_at(coordinate).Omega, 1e-3 * width
 
     def f(sigma: float, coordinate: float) -> Array:
-        value = values(hill_at(coordinate), np.array([sigma]), scale)[0]
+        value = _values(hill_at(coordinate), np.array([sigma]), scale)[0]
         return np.array([value.real, np.imag(value)])
 
     for _ in range(STEPS):
@@ -105,3 +107,59 @@ def resonance(
         if abs(change[1]) <= 1e-9 * width or np.max(np.abs(change)) <= PRECISE:
             return sigma, coordinate, jacobian
     raise MeetingError("a multiplier that comes out of an arc is not found")
+
+
+def collision(
+    search: Search, a: float, before: Counts, b: float, after: Counts, gap: int
+) -> tuple[float, float, float]:
+    """Coordinate, error and exponent where two multipliers of a gap meet; raises MeetingError."""
+    from scipy.optimize import brentq
+
+    start, other, counts = (a, b, before) if before.off < after.off else (b, a, after)
+    zeros = [_gap(search, start, gap).place(sigma) for sigma in counts.zeros[gap]]
+    first, last = min(pairwise(zeros), key=lambda two: two[1] - two[0])
+    pairs = {start: Pair(0.5 * (first + last), 0.25 * (last - first) ** 2)}
+
+    def square(c: float) -> float:
+        near = min(pairs, key=lambda known: abs(known - c))
+        pairs[c] = _pair_near(search.at(c).hill, _gap(search, c, gap), pairs[near])
+        return pairs[c].square
+
+    for part in np.linspace(0.0, 1.0, PARTS + 1)[1:]:  # the pair, followed to the other end
+        if square(start + float(part) * (other - start)) < 0.0:
+            break
+    else:
+        raise MeetingError("two multipliers of a gap do not meet")
+    end = start + float(part) * (other - start)
+    at = float(brentq(lambda c: square(float(c)), start, end, xtol=PRECISE * abs(b - a), rtol=1e-15))
+    here = pairs[min(pairs, key=lambda known: abs(known - at))]
+    step = 1e-3 * (b - a)
+    slope = abs(square(at + step) - square(at - step)) / (2.0 * step)
+    sample = search.at(at)
+    compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
+    errors = [abs(_pair_near(hill, there, here).square - here.square) for hill, there in compared]
+    sigma = float(_gap(search, at, gap).sigma(np.array([here.mean]))[0])
+    return at, float((SAFETY * sum(errors) + ROUNDING) / slope) + PRECISE * (b - a), sigma
+
+
+def _gap(search: Search, coordinate: float, number: int) -> Gap:
+    return Gap(*search.at(coordinate).layout.gaps[number])
+
+
+def resonance(search: Search, a: float, b: float) -> tuple[float, float, float]:
+    """Coordinate, error and exponent where multipliers leave an arc; raises MeetingError."""
+    middle = search.at(0.5 * (a + b))
+    covered = [(s.sigma, e.sigma) for s, e, is_covered in middle.layout.intervals if is_covered]
+    sigma = _least_under_arcs(middle.hill, covered)
+    sigma, at, jacobian = _zero_under_arc(lambda c: search.at(c).hill, sigma, middle.coordinate, b - a)
+    sample = search.at(at)
+    size = float(np.max(np.abs(jacobian)))
+    reference = sample.hill
+    log = float(reference.determinant(np.array([sigma * (1.0 + 1e-3)]))[0][0])
+    off = [_values(hill, np.array([sigma]), log)[0] for hill in (reference, *others(sample))]
+    slope = _values(reference, np.array([sigma * (1.0 + 1e-6)]), log)[0] - off[0]
+    per_sigma = abs(slope) / (sigma * 1e-6)
+    ratio = float(np.linalg.norm(jacobian[:, 0])) / per_sigma  # of the two scales
+    moved = sum(abs(one - off[0]) for one in off[1:]) * ratio * SAFETY + ROUNDING * size
+    error = float(np.linalg.norm(np.linalg.inv(jacobian)[1])) * moved
+    return at, error + PRECISE * (b - a), sigma

@@ -1,0 +1,62 @@
+"""Stretches of a branch on which ends of the arcs of its continuous spectrum keep their order.
+
+Ends meet where Omega has values in closed form; a branch is divided there, and where its frequency leaves a band.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from casadi_skin.stability.gaps import crossings
+from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP
+from casadi_skin.stability.localised_search import FINEST, Search
+
+INSIDE = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
+FILLED = "the orbit fills the tail, so that its changes depend on the length"
+
+
+def stretches(search: Search) -> list[tuple[float, float]]:
+    """Coordinates between which the names of layouts are the same."""
+    places = search.branch.coordinates.tolist()
+    bounds = [places[0]]
+    for start, end in pairwise(places):
+        for before, after in _breaks(search, start, end):
+            bounds += [before, after]
+    bounds.append(places[-1])
+    pairs = list(zip(bounds[::2], bounds[1::2], strict=True))
+    pairs = [(a, b) for a, b in pairs if b > a]
+    search.gaps += [(a, b, FILLED) for a, b in pairs if search.at(a).names == (FILLS,)]
+    return [(a, b) for a, b in pairs if search.at(a).names not in ((FILLS,), (NARROW_GAP,))]
+
+
+def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float]]:
+    """Places between two points at which names change, from just before to just behind."""
+    first, last = search.at(start), search.at(end)
+    if first.names == last.names and not crossings(first.layout, last.layout):
+        return []
+    meetings = [start, *(_at_Omega(search, start, end, Omega) for Omega in crossings(first.layout, last.layout)), end]
+    apart, found = INSIDE * (end - start), list[tuple[float, float]]()
+    for number, (a, b) in enumerate(pairwise(meetings)):
+        if number:
+            found.append((a - apart, a + apart))
+            a += apart
+        if number < len(meetings) - 2:
+            b -= apart
+        found += _by_halving(search, a, b)
+    return sorted(found)
+
+
+def _at_Omega(search: Search, start: float, end: float, Omega: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda c: search.at(float(c)).Omega - Omega, start, end, xtol=1e-14, rtol=1e-14))
+
+
+def _by_halving(search: Search, start: float, end: float) -> list[tuple[float, float]]:
+    """Places at which the orbit's frequency leaves a band, or the gap beside it becomes wide enough."""
+    if search.at(start).names == search.at(end).names:
+        return []
+    if end - start <= FINEST:
+        return [(start, end)]
+    middle = 0.5 * (start + end)
+    return [*_by_halving(search, start, middle), *_by_halving(search, middle, end)]
