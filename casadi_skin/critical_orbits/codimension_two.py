@@ -22,7 +22,7 @@ from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_o
 from casadi_skin.critical_orbits.shrinking import shrunk
 from casadi_skin.equilibria.codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
 from casadi_skin.equilibria.double_points import double_between
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, zero_between
 from casadi_skin.stability.reduction import ComplexArray
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
@@ -33,7 +33,6 @@ ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another
     TORUS: ("fold-torus", "flip-torus", "torus-torus"),
     BRANCH_POINT: ("1:1 resonance", "fold-flip", "fold-torus"),
 }
-FINE = 1e-11  # of a step, to which a root is found
 VANISHES = 1e-2  # of its values at both ends: a test where it has a root
 NEUTRAL = 1e-6  # imaginary part of a pair that is one
 Test = Callable[[Point], float]
@@ -166,34 +165,18 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
 
     Raises NotLocatedError.
     """
-    from scipy.optimize import brentq
-
-    known, values = {0.0: before, 1.0: after}, dict[float, float]()
-
-    def value(fraction: float) -> float:
-        if fraction not in known:
-            point = space.point_solver.along(before, after, fraction)
-            if point is None:
-                raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
-            known[fraction] = point
-        if fraction not in values:
-            values[fraction] = test(known[fraction])
-        return values[fraction]
-
     if space.kind == BRANCH_POINT and kind == ANOTHER[BRANCH_POINT][0]:
         second = partial(second_singular, space)
         double = double_between(space.point_solver, before, after, test, second)
         if double is not None:
             return double
-    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
-    if abs(value(root)) > VANISHES * max(abs(value(0.0)), abs(value(1.0))) or not _is_pair(space, known[root], kind):
+    zero, beside, size = zero_between(space.point_solver, before, after, test, kind)
+    if abs(zero.value) > VANISHES * size or not _is_pair(space, zero.point, kind):
         return None
-    beside = min((f for f in known if f != root), key=lambda f: abs(f - root))
-    slope = (value(beside) - value(root)) / (beside - root)
-    error = replace(
-        known[root].error, parameter=_error(space, known[root], test, slope / _length(space, before, after))
-    )
-    return root, replace(known[root], error=error, requested=False, walked=False, special=kind)
+    slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
+    moved = _error(space, zero.point, test, slope / _length(space, before, after))
+    error = replace(zero.point.error, parameter=moved)
+    return zero.fraction, replace(zero.point, error=error, requested=False, walked=False, special=kind)
 
 
 def _is_pair(space: Followed, point: Point, kind: str) -> bool:

@@ -29,12 +29,11 @@ from casadi_skin.equilibria.search import Search
 from casadi_skin.equilibria.statics import ComplexArray, Statics
 from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
-from casadi_skin.orbits.special_points import NotLocatedError
+from casadi_skin.orbits.special_points import FINE, zero_between
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
 DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL = "degenerate pitchfork", "degenerate transcritical"
-FINE = 1e-11  # of a step, to which a root is found
 VANISHES = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
 SYMMETRIC = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero
 CHANGE = 1e-6  # of the unknowns: a step along a curve, for rates
@@ -77,9 +76,10 @@ def _by_differences(space: Followed, before: Point, after: Point) -> Iterator[Po
     larger = before if abs(ends[0]) > abs(ends[1]) else after
     if not ends[0] * ends[1] < 0.0 or max(np.abs(ends)) <= noise(larger):
         return
-    _, point = _root(space, before, after, BAUTIN, l1)
-    if abs(l1(point)) > VANISHES * max(np.abs(ends)):  # a pole
+    located = _root(space, before, after, BAUTIN, l1)
+    if located is None:
         return
+    point = located[1]
     slope = (ends[1] - ends[0]) / (after.z[-1] - before.z[-1])
     moved = float(abs((noise(point) + abs(l1(point))) / slope))
     yield replace(point, error=replace(point.error, parameter=point.error.parameter + moved))
@@ -108,13 +108,9 @@ class _Search(Search):
             return None
         ends, found = (stretch.first.point, stretch.last.point), list[tuple[float, Point]]()
         for kind, test in self._passed(stretch):
-            double = self._double(*ends, kind, test)
-            if double is not None:
-                found.append(double)
-                continue
-            place, point = _root(self.space, *ends, kind, test)
-            if abs(test(point)) <= VANISHES * max(abs(test(end)) for end in ends):  # l1 has poles at zero-Hopf points
-                found.append((place, point))
+            located = self._double(*ends, kind, test) or _root(self.space, *ends, kind, test)
+            if located is not None:
+                found.append(located)
         return [point for _, point in sorted(found, key=lambda entry: entry[0])]
 
     def _double(self, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
@@ -262,26 +258,18 @@ def _lyapunov(space: Followed, point: Point, statics: Statics | None = None) -> 
     return lyapunov_terms(statics, x, p, A, omega, q, adjoint)
 
 
-def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point]:
-    """The point between two where a test vanishes, with its place; raises NotLocatedError."""
-    from scipy.optimize import brentq
+def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+    """The point between two where a test vanishes, with its place; None where it has a pole, as l1 at zero-Hopf points.
 
-    known, solver = {0.0: before, 1.0: after}, space.equations.point_solver
-
-    def value(fraction: float) -> float:
-        if fraction not in known:
-            point = solver.along(before, after, fraction)
-            if point is None:
-                raise NotLocatedError(f"a point of kind {kind} cannot be located: {solver.failure}")
-            known[fraction] = point
-        return test(known[fraction])
-
-    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
-    value(root)
-    point = known[root]
-    beside = sorted(known, key=lambda fraction: abs(fraction - root))[1]
-    width = abs(float(known[beside].z[-1] - point.z[-1])) if abs(beside - root) < 1e-6 else FINE
+    Raises NotLocatedError.
+    """
+    solver = space.equations.point_solver
+    zero, beside, size = zero_between(solver, before, after, test, kind)
+    if abs(zero.value) > VANISHES * size:
+        return None
+    point, near = zero.point, abs(beside.fraction - zero.fraction) < 1e-6
+    width = abs(float(beside.point.z[-1] - point.z[-1])) if near else FINE
     _, length = solver.curve(before, after)
     moved = min(width, 10.0 * FINE * length) + point.error.relative(1.0)
     error = replace(point.error, parameter=float(moved))
-    return root, replace(point, error=error, requested=False, walked=False, special=kind)
+    return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_options
@@ -21,6 +21,7 @@ FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "per
 HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
 EDGE = "edge of a tongue"  # of instability of a family
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
+FINE = 1e-11  # of a step, to which a zero of a test is found
 
 
 class NotLocatedError(ArithmeticError):
@@ -171,6 +172,40 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
     if point is None:
         raise _not_located(point_solver)
     return replace(point, special=FOLD)
+
+
+class Place(NamedTuple):
+    """A corrected point on the way between two, at a fraction of it, and the value of a test there."""
+
+    fraction: float
+    point: Point
+    value: float
+
+
+def zero_between(
+    point_solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], kind: str
+) -> tuple[Place, Place, float]:
+    """The zero of a test that changes its sign between two points, the place beside it, and its size at both ends.
+
+    Raises NotLocatedError.
+    """
+    from scipy.optimize import brentq
+
+    known = {0.0: Place(0.0, before, test(before)), 1.0: Place(1.0, after, test(after))}
+    size = max(abs(end.value) for end in known.values())
+
+    def value(fraction: float) -> float:
+        if fraction not in known:
+            point = point_solver.along(before, after, fraction)
+            if point is None:
+                raise NotLocatedError(f"a point of kind {kind} cannot be located: {point_solver.failure}")
+            known[fraction] = Place(fraction, point, test(point))
+        return known[fraction].value
+
+    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
+    value(root)
+    zero, beside = sorted(known.values(), key=lambda place: abs(place.fraction - root))[:2]
+    return zero, beside, size
 
 
 def _not_located(point_solver: PointSolver) -> NotLocatedError:
