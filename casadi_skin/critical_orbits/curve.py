@@ -15,7 +15,8 @@ from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.critical_orbits.codimension_two import ENDS, special_on_curve
 from casadi_skin.critical_orbits.edge_crossing import CrossingWalk
-from casadi_skin.critical_orbits.edge_curve import EdgeWalk, edge_curve, parameters_of
+from casadi_skin.critical_orbits.edge_curve import EdgeWalk, edge_curve
+from casadi_skin.critical_orbits.edge_orbits import parameters_of
 from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.critical_orbits.linearised import Linearised
 from casadi_skin.critical_orbits.location import LocatedOrbit, extended_space, locate

@@ -17,8 +17,9 @@ from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import Point
-from casadi_skin.critical_orbits.edge_curve import FINE, WELL, EdgeWalk, orbit_at
+from casadi_skin.critical_orbits.edge_curve import FINE, WELL, EdgeWalk
 from casadi_skin.critical_orbits.edge_fold import multipliers_of
+from casadi_skin.critical_orbits.edge_orbits import orbit_at
 from casadi_skin.critical_orbits.edges import EdgePoint
 from casadi_skin.orbits.breaking import turns_of
 from casadi_skin.orbits.family import Family

@@ -10,23 +10,21 @@ Where the parameter folds both edges of a tongue meet: the curve goes around (se
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Scalar, SingularError
+from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
-from casadi_skin.critical_orbits.edge_fold import Start, Turn, multipliers_of, turn
+from casadi_skin.critical_orbits.edge_fold import Start, Turn, turn
+from casadi_skin.critical_orbits.edge_orbits import Orbits, beside, family_at, orbit_at, orbit_of_edge
 from casadi_skin.critical_orbits.edges import EdgeCurve, EdgePoint
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.at_edges import BESIDE, along_curve
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.family_tongues import tongues_on
-from casadi_skin.orbits.method import Targets
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.flow import FlowError
-from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge
 
 AGREE = 1e-6  # of S: within which the edge that a curve starts from is found again
@@ -41,7 +39,6 @@ TURNED = 0.05  # change of mu in a step
 SHORTEST = 1e-5  # of the way: a step
 NEAR_FOLD = 0.5  # of the distance to a fold: a step that is not taken there goes around it
 FORESEEN = 10.0  # times the way of the last edges: how far ahead a fold is foreseen
-SAME = 1e-12  # relative: values of the parameter that are one
 FINE, ROUGH = 1e-10, 1e-8  # tolerances of multipliers around a fold
 NEAREST = 4  # edges that the next one is extrapolated from
 
@@ -143,8 +140,8 @@ class EdgeWalk:
         last, count = self.points[-1], len(self.points)
         start = Start(last.edge.kind, last.edge.S, last.edge.mu, last.parameters[self._name], *away)
         try:
-            orbits = _Orbits(self, FINE, last)
-            rougher = replace(orbits, tolerance=ROUGH, families={})
+            orbits = Orbits(partial(self.at_value, tolerance=FINE), last.orbit.point)
+            rougher = replace(orbits, family_at=partial(self.at_value, tolerance=ROUGH), families={})
             found = turn(orbits.multipliers, rougher.multipliers, start)
             self._opens = not self._opens
             self._kept(self._at_fold(found, orbits.near(found.S, found.value)))
@@ -229,7 +226,7 @@ class EdgeWalk:
         family = self.at_value(value, S)
         half = S * float(np.clip(AROUND * self._missed, NARROWEST, WIDEST))
         center = orbit_at(family, S + ASIDE * half, guess)
-        ends = [_beside(family, center, S + side * half) for side in (-1.0, UNEVEN)]
+        ends = [beside(family, center, S + side * half) for side in (-1.0, UNEVEN)]
         diagram = tongues_on(family, [ends[0], center, ends[1]])
         if diagram.unresolved:
             raise FlowError(diagram.unresolved[0].reason)
@@ -238,7 +235,7 @@ class EdgeWalk:
         self._opens = _opens(diagram, edge)
         if abs(edge.S - S) > half:
             raise ArithmeticError("the edge is farther from where it is expected than the step allows")
-        point = _orbit_of_edge(family, edge.S, center)
+        point = orbit_of_edge(family, edge.S, center)
         values = {**family.parameters(point), "S": edge.S}
         return EdgePoint(Orbit(family, point), edge, values)
 
@@ -263,91 +260,10 @@ class EdgeWalk:
 
     def at_value(self, value: float, S: float, tolerance: float | None = None) -> Family:
         """The family at a value of the parameter, to somewhat beyond S."""
-        request, name = self._family.request, self._name
-        changed: dict[str, Any] = {"targets": Targets(), "amplitude_max": 1.5 * S}
-        changed |= {} if tolerance is None else {"tolerance": tolerance}
-        if isinstance(request.model, OdeModel):
-            changed["parameters"] = {**self._family.coordinates.parameters, name: value}
-        else:
-            model: Any = request.model
-            changed["model"] = replace(model, **{name: value})
-        return Family(replace(request, **changed))
-
-
-@dataclass(frozen=True)
-class _Orbits:
-    """Orbits of families at values of the parameter to a tolerance, each from the nearest of those known before."""
-
-    walk: EdgeWalk
-    tolerance: float
-    first: EdgePoint
-    families: dict[float, Family] = field(default_factory=dict)
-    known: dict[tuple[float, float], Point] = field(default_factory=dict)
-
-    def near(self, S: float, value: float) -> Point:
-        """The orbit that is nearest among those that were solved."""
-        if not self.known:
-            return self.first.orbit.point
-        places = np.array(list(self.known))
-        sizes = np.ptp(places, axis=0) + SAME * np.abs(places[0])
-        nearest = int(np.argmin(np.sum(((places - (S, value)) / sizes) ** 2, axis=1)))
-        return list(self.known.values())[nearest]
-
-    def multipliers(self, S: float, value: float) -> ComplexArray:
-        """All mu but the trivial one; raises ArithmeticError where no orbit is found."""
-        if value not in self.families:
-            self.families[value] = self.walk.at_value(value, S, self.tolerance)
-        self.known[S, value] = orbit_at(self.families[value], S, self.near(S, value))
-        return multipliers_of(self.families[value], self.known[S, value])
+        return family_at(self._family, self._name, value, S, tolerance)
 
 
 def _opens(diagram: StabilityDiagram, edge: StabilityEdge) -> bool:
     """Whether an edge is the one at which its tongue starts, in the order of S."""
     start, place = diagram.tongues[edge.tongue].start, edge.place
     return abs(start.coordinate - place.coordinate) <= start.coordinate_error + place.coordinate_error
-
-
-def parameters_of(family: Family) -> tuple[str, ...]:
-    """Names of the parameters of a family's model in which its edges can be followed."""
-    model, names = family.request.model, tuple(family.coordinates.parameters)
-    if isinstance(model, OdeModel):
-        return names
-    known: list[str] = [f.name for f in fields(model)] if is_dataclass(model) else []
-    return tuple(name for name in names if name in known)
-
-
-def orbit_at(family: Family, S: float, guess: Point) -> Point:
-    """The orbit at S near a guess from a family beside; raises ArithmeticError where none is found."""
-    problem = family.levels.problem(guess.problem.resolution)
-    value, index = family.coordinates.parameter_of(S), problem.parameter_index
-    z = guess.problem.prolong(guess.z, problem)
-    z[index] = value
-    row, solver = problem.parameter_row(), family.point_solver
-    correction = solver.correct(problem, z, row, value, 1.0)
-    if correction is None:
-        raise ArithmeticError(solver.failure)
-    correction.z[index] = value
-    try:
-        found = solver.refined(problem, correction, row, Scalar.PARAMETER)
-    except SingularError as error:
-        raise ArithmeticError(str(error)) from error
-    if found is None:
-        raise ArithmeticError("no level of resolution is fine enough")
-    return found
-
-
-def _orbit_of_edge(family: Family, S: float, center: Point) -> Point:
-    """The orbit at an edge; where its equations are singular, by the curve through orbits on both sides."""
-    try:
-        return orbit_at(family, S, _beside(family, center, S))
-    except ArithmeticError:
-        places = [S * (1.0 + h) for h in (-BESIDE, BESIDE)]
-        before, after = (orbit_at(family, place, _beside(family, center, place)) for place in places)
-        return along_curve(family, before, after, S)
-
-
-def _beside(family: Family, point: Point, S: float) -> Point:
-    """A guess at another S along the tangent of a point."""
-    index = point.problem.parameter_index
-    moved = (family.coordinates.parameter_of(S) - point.parameter) / point.tangent[index]
-    return replace(point, z=point.z + moved * point.tangent, better=None)
