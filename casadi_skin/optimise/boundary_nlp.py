@@ -24,7 +24,8 @@ from casadi_skin.optimise.optimality import FLAT, Optimality, optimality
 from casadi_skin.optimise.search_arguments import Condition
 from casadi_skin.orbits import optimum as of_solution
 from casadi_skin.orbits import solution as solutions
-from casadi_skin.orbits.boundary_space import ITERATIONS, BoundarySpace
+from casadi_skin.orbits.boundary_solutions import ITERATIONS
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.guesses import Guess
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solve import packed, space_of
