@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,30 +14,21 @@ from casadi_skin import methods
 from casadi_skin.arguments import cut, number, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.at_edges import between, orbit_at_edge
+from casadi_skin.orbits.at_edges import orbit_at_edge
 from casadi_skin.orbits.certificate import ProvedStretch
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.passages import passage
 from casadi_skin.orbits.passed_resonances import PassedResonance, passed_resonances
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import (
-    BRANCH_POINT,
-    DOUBLING,
-    EDGE,
-    FOLD,
-    NotLocated,
-    NotLocatedError,
-    SpecialPoint,
-)
+from casadi_skin.orbits.special_of_families import edges_left_at, folds_of_family, special_point
+from casadi_skin.orbits.special_points import EDGE, FOLD, NotLocated, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
-
-REAL = "real"  # kind of an edge at which a multiplier is 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,49 +279,10 @@ class Branch(Result):
     @cached_property
     def _sought(self) -> tuple[SpecialPoint | NotLocated, ...]:
         if self.space.locates_folds:
-            return tuple(self._special(solution) for solution in self.solutions if solution.point.special)
-        return (*self._folds(), *self._leaving())
-
-    def _folds(self) -> Iterator[SpecialPoint | NotLocated]:
-        """Folds of a family, which are located between its points."""
-        for before, after in itertools.pairwise(self.solutions):
-            try:
-                for point in self.space.special_between(before.point, after.point):
-                    yield self._special(solution_at(self.space, point))
-            except NotLocatedError as error:
-                yield NotLocated(FOLD, before.value(self.parameter), after.value(self.parameter), str(error))
-
-    def _leaving(self) -> Iterator[SpecialPoint | NotLocated]:
-        """Edges of real tongues of a family at which other orbits leave it."""
-        diagram = self.stability_diagram
-        if diagram is None:
-            yield from self._not_followed()
-            return
-        real = (edge for edge in (*diagram.changes, *diagram.further) if edge.kind == REAL and edge.mu in (-1.0, 0.0))
-        for edge in sorted(real, key=lambda edge: edge.place.coordinate):
-            try:
-                orbit = orbit_at_edge(self, edge)
-            except ArithmeticError as error:
-                yield NotLocated(EDGE, edge.S, edge.S, str(error))
-                continue
-            breaking = methods.TASKS["breaking"].load()(orbit, edge.mu)
-            if breaking is not None:
-                if not breaking.lost:  # a branch of the same class crosses, where the equations are singular
-                    orbit = between(self, edge) or orbit
-                kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}
-                yield SpecialPoint(kind, self.parameter, values, edge.error, orbit, edge.mu)
-
-    def _not_followed(self) -> Iterator[NotLocated]:
-        """Places at which a localised multiplier is 1, of a family with an endless tail."""
-        for change in () if self.localised_diagram is None else self.localised_diagram.all:
-            if change.kind == REAL:
-                words = "orbits that leave a family with an endless tail are not sought"
-                yield NotLocated(EDGE, change.S, change.S, words)
-
-    def _special(self, solution: Solution) -> SpecialPoint:
-        values = {**solution.parameters, self.parameter: solution.value(self.parameter)}
-        error = self.space.parameter_error(solution.point)
-        return SpecialPoint(solution.point.special, self.parameter, values, error, solution)
+            special = (solution for solution in self.solutions if solution.point.special)
+            return tuple(special_point(self.space, solution) for solution in special)
+        leaving = edges_left_at(self, self.stability_diagram, self.localised_diagram)
+        return (*folds_of_family(self.space, self.solutions), *leaving)
 
     def follow_all(self, **options: Any) -> Any:
         """A `Diagram` of all branches that leave this one or each other; see `casadi_skin.equilibria.diagram`."""
@@ -384,46 +335,13 @@ class Branch(Result):
             ValueError, TypeError: not exactly one number, or the branch does not pass it that often.
             ArithmeticError: no solution is found there.
         """
-        name, value = self._asked_at(value, named)
-        whole("which", which, 0)
-        passage = 0
-        for solution, point in self._passages(name, value):
-            if passage < which:
-                passage += 1
-                continue
-            if point is None:
-                raise ArithmeticError(f"at: no {self._what} was found at {name} = {value:g}, which the branch passes")
-            return solution or solution_at(self.space, point, exact={name: value})
-        values = np.array([solution.value(name) for solution in self.solutions])
-        covered = f"{values.min():g} to {values.max():g}" if self.solutions else "no point"
-        words = f"the branch covers {covered} and passes {name} {passage} times"
-        raise ValueError(f"at: given {name} = {value!r}, which = {which}; {words}")
-
-    @property
-    def _what(self) -> str:
-        return "orbit" if not self.solutions or isinstance(self.solutions[0], Orbit) else "solution"
-
-    def _asked_at(self, value: float | None, named: Mapping[str, float]) -> tuple[str, float]:
         given = {name: v for name, v in {self.parameter: value, **named}.items() if v is not None}
         if len(given) != 1 or (value is not None and named):
             accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
         ((name, found),) = given.items()
-        return name, number(f"at, {name}", found)
-
-    def _passages(self, name: str, value: float) -> Iterator[tuple[Solution | None, Point | None]]:
-        """Passages of the branch through a value: a solution, or a point corrected there, None where there is none."""
-        target, point_solver = self.space.target(name, value), self.space.point_solver
-        before = self.space.start if self.space.start_is_limit else None
-        for solution in self.solutions:
-            if solution.value(name) == value:
-                yield solution, solution.point
-            elif target.meets(solution.point):
-                yield None, point_solver.beside(solution.point, target)
-            elif before is not None and not target.meets(before):
-                for _, point in point_solver.between(before, solution.point, (target,)):
-                    yield None, point
-            before = solution.point
+        whole("which", which, 0)
+        return passage(self.space, self.solutions, name, number(f"at, {name}", found), which)
 
     def certify(self, start: float, end: float) -> ProvedStretch:
         """A proof that the family is one curve of orbits from S = `start` to `end`, by `certify_branch`."""
