@@ -120,7 +120,28 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
     for i in range(len(order)):
         members[union.root(i)].append(i)
     groups = sorted((_group(order, m, dropped, added) for m in members.values()), key=lambda group: group.start)
-    return groups, gaps
+    return _undecided_once(groups), gaps
+
+
+def _undecided_once(groups: Sequence[Group]) -> list[Group]:
+    """Groups in order; of those that are not decided and coincide within their errors one.
+
+    Two intervals see the same one at their common end, and mu that touch uncoupled touch by either of two functions.
+    """
+    found: list[Group] = []
+    for group in groups:
+        if group.decided or not any(_are_one(other, group) for other in found):
+            found.append(group)
+    return found
+
+
+def _are_one(one: Group, other: Group) -> bool:
+    """Whether two groups in order, the second of which is not decided, may be one."""
+    apart = other.start - one.end > _error(one.last_edge) + _error(other.first_edge)
+    if one.decided or apart:
+        return False
+    first, second = one.edges[0], other.edges[0]
+    return first.kind == second.kind and abs(first.mu - second.mu) <= SAME_MU
 
 
 def _group(order: Sequence[Segment], members: Sequence[int], dropped: set[int], added: dict[int, Edge]) -> Group:
@@ -158,14 +179,25 @@ def _unstable_mu(
 def _match(
     mu: Mapping[tuple[int, float], ComplexArray], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """Segments with the same unstable mu at a coordinate."""
-    pairs = []
-    for i in lefts if rights else ():
-        for value in mu[i, coordinate]:
-            distance, nearest = min((float(np.min(np.abs(mu[j, coordinate] - value))), j) for j in rights)
-            if distance <= SAME:
-                pairs.append((i, nearest))
+    """Segments with the same unstable mu at a coordinate: each mu of one side is at most one of the other."""
+    if not lefts or not rights:
+        return []
+    (one, owners), (other, others) = (_of_all(mu, coordinate, side) for side in (lefts, rights))
+    distances = np.abs(one[:, None] - other)
+    pairs: list[tuple[int, int]] = []
+    while distances.size and np.min(distances) <= SAME:
+        a, b = (int(k) for k in np.unravel_index(np.argmin(distances), distances.shape))
+        pairs.append((owners[a], others[b]))
+        distances[a], distances[:, b] = np.inf, np.inf
     return pairs
+
+
+def _of_all(
+    mu: Mapping[tuple[int, float], ComplexArray], coordinate: float, side: Sequence[int]
+) -> tuple[ComplexArray, list[int]]:
+    """All unstable mu of segments at a coordinate, and the segment of each."""
+    values = [mu[i, coordinate] for i in side]
+    return np.concatenate(values), [i for i, each in zip(side, values, strict=True) for _ in each]
 
 
 Evaluated = TypeVar("Evaluated")

@@ -133,8 +133,7 @@ def _blocks(matrices: Array, mu: ComplexArray, vectors: Numbers, real: Booleans)
     diagonal = np.diagonal(K, axis1=2, axis2=3)
     rates = np.tensordot(chebyshev.middle_slope(DEGREE), diagonal.swapaxes(0, 1), 1)
     same, shifts = _graph(K, glued)
-    conjugate = ~real & _conjugates_together(mu, same)
-    if conjugate.any():
+    while (conjugate := ~real & _conjugates_together(mu, same)).any():  # in real coordinates more may be joined
         _make_real(vectors, mu, conjugate)
         real = real | conjugate
         K, inverse, fine = _similar(matrices[:, :, 0], vectors)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from casadi_skin.stability.assembly import edges_of, groups_of, place_at, tongues_of
+import numpy as np
+
+from casadi_skin.stability.assembly import SAME_MU, edges_of, groups_of, place_at, tongues_of
 from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
 from casadi_skin.stability.interpolation import (
     FIRST_LENGTH,
@@ -24,6 +26,7 @@ WORK = 2e9  # see `Crossings.work`: a minute or two
 SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
 INTERVALS = 16  # of a piece of the branch, as expected
 PIECES_WORK = 1e7  # m^3 over the intervals of pieces that are looked at together
+ONE_PLACE = 1e-9  # of the branch: meetings without instability that are no farther apart are one
 SHARE = 0.05  # of the work that is left, at most, for such pieces
 POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
 
@@ -65,10 +68,7 @@ def find_changes(
         tongues=tuple(tongues[i] for i in decided),
         undecided=tuple(tongue for tongue in tongues if not tongue.decided),
         windows=edges.windows,
-        passages=tuple(
-            Passage(place_at(known.pieces, coordinate), mu, distance)
-            for coordinate, mu, distance in sorted(found.passages)
-        ),
+        passages=tuple(_passages(known, found)),
         unresolved=tuple(_unresolved(branch, known, found)),
         symplectic=branch.symplectic,
         power=power,
@@ -98,6 +98,16 @@ def _looked_at(
         find_crossings(waiting, found, work - SAMPLE_WORK * known.samples * float(waiting[0].size) ** 3, progress)
     found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
     return known, found
+
+
+def _passages(known: Interpolated, found: Crossings) -> Iterator[Passage]:
+    """Meetings without instability in order, those that two intervals see at their common end once."""
+    last, near = (-np.inf, 0.0), 0.0
+    for coordinate, mu, distance in sorted(found.passages):
+        near = near or ONE_PLACE * (known.pieces[-1].matrices.end - known.pieces[0].matrices.start)
+        if coordinate - last[0] > near or abs(mu - last[1]) > SAME_MU:
+            yield Passage(place_at(known.pieces, coordinate), mu, distance)
+        last = coordinate, mu
 
 
 def _unknown(known: Interpolated, found: Crossings) -> set[float]:

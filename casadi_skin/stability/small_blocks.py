@@ -7,7 +7,7 @@ One real mu lies in (-1, 0) where pi kappa < 0, and leaves through -1 or 0 where
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -43,7 +43,7 @@ class Segment:
     """A part of an interval in which a block is unstable; an edge is None where the interval ends before.
 
     `outside` counts mu off the real axis or outside [-1, 0]; `is_complex` distinguishes the two. A segment of no
-    length is one whose edge is touched, within errors, but not seen to be passed.
+    length is one whose edge is touched, within errors, but not seen to be passed, or passed in both ways in one place.
     """
 
     block: Block
@@ -55,8 +55,10 @@ class Segment:
     outside: int
 
     def holds(self, edge: Edge) -> bool:
-        """Whether a place that is touched lies in it, or is, within its error, the place that is all of it."""
-        slack = edge.error if self.start == self.end and self.is_complex == (edge.kind != "real") else 0.0
+        """Whether a place that is touched lies in it, or within its error of it where it is not decided."""
+        known = sum(own.error for own in (self.start_edge, self.end_edge) if own is not None)
+        alike = self.is_complex == (edge.kind != "real")
+        slack = edge.error if alike and self.start_edge and self.end_edge and self.end - self.start <= known else 0.0
         return self.start - slack <= edge.coordinate <= self.end + slack
 
     def unstable(self, mu: ComplexArray) -> ComplexArray:
@@ -222,7 +224,8 @@ class Block:
 
         An edge within its error of an end of the interval is there: the interval beside it then sees the same one, and
         what lies between edge and end is nothing. A place where no function changes its sign is an edge all the same
-        where the states beside it differ: two equal mu pass -1 or 0 together.
+        where the states beside it differ: two equal mu pass -1 or 0 together. Two edges with nothing between them are
+        those of a segment too: mu of opposite signatures that pass one another uncoupled.
         """
         edges, stops = self._edges_in_order, self._stops
         is_complex, outside = self._states_between
@@ -241,11 +244,24 @@ class Block:
             for i in np.flatnonzero(outside).tolist()
             if places[i] < places[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
         ]
+        found += self._passed_twice(crossed, found)
         for edge in (edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes):
             place = edge.coordinate
             if not any(segment.holds(edge) for segment in found):
                 found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
+
+    def _passed_twice(self, crossed: Sequence[Edge], segments: Sequence[Segment]) -> Iterator[Segment]:
+        """Edges in pairs that coincide within errors, of those that no segment has."""
+        known = {id(edge) for segment in segments for edge in (segment.start_edge, segment.end_edge)}
+        before: Edge | None = None
+        for edge in (edge for edge in crossed if id(edge) not in known):
+            if before is None or edge.coordinate - before.coordinate > before.error + edge.error:
+                before = edge
+                continue
+            kind = edge.kind != "real"
+            yield Segment(self, before.coordinate, edge.coordinate, before, edge, kind, 2 if kind else 1)
+            before = None
 
     def _at_an_end(self, edge: Edge) -> Edge:
         """The edge, moved to an end of the interval where that is within its error."""

@@ -7,7 +7,7 @@ import pytest
 
 from casadi_skin.stability import chebyshev
 from casadi_skin.stability.assembly import DISAGREEMENT, groups_of
-from casadi_skin.stability.blocks import comes_apart
+from casadi_skin.stability.blocks import blocks_of, comes_apart
 from casadi_skin.stability.decoupling import DEGREE, PROBES, contracts
 from casadi_skin.stability.small_blocks import Segment, SingleBlock, single_functions
 
@@ -52,6 +52,21 @@ def test_two_that_meet_and_part_between_the_nodes_that_are_asked_do_not_come_apa
     assert not contracts(K, ALONE)[0]
     K[0, :, 0, 0], K[0, :, 1, 1] = 1.0 + mu, -1.0 - mu
     assert contracts(K, ALONE)[0]
+
+
+def test_no_block_has_complex_mu_beside_real_ones() -> None:
+    """Real and imaginary parts of one pair may join others: those of another pair, which then are no longer complex."""
+    random, seen = np.random.default_rng(3), 0
+    for _ in range(40):
+        A, B = random.normal(size=(2, 8, 8))
+        for blocks in (
+            each for _, each in blocks_of((A + 0.3 * chebyshev.nodes(DEGREE)[:, None, None] * B)[None, :, None])
+        ):
+            labels, real = blocks.labels[0], blocks.real[0]
+            for label in np.unique(labels).tolist():
+                assert len(set(real[labels == label].tolist())) == 1
+                seen += bool(np.any(np.abs(blocks.mu[0][labels == label].imag) > 1e-9) and real[labels == label].all())
+    assert seen > 10
 
 
 def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> SingleBlock:

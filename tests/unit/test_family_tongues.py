@@ -50,6 +50,24 @@ def test_the_first_family_has_the_changes_that_are_known() -> None:
     assert not diagram.unresolved
 
 
+@pytest.mark.parametrize(
+    ("chain", "S_max", "starts"),
+    [
+        (Chain(15, 1.978, 0.572, -1.0), 1.47, [0.155305, 0.364046]),
+        (Chain(17, 1.495, -0.456, -1.0), 1.881, [0.164208, 0.426239]),
+    ],
+)
+def test_two_tongues_that_overlap_are_two(chain: Chain, S_max: float, starts: list[float]) -> None:
+    """Two pairs off the circle to the end, each from an edge of its own; the second edge is no change of stability."""
+    diagram = diagram_of(chain, 4, S_max)
+    assert [tongue.modes for tongue in diagram.tongues] == [(3, 5), (1, 6)]
+    assert [tongue.start.S for tongue in diagram.tongues] == pytest.approx(starts, abs=1e-6)
+    assert all(tongue.open_end for tongue in diagram.tongues)
+    assert (len(diagram.changes), len(diagram.further)) == (1, 1)
+    outside = np.sum(np.abs(diagram.spectrum(np.linspace(diagram.start, diagram.end, 60))[0].imag) > 1e-9, axis=1)
+    assert set(outside.tolist()) == {0, 2, 4}
+
+
 def test_tongues_are_named_by_the_modes_that_meet() -> None:
     """omega_k + omega_l = 2 m Omega where the orbit is so small that frequencies are those of linear modes."""
     chain = Chain(16, 0.5, 0.3, -1.0)

@@ -114,11 +114,43 @@ def test_multipliers_of_one_signature_pass_without_instability() -> None:
     assert abs(met.place.S - 0.4) <= 1e-9
 
 
+UNCOUPLED = [0.05, 0.125, 0.17, 0.25, 0.3228753, 0.375, 0.4, 0.458148, 0.5, 0.5371041, 0.75, 0.9326634]
+
+
+def test_meetings_without_instability_at_the_end_of_an_interval_are_one() -> None:
+    for place in UNCOUPLED:
+        (met,) = find_changes(SymplecticFamily([passage(cubic(-place, 1.0)), FAR])).passages
+        assert abs(met.place.S - place) <= 1e-9
+
+
 def test_opposite_signatures_that_pass_uncoupled_are_not_decided_and_not_counted() -> None:
-    diagram = find_changes(SymplecticFamily([collision(cubic(-0.4, 1.0), 0.0), FAR]))
-    assert not diagram.changes
-    (tongue,) = diagram.undecided
-    assert abs(tongue.start.S - 0.4) <= 1e-12
+    """Wherever they pass, also at ends of intervals: both functions of the pair have one zero there, to rounding."""
+    for place in UNCOUPLED:
+        diagram = find_changes(SymplecticFamily([collision(cubic(-place, 1.0), 0.0), FAR]))
+        assert not diagram.changes
+        (tongue,) = diagram.undecided
+        assert tongue.kind == "complex"
+        assert abs(tongue.start.S - place) <= 1e-12
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_mode_that_touches_the_end_uncoupled_is_not_decided_and_not_counted(swapped: bool) -> None:
+    """omega^2 = (s - place)^2: stiffness and mobility pass zero in one place."""
+    for place in UNCOUPLED:
+        both = cubic(-place, 1.0)
+        diagram = find_changes(SymplecticFamily([real(both, both), FAR], swapped))
+        assert not diagram.changes
+        (tongue,) = diagram.undecided
+        assert tongue.kind == "real"
+        assert abs(tongue.start.S - place) <= 1e-12
+
+
+def test_opposite_signatures_that_touch_uncoupled_are_not_decided_once() -> None:
+    for place in UNCOUPLED:
+        diagram = find_changes(SymplecticFamily([collision(cubic(place**2, -2.0 * place, 1.0), 0.0), FAR]))
+        assert not diagram.changes
+        (tongue,) = diagram.undecided
+        assert abs(tongue.start.S - place) <= tongue.start.S_error + 1e-9
 
 
 @pytest.mark.parametrize(("coupling", "decided"), [(1e-6, True), (1e-10, False)])
