@@ -305,6 +305,11 @@ class Problem(ABC):
         """Residuals of size 1 in general position, shape (size - 1,), which are not to be written to."""
         return _probe(self.size - 1)
 
+    @property
+    def residual_size(self) -> float:
+        """What a residual has to be to matter: 1, or less where the states are small."""
+        return 1.0
+
     def rounding(self, z: Array) -> float:
         """Size of the rounding errors in the residuals at z."""
         _, columns = self.pattern

@@ -17,6 +17,7 @@ from casadi_skin.models.expressions import Expression
 
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
+FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
 ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
 SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
 
@@ -73,6 +74,11 @@ class BoundaryProblem(CollocationEquations):
     def sample(self, z: Array, theta: Array) -> Array:
         return self._interpolate(z, np.asarray(theta, dtype=float))
 
+    @property
+    def residual_size(self) -> float:
+        largest = FLOOR**-1 * float(np.max(self.floors, initial=0.0))
+        return min(1.0, largest) if largest > 0.0 else 1.0
+
     def frequency(self, z: Array) -> float:
         return 1.0
 
@@ -89,13 +95,13 @@ class BoundaryProblem(CollocationEquations):
         return np.asarray(np.maximum(own, SMALLEST * np.max(own)))
 
     def measure_by(self, z: Array) -> None:
-        """Let a thousandth of z be what its components are measured by at least, where it is not zero but for rounding.
+        """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
 
         On all meshes that share `floors`: a guess of zeros has not the size of the solution that it led to.
         """
         largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
         if np.max(largest) > ZERO:
-            self.floors[:] = 1e-3 * largest
+            self.floors[:] = FLOOR * largest
 
     def _scalar_sizes(self, z: Array) -> Array:
         return np.asarray(np.maximum(np.abs(z[self.states : -1]), self.scalar_floors))

@@ -77,28 +77,30 @@ class _Splitting:
         """One step from each of many states, shape (many, size), each of its own length."""
         return np.array(self._step(self._columns(states, steps))).T[:, : self.size]
 
-    def _advance(self, column: Array, count: int) -> Array:
-        """`count` steps, in repetitions of powers of two up to LONGEST_FOLD."""
-        while count > 0:
-            many = min(LONGEST_FOLD, 1 << (count.bit_length() - 1))
+    def _advance(self, column: Array, count: int) -> tuple[Array, int]:
+        """`count` steps, in repetitions of powers of two up to LONGEST_FOLD, fewer to a state not finite; how many."""
+        left = count
+        while left > 0 and np.all(np.isfinite(column)):
+            many = min(LONGEST_FOLD, 1 << (left.bit_length() - 1))
             if many not in self._folds:
                 self._folds[many] = self._step.fold(many)
-            column, count = np.array(self._folds[many](column)), count - many
-        return column
+            column, left = np.array(self._folds[many](column)), left - many
+        return column, count - left
 
     def run(self, start: Array, t: Array, step: float) -> Trajectory:
         """States at the times t with a fixed step, up to the last one that is finite."""
-        before = np.floor(t / step).astype(int)
+        before, steps = np.floor(t / step).astype(int), t.size
         column, states = self._columns(start[None], np.array([step])), np.empty((t.size, self.size))
         for i, count in enumerate(np.diff(before, prepend=0)):
-            column = self._advance(column, int(count))
+            column, taken = self._advance(column, int(count))
+            steps += taken
             states[i] = column[: self.size, 0]
             if not np.all(np.isfinite(states[i])):
                 states[i:] = np.nan
                 break
         states = self._steps(states, t - before * step)
         finite = np.append(np.all(np.isfinite(states), axis=1), False)
-        return Trajectory(states[: np.argmin(finite)], self.stages * int(before[-1] + t.size), step)
+        return Trajectory(states[: np.argmin(finite)], self.stages * steps, step)
 
     def step_errors(self, states: Array, step: float, scale: float) -> Array:
         """Largest difference between one step and two half steps from states, shape (many, size) -> (many,).
@@ -121,7 +123,7 @@ class _Splitting:
         for _ in range(RETRIES):
             column, states = self._columns(start[None], np.array([step])), [start]
             for _ in range(50):
-                column = self._advance(column, 1)
+                column, _ = self._advance(column, 1)
                 states.append(column[: self.size, 0])
             error = float(self.step_errors(np.array(states), step, size_of(start)).max())
             if error <= tolerance:

@@ -199,7 +199,7 @@ class BorderedSolver:
         self._band = BandLayout.of(problem)
         self._kernel = None if self._band is None else self._band.kernel(problem)
         self._probes = np.zeros((size, 2))
-        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
+        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
         self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
         self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))

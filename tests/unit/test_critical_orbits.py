@@ -50,19 +50,41 @@ def test_a_fold_of_cycles_is_where_it_is_known_and_is_followed_in_two_parameters
     assert np.array_equal(read_result(tmp_path / "curve")["mu"], curve["mu"])
 
 
+def folding_cycles_in_units(length: float, rate: float, mu: tuple[float, float], a: tuple[float, float]) -> OdeModel:
+    """`cycles_with_fold` with other units of the state and of time, and parameters with a zero and a unit each."""
+    (x, y, p, q), plain = symbols("x y mu a"), cycles_with_fold()
+    inner = plain.function("rhs", plain.rhs)
+    scaled = ca.vertcat((p - mu[0]) / mu[1], (q - a[0]) / a[1])
+    rhs = length * rate * inner(0.0, ca.vertcat(x, y) / length, scaled)
+    return OdeModel("folding cycles in units", ca.vertcat(x, y), rhs, ca.vertcat(p, q))
+
+
 @pytest.mark.slow
-def test_folds_of_cycles_end_at_a_generalized_hopf_point() -> None:
+@pytest.mark.parametrize(
+    ("length", "rate", "mu", "a"),
+    [
+        (1.0, 1.0, (0.0, 1.0), (0.0, 1.0)),
+        (1e4, 1e3, (-2e-4, 1e-4), (-300.0, 100.0)),
+        (1e-8, 1e-3, (3e5, 1e5), (5e-3, 1e-3)),
+    ],
+)
+def test_folds_of_cycles_end_at_a_generalized_hopf_point_in_all_units(
+    length: float, rate: float, mu: tuple[float, float], a: tuple[float, float]
+) -> None:
     """The curve mu = -a^2/4 ends at a = 0, where l1 of the Hopf points mu = 0 is zero."""
-    model = cycles_with_fold()
-    orbit = find_orbit(model, lambda t: circle(t)[:2], 6.28, parameters={"mu": 0.1, "a": 1.0}, corrector="newton")
-    branch = orbit.follow("mu", -0.5, stability=True)
+    model, guess = folding_cycles_in_units(length, rate, mu, a), lambda t: [length * x for x in circle(rate * t)[:2]]
+    values = {"mu": mu[0] + 0.1 * mu[1], "a": a[0] + a[1]}
+    orbit = find_orbit(model, guess, 2.0 * np.pi / rate, parameters=values, corrector="newton")
+    branch = orbit.follow("mu", mu[0] - 0.5 * mu[1])
     assert branch.end is End.HOPF
-    curve = branch.special_points[0].curve("a", -1.0)
+    curve = branch.special_points[0].curve("a", a[0] - a[1])
     assert curve.end is End.BAUTIN
     (end,) = curve.special_points
     assert end.kind == "generalized hopf"
-    assert abs(end.parameters["a"]) < 1e-9
-    assert end.solution.period == pytest.approx(2.0 * np.pi, rel=1e-9)
+    assert abs(end.parameters["a"] - a[0]) <= end.error < 1e-11 * a[1]
+    assert abs(end.parameters["mu"] - mu[0]) < 1e-11 * mu[1]
+    assert end.solution.period * rate == pytest.approx(2.0 * np.pi, rel=1e-9)
+    assert np.max(np.ptp(end.solution.evaluate(np.linspace(0.0, end.solution.period, 9)), axis=0)) < 1e-9 * length
 
 
 @pytest.mark.slow

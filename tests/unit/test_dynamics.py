@@ -300,6 +300,16 @@ def test_a_step_that_is_too_long_is_an_error_not_a_result() -> None:
         evolve(Chain(3, 1.0, 0.2, 1.0), [0.5, 0.1, 0.3], None, [100.0], "symplectic", step=3.0)
 
 
+def test_a_state_that_escapes_is_refused_soon_and_not_after_all_steps() -> None:
+    """At infinity at t = 0.8799, by quadrature, of 1e7 steps to t = 1e5."""
+    with pytest.raises(EvolutionError, match="it is not finite then") as caught:
+        evolve(Chain(1, 1.0, 0.0, -1.0), [2.5], None, [0.0, 0.5, 1e5], "symplectic", step=0.01)
+    kept = caught.value.evolution
+    assert kept is not None
+    assert list(kept.t) == [0.0, 0.5]
+    assert kept.evaluations < 1e5
+
+
 GOOD = {"positions": [0.1, 0.2, 0.3], "velocities": [0.0, 0.0, 0.1], "t": [0.0, 1.0]}
 
 
