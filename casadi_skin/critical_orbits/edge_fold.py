@@ -19,7 +19,8 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, End, Point
 from casadi_skin.equilibria.problem import ExactLevels
 from casadi_skin.orbits.branch_sampler import flow_error
-from casadi_skin.orbits.family import Family, orbit_state
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.family_stability import orbit_state
 from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.stability.half_period import reduced_matrices

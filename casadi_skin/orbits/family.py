@@ -1,49 +1,36 @@
-"""One family as a space of solutions, each part built on first use: equations by resolution, flow, start."""
+"""One family as a space of solutions, each part built on first use: equations by resolution, start, branch."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cached_property
-from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
-from casadi_skin.arguments import check_name
 from casadi_skin.arrays import site_numbers
 from casadi_skin.bvp.orbit_collocation import CollocationProblem
-from casadi_skin.bvp.problem import Array, Buffers, Indices, Problem, Scalar
+from casadi_skin.bvp.problem import Array, Indices, Problem, Scalar
 from casadi_skin.bvp.shooting import ShootingProblem
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, End, Point, Target
 from casadi_skin.continuation.series import TOGETHER
-from casadi_skin.orbits.coordinates import Coordinates
+from casadi_skin.orbits.family_stability import FamilyStability
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.request import FamilyRequest
 from casadi_skin.orbits.small_components import with_small_components
 from casadi_skin.orbits.special_points import folds_between
 from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector
-from casadi_skin.solvers.estimates import Refinement
 from casadi_skin.solvers.levels import Levels
-from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
-from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
-from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
-from casadi_skin.threads import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.bvp.recursion import PolynomialForm, Recursion
-    from casadi_skin.orbits.coordinates import Localised
-    from casadi_skin.orbits.edge_hill import EdgeHill
-    from casadi_skin.stability.localised import LocalisedFloquet
 
 HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
@@ -57,12 +44,11 @@ SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend
 CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
 SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
-STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
 SLOW = 3.0  # times the period of the linear mode
 UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 
 
-class Family:
+class Family(FamilyStability):
     """The equations of one family and how their unknowns are read (see `orbits.space.SolutionSpace`).
 
     Each part is built on first use; one object serves any number of continuations of the same request.
@@ -75,40 +61,10 @@ class Family:
     locates_folds = False  # while the family is followed; `Branch.special_points` locates them on first use
 
     def __init__(self, request: FamilyRequest) -> None:
-        self.request = request
+        super().__init__(request)
         self._recursions: dict[int, Recursion] = {}
-        self._cuts: dict[int, Family] = {}
-
-    @property
-    def model(self) -> Any:
-        """The model that the family belongs to."""
-        return self.request.model
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """The coordinates that the family is solved in."""
-        return self.request.coordinates
-
-    @property
-    def tolerance(self) -> float:
-        """Relative error of Omega, profile and multipliers."""
-        return self.request.tolerance
-
-    @cached_property
-    def whole(self) -> Family:
-        """The same family with every position an unknown, as its stability needs."""
-        if self.coordinates.is_whole:
-            return self
-        self.coordinates.check_whole()
-        return Family(replace(self.request, method=replace(self.request.method, tail="full", walker=None)))
 
     # Equations ------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def _rhs(self) -> Buffers:
-        """Acceleration by position and parameter."""
-        solved = self.coordinates.solved
-        return Buffers(ca.Function("rhs", [solved.state, solved.parameters], [ca.densify(solved.rhs)]))
 
     @cached_property
     def symmetry(self) -> SymmetryClass:
@@ -283,145 +239,3 @@ class Family:
         coordinates = self.coordinates
         solved = coordinates.log_solved(point, z, smallest)
         return coordinates.log_displacements(point, solved, site_numbers(sites))
-
-    # Stability ------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def flow(self) -> FlowMap:
-        """Flow map of the variational system."""
-        return self._flow(str(self.request.method.flow))
-
-    def _flow(self, name: str) -> FlowMap:
-        flow: FlowMap = methods.FLOWS[name].load()(self.coordinates.scaled, self.tolerance)
-        return flow
-
-    @property
-    def stability_batch(self) -> int:
-        """Number of points whose stability is best computed together."""
-        batch = 1 if self.coordinates.localised else self.whole.flow.batch
-        return batch if batch == 1 else min(2 * batch, STABILITY_BATCH)
-
-    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
-        """Stability of several points of the family.
-
-        Arguments:
-            points: points of this family.
-            by: name of a flow map, that of the request by default.
-
-        Returns:
-            One result a point; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block, of a chain
-            whose tail is too long or cut a `LocalisedFloquet`.
-
-        Raises:
-            FlowError: the flow map cannot reach the tolerance for one of them.
-            ValueError: there is no such flow map.
-        """
-        if by is not None:
-            check_name("by", by, methods.FLOWS)
-        if self.coordinates.localised is not None:
-            with one_thread():
-                return [self._localised(self.coordinates.localised, point, by) for point in points]
-        whole = self.whole
-        if whole is not self:
-            return whole.floquets([self.on_all_positions(point) for point in points], by)
-        states = [orbit_state(point) for point in points]
-        flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
-        with one_thread():
-            results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
-        return [self.coordinates.with_resting(point, found) for point, found in zip(points, results, strict=True)]
-
-    def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
-        """Stability of localised perturbations, on as many sites as decide it."""
-        from casadi_skin.stability.localised import localised_floquet
-
-        assert self.coordinates.symplectic
-        for sites in localised.sites:
-            cut = self._cut(sites)
-            flow = cut.flow if by in (None, self.request.method.flow) else cut._flow(str(by))
-            state = self._on_cut_sites(orbit_state(point), cut, sites)
-            first, better = cut.accelerations([state, state.better or state])
-            (transition,) = flow.transitions([state], self.tolerance)
-            found = localised_floquet(
-                transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first,
-                localised.cell,
-            )  # fmt: skip
-            if not found.unresolved.size:
-                break
-        counted = self._edge.off_circle(orbit_state(point)) if found.power == 2 else None  # of odd orbits alone
-        return replace(found, counted=counted)
-
-    @cached_property
-    def _edge(self) -> EdgeHill:
-        """Hill's equations of orbits at the edge of the tail."""
-        from casadi_skin.orbits.edge_hill import EdgeHill
-
-        return EdgeHill(self.coordinates)
-
-    def _cut(self, sites: int) -> Family:
-        """The same family on so many sites at the edge alone."""
-        if sites not in self._cuts:
-            model, mode = self.coordinates.cut(sites)
-            method = replace(self.request.method, tail="full", walker=None, stability_sites=None)
-            changed = {"model": model, "mode": mode, "method": method, "parameters": None, "certify": False}
-            self._cuts[sites] = Family(replace(self.request, **changed))
-        return self._cuts[sites]
-
-    def _on_cut_sites(self, state: OrbitState, cut: Family, sites: int) -> OrbitState:
-        problem = cut.levels.problem(state.problem.resolution)
-        better = None if state.better is None else self._on_cut_sites(state.better, cut, sites)
-        return OrbitState(problem, self.coordinates.on_cut_sites(state.problem, state.z, sites), better)
-
-    def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
-        """q'' at phase zero, shape (orbits, scaled positions)."""
-        groups = groupby(orbits, key=lambda orbit: orbit.problem)
-        states = [problem.samples(np.stack([one.z for one in those]), np.zeros(1)) for problem, those in groups]
-        starts = zip(np.concatenate(states)[:, 0], orbits, strict=True)
-        return np.stack([self._rhs(start, np.array(orbit.parameter))[0].copy() for start, orbit in starts])
-
-    def on_all_positions(self, point: Point) -> Point:
-        """A point of a family whose tail is eliminated, as a point of `whole`."""
-        if self.whole is self:
-            return point
-
-        def everywhere(problem: Problem, z: Array) -> Refinement:
-            target = self.whole.levels.problem(problem.resolution)
-            return Refinement(target, self.coordinates.on_all_sites(problem, z))  # type: ignore[attr-defined]
-
-        here = everywhere(point.problem, point.z)
-        better = None if point.better is None else everywhere(point.better.problem, point.better.z)
-        return replace(point, problem=here.problem, z=here.z, tangent=np.zeros(here.z.size), better=better)
-
-    def transition(self, point: Point) -> tuple[Transition, Array]:
-        """Transition matrix of all scaled positions, and q'' at phase zero."""
-        whole, all_positions = self.whole, self.on_all_positions(point)
-        acceleration = whole.accelerations([orbit_state(all_positions)])[0]
-        return whole.flow.transition(all_positions.problem, all_positions.z), np.asarray(acceleration)
-
-    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
-        """Floquet vectors (positions, velocities) at phase zero, shape (2n, 2n), in the order of the multipliers."""
-        if self.coordinates.localised is not None:
-            raise ValueError("floquet_vectors: given a tail that is cut or too long; accepted: all sites unknown")
-        coordinates = self.whole.coordinates
-        if coordinates.without_vectors:
-            raise ValueError(f"floquet_vectors: {coordinates.without_vectors}")
-        transition, acceleration = self.transition(point)
-        if coordinates.symplectic:
-            return floquet_vectors(transition, acceleration, coordinates.scale)
-        return vectors_of_map(transition, floquet.multipliers, coordinates.scale)
-
-
-def orbit_state(point: Point) -> OrbitState:
-    """A point in the form that flow maps take, with the better orbit that shows its error.
-
-    Where the point has none, as one read from a journal, the state and Omega are put off by their estimated errors.
-    """
-    problem, z = point.problem, point.z
-    if point.better is not None:
-        return OrbitState(problem, z, OrbitState(point.better.problem, point.better.z))
-    if not (np.isfinite(point.error.profile) and np.isfinite(point.error.Omega)):
-        return OrbitState(problem, z)
-    off = z.copy()
-    off[: problem.states] *= 1.0 + point.error.profile
-    off[problem.Omega_index] += point.error.Omega
-    off[problem.parameter_index] *= 1.0 + point.error.parameter
-    return OrbitState(problem, z, OrbitState(problem, off))

@@ -19,7 +19,7 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.bvp.recursion import TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.orbits import family
+from casadi_skin.orbits import family_stability
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
@@ -103,7 +103,7 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
     watch(StackedSolver, "steps", "Newton steps at places of stretches")
     watch(TaylorRecursion, "series", "series")
     watch(Levels, "refined", "error estimates, but for the two above")
-    watch(family, "floquets", "multipliers")
+    watch(family_stability, "floquets", "multipliers")
     started = time.perf_counter()
     walk = follow(tools, stability=True)
     spent["the rest, Python"] = time.perf_counter() - started - sum(spent.values())

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits import family
+from casadi_skin.orbits import family_stability
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
@@ -402,7 +402,7 @@ def test_a_walk_in_batches_is_the_walk_one_by_one(monkeypatch: pytest.MonkeyPatc
     request = family_request(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, at=(0.5, 2.0), tolerance=1e-8, corrector="newton")
     results = []
     for together in (8, 1):
-        monkeypatch.setattr(family, "STABILITY_BATCH", together)
+        monkeypatch.setattr(family_stability, "STABILITY_BATCH", together)
         walk = Following(Family(request), stability=True)
         assert all(isinstance(result, Orbit) for result in walk)
         results.append(walk.branch())
