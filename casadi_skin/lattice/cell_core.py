@@ -13,6 +13,7 @@ from casadi_skin.bvp.cosines import cosine_matrix
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.bvp.statement import named_values
 from casadi_skin.continuation.points import Point
+from casadi_skin.lattice.cell_motion import edge_motion, pinned_vectors, tail_coefficients
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
 from casadi_skin.lattice.long_lattice import LongLattice
@@ -115,44 +116,16 @@ class CellCoreWithTail(ModelCoordinates):
         assert isinstance(problem, CoreWithTailProblem)
         H, p, cut = problem.resolution, len(self.lattice.sites), self._cells_at_edge(sites)
         core = z[: problem.states].reshape(-1, H)
-        cells = self._tail_coefficients(problem, z, sites // p - self.core.cells)
+        places = self.parameter(H).places(float(z[problem.Omega_index]))
+        values, site = problem.values(z), problem.coefficients(z)[self.attached]
+        beyond = range(self.core.cells + 1, sites // p + 1)
+        cells = tail_coefficients(self.lattice, beyond, places, (values.across, values.down), site)
         order = slice(None, None, -1) if self.lattice.at_last else slice(None)
         tail = cells[:, order].reshape(H, -1).T @ cosine_matrix(H)
         both = np.concatenate([tail, core] if self.lattice.at_last else [core, tail])
         at_edge = -1 if self.lattice.at_last else 0
         unit = self.scale[at_edge] / cut.scale[at_edge]  # of the two gauges
         return np.concatenate([unit * both.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
-
-    def _tail_coefficients(self, problem: CoreWithTailProblem, z: Array, cells: int) -> Array:
-        """Coefficients of the odd cosines in cells of the tail, from the core on, shape (harmonics, cells, sites)."""
-        lattice, s, (inlet, outlet) = self.lattice, self.tail.coupling, (self.lattice.inlet, self.lattice.outlet)
-        places = self.parameter(problem.resolution).places(float(z[problem.Omega_index]))
-        values, site = problem.values(z), problem.coefficients(z)[self.attached]
-        found, p = np.empty((problem.resolution, cells, len(lattice.sites))), len(lattice.sites)
-        for h, place in enumerate(places):
-            matrix, right, near = np.zeros((p + 1, p + 1)), np.zeros(p + 1), float(site[h])
-            matrix[:p, :p] = lattice.cell - self.tail.square(place) * np.eye(p)
-            matrix[inlet, p] = -s
-            angles = self._far_vectors(place, (float(values.across[h]), float(values.down[h])), cells)
-            for k, (across, down) in enumerate(angles):
-                matrix[p, inlet], matrix[p, p], right[outlet] = -across, down, s * near
-                motion = np.linalg.solve(matrix, right)
-                found[h, k], near = motion[:p], float(motion[inlet])
-        return found * (lattice.bond_sign ** (np.arange(cells) + 1.0))[None, :, None]
-
-    def _far_vectors(self, place: Place, first: tuple[float, float], cells: int) -> list[tuple[float, float]]:
-        """Amplitudes across the bonds behind each of so many cells of the tail, and before them, up to factors."""
-        endless = not np.isfinite(self.lattice.cells)
-        if endless and place.off == 0.0:  # pinned: no wave decays, and amplitudes are linear in the distance
-            P, v, found = self.tail.transfer(place.edge), np.array(first), []
-            for _ in range(cells):
-                v = np.array([[P[1, 1], -P[0, 1]], [-P[1, 0], P[0, 0]]]) @ v
-                v /= np.linalg.norm(v)
-                found.append((float(v[0]), float(v[1])))
-            return found
-        if endless:
-            return [self.tail.vector(place)] * cells
-        return [self.lattice.tail(self.core.cells + k + 1).vector(place) for k in range(cells)]
 
     @property
     def description(self) -> str:
@@ -180,12 +153,9 @@ class CellCoreWithTail(ModelCoordinates):
         mode, first, last = self.edge_mode, self.lattice.tail(1), self.tail
         if not mode.pinned or np.isfinite(self.lattice.cells):
             return last.angle(mode.place)
-        P, v = first.transfer(mode.place.edge), np.array([np.sin(mode.angle), np.cos(mode.angle)])
-        back, angle = np.array([[P[1, 1], -P[0, 1]], [-P[1, 0], P[0, 0]]]), mode.angle
-        for _ in range(self.core.cells - 1):
-            v = back @ v
-            v /= np.linalg.norm(v)
-            turn = float(np.arctan2(*v)) - angle
+        start, angle = np.array([np.sin(mode.angle), np.cos(mode.angle)]), mode.angle
+        for vector in pinned_vectors(first, mode.place.edge, start, self.core.cells - 1):
+            turn = float(np.arctan2(*vector)) - angle
             angle += turn - np.pi * round(turn / np.pi)
         return angle
 
@@ -195,21 +165,8 @@ class CellCoreWithTail(ModelCoordinates):
 
     @cached_property
     def mode(self) -> Array:
-        """From the tail to the edge, cell by cell, so that small amplitudes keep their digits."""
-        lattice, s, square = self.lattice, self.tail.coupling, self.edge_mode.square
-        across, down, cells = math.sin(self._tail_angle), math.cos(self._tail_angle), []
-        for _ in range(self.core.cells - 1):
-            found = _cell_motion(lattice, lattice.cell, square, s, (across, down), True)
-            size = math.hypot(found[lattice.outlet], found[-1])
-            cells.append(found[:-1] / size)
-            across, down = found[lattice.outlet] / size, found[-1] / size
-        found = _cell_motion(lattice, lattice.edge_cell, square, s, (across, down), False)
-        motion, size = [found[:-1]], found[-1]  # `size` is of the two amplitudes at a bond
-        for cell in cells[::-1]:
-            size *= lattice.bond_sign
-            motion.append(size * cell[:-1])
-            size *= cell[-1]
-        return normalised(np.concatenate(motion[::-1] if lattice.at_last else motion), self.scale)
+        motion = edge_motion(self.lattice, self.core.cells, self.edge_mode.square, self._tail_angle)
+        return normalised(motion, self.scale)
 
     # Quantities -------------------------------------------------------------------------------------------------------
 
@@ -340,20 +297,3 @@ def long_lattice_coordinates(
         accepted = f"more sites than those of {core.cells} cells, where forces are nonlinear, and fewer than all"
         raise ValueError(f"stability_sites: given {sites}; accepted: {accepted}")
     return CellCoreWithTail(lattice, core, number, amplitude_max, sites)
-
-
-def _cell_motion(
-    lattice: LongLattice, stiffness: Array, square: float, s: float, angle: tuple[float, float], inner: bool
-) -> Array:
-    """Amplitudes of a cell, the size of those at its bond to the tail, whose angle is known, and that of the next cell.
-
-    The last is there for an `inner` cell alone. They solve linear equations up to a factor.
-    """
-    unit = np.eye(len(stiffness))
-    inlet, outlet = unit[:, [lattice.inlet]], unit[:, [lattice.outlet]]
-    above = [stiffness - square * unit, -s * angle[0] * inlet]
-    below = [inlet.T, np.array([[-angle[1]]])]
-    if inner:
-        above.append(-s * outlet)
-        below.append(np.zeros((1, 1)))
-    return np.asarray(np.linalg.svd(np.block([above, below]))[2][-1])
