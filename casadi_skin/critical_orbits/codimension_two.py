@@ -21,8 +21,8 @@ from casadi_skin.critical_orbits.followed import Followed
 from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_of
 from casadi_skin.critical_orbits.shrinking import shrunk
 from casadi_skin.equilibria.codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
-from casadi_skin.equilibria.double_points import double_between
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, zero_between
+from casadi_skin.equilibria.double_points import double_between, interpolated
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
 from casadi_skin.stability.reduction import ComplexArray
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
@@ -34,6 +34,7 @@ ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another
     BRANCH_POINT: ("1:1 resonance", "fold-flip", "fold-torus"),
 }
 VANISHES = 1e-2  # of its values at both ends: a test where it has a root
+INTERPOLATED = 1e-3  # of a step: an error of interpolation with which a point is named
 NEUTRAL = 1e-6  # imaginary part of a pair that is one
 Test = Callable[[Point], float]
 
@@ -53,8 +54,7 @@ def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, 
     """Kinds of the points that are passed, each with a function that changes its sign there."""
     if space.kind == BRANCH_POINT:
         yield from _branching(space, before, after)
-    candidates = _of_solutions(space, before) if space.periodic is None else _of_orbits(space)
-    for kind, test in candidates:
+    for kind, test in [*_resonances(space), *_of_multipliers(space), *_of_normal_form(space, before)]:
         try:
             if test(before) * test(after) < 0.0:
                 yield kind, test
@@ -75,26 +75,26 @@ def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[s
         yield kind, lambda point: branching_equation(space, point).coefficients[int(symmetric)]
 
 
-def _of_solutions(space: Followed, before: Point) -> list[tuple[str, Test]]:
-    """Kinds of points on curves of special solutions of a stated problem, with their functions."""
-    if space.kind == FOLD:
-        return [(CUSP, quadratic_term(space, before))]
-    degenerate = DEGENERATE.get(space.kind) if space.repeats else None
-    return [*_resonances(space), *([(degenerate, _coefficient(space))] if degenerate else [])]
-
-
 def _resonances(space: Followed) -> list[tuple[str, Test]]:
     if space.kind != TORUS:
         return []
     return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
 
 
-def _of_orbits(space: Followed) -> list[tuple[str, Test]]:
-    """Kinds of points on curves of special orbits, with their functions."""
-    candidates = _resonances(space)
+def _of_multipliers(space: Followed) -> list[tuple[str, Test]]:
+    """Kinds of points at which another multiplier is on the unit circle, of orbits and of solutions that close."""
+    if space.periodic is None and not space.repeats:
+        return []
     plus, minus, pair = ANOTHER[space.kind]
-    candidates += [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
-    return [*candidates, *((DEGENERATE[kind], _coefficient(space)) for kind in DEGENERATE if kind == space.kind)]
+    return [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
+
+
+def _of_normal_form(space: Followed, before: Point) -> list[tuple[str, Test]]:
+    """The kind of points at which the coefficient of the normal form vanishes, where there is one."""
+    if space.kind == FOLD and space.periodic is None:
+        return [(CUSP, quadratic_term(space, before))]
+    known = space.kind in DEGENERATE and (space.periodic is not None or space.repeats)
+    return [(DEGENERATE[space.kind], _coefficient(space))] if known else []
 
 
 def others(space: Followed, point: Point) -> ComplexArray:
@@ -170,7 +170,13 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
         double = double_between(space.point_solver, before, after, test, second)
         if double is not None:
             return double
-    zero, beside, size = zero_between(space.point_solver, before, after, test, kind)
+    try:
+        zero, beside, size = zero_between(space.point_solver, before, after, test, kind)
+    except NotLocatedError:  # another null vector makes the equations singular there
+        found = interpolated(space.point_solver, before, after, test)
+        if found is None or found[1].error.parameter > INTERPOLATED * abs(after.parameter - before.parameter):
+            raise
+        return (found[0], replace(found[1], special=kind)) if _is_pair(space, found[1], kind) else None
     if abs(zero.value) > VANISHES * size or not _is_pair(space, zero.point, kind):
         return None
     slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
@@ -181,7 +187,7 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
 
 def _is_pair(space: Followed, point: Point, kind: str) -> bool:
     """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
-    if space.periodic is None or kind != ANOTHER[space.kind][2]:
+    if kind != ANOTHER[space.kind][2]:
         return True
     found = others(space, point)
     i, j = np.triu_indices(found.size, 1)

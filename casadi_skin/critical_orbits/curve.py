@@ -26,6 +26,7 @@ from casadi_skin.equilibria import curve as of_equilibria
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.breaking import turns_of
+from casadi_skin.orbits.closure import Closure
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.following import Following, run_following
@@ -60,8 +61,13 @@ class OrbitCurveSpace(BoundarySpace):
 
     @property
     def stability_included(self) -> bool:
-        """Of orbits, whose multipliers are needed for the special points."""
-        return self.periodic is not None
+        """Where solutions have multipliers, which are needed for the special points."""
+        return self.periodic is not None or self.repeats
+
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close the solutions themselves, without their linearisation."""
+        return self.orbits.closure if self.repeats and self.orbits is not None else None
 
     @property
     def _critical(self) -> Critical:

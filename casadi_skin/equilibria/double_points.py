@@ -1,4 +1,4 @@
-"""Branch points at which the Jacobian has two null vectors, where their extended equations are singular."""
+"""Points of codimension two at which extended equations are singular, as where two null vectors meet: interpolated."""
 
 from __future__ import annotations
 
@@ -20,8 +20,20 @@ def double_between(
 ) -> tuple[float, Point] | None:
     """The double branch point between two branch points, with its place; None where the Jacobian has one null vector.
 
-    Unknowns, and a test that changes its sign there, are interpolated from places around it; `second` is the second
-    smallest singular value of the Jacobian.
+    `test` changes its sign there; `second` is the second smallest singular value of the Jacobian.
+    """
+    found = interpolated(solver, before, after, test)
+    if found is None or second(found[1]) > SECOND * max(second(before), second(after)):
+        return None
+    return found[0], replace(found[1], special=DOUBLE)
+
+
+def interpolated(
+    solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float]
+) -> tuple[float, Point] | None:
+    """The point between two at which a test changes its sign, with its place; None where it does not.
+
+    Unknowns and test are interpolated from places around it.
     """
     from scipy.interpolate import KroghInterpolator
     from scipy.optimize import brentq
@@ -40,7 +52,5 @@ def double_between(
     rate = float(np.asarray(unknowns.derivative(roots[0]))[-1])
     apart = abs((roots[1] - roots[0]) * rate) + near.error.relative(1.0)
     error = replace(near.error, parameter=float(apart))
-    found = replace(near, z=np.asarray(unknowns(roots[0])), error=error, better=None, requested=False, walked=False)
-    if second(found) > SECOND * max(second(before), second(after)):
-        return None
-    return roots[0], replace(found, special=DOUBLE)
+    z = np.asarray(unknowns(roots[0]))
+    return roots[0], replace(near, z=z, error=error, better=None, requested=False, walked=False)

@@ -13,7 +13,7 @@ from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.expressions import Expression
 from casadi_skin.stability.full_period import multipliers_of
-from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
+from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians, velocities_at
 from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_at
 
@@ -75,15 +75,22 @@ class Closure:
         return True
 
     def multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> FullPeriodFloquet:
-        """Multipliers of a solution: those of S^-1 times the flow over the interval."""
-        jacobians = stage_jacobians(problem, z)
+        """Multipliers of a solution: those of S^-1 times the flow over the interval.
+
+        The state of the problem may have others beside it: those of the statement come first, as do its parameters.
+        """
+        n = self.matrix.shape[0]
+        jacobians = stage_jacobians(problem, z)[:, :n, :n]
         back = np.asarray(np.linalg.inv(self.matrix), dtype=float)
         maps = np.concatenate([interval_maps(problem, jacobians), back[None]])
         quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
         contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2))
         contraction += float(np.linalg.slogdet(back)[1])
         trivial = self._trivial(problem, z)
-        return multipliers_of(maps, trivial, tolerance, contraction, parts=Parts(problem, z, jacobians, back))
+        along = velocities_at(problem, z, n) if trivial.count == len(trivial.right) == 1 else None
+        if along is not None:
+            along = np.vstack([along, along[-1] @ back.T])
+        return multipliers_of(maps, trivial, tolerance, contraction, along, Parts(problem, z, jacobians, back))
 
     def moves_freely(self, problem: BoundaryProblem, z: Array) -> bool:
         """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
@@ -91,9 +98,11 @@ class Closure:
 
     def _trivial(self, problem: BoundaryProblem, z: Array) -> Trivial:
         """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
-        model, n, parameters = self.statement.model, self.matrix.shape[0], problem.parameters(z)
-        values = z[: problem.states].reshape(-1, n)
-        if np.max(np.ptp(values, axis=0)) <= STILL * np.max(np.abs(values)):  # at rest
+        model, n = self.statement.model, self.matrix.shape[0]
+        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
+        parameters = problem.parameters(z)[: model.parameters.numel()]
+        size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
+        if np.max(np.ptp(values, axis=0)) <= STILL * size:  # at rest
             return Trivial(0, np.empty((0, n)), np.empty((0, n)))
         first, last = (trivial_at(model, SymmetryClass.FULL, x, parameters) for x in (values[0], values[-1]))
         if first.count == 0 or len(first.right) != len(last.right) or len(first.left) != len(last.left):

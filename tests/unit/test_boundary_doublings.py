@@ -157,3 +157,71 @@ def test_tori_of_cycles_with_a_stated_free_period_are_followed_to_their_resonanc
     assert [point.kind for point in curve.special_points] == list(exact)
     for point, k in zip(curve.special_points, exact.values(), strict=True):
         assert abs(point.parameters["k"] - k) <= 3.0 * point.error < 1e-9
+
+
+def blocks(first: str) -> tuple[BoundaryValueProblem, list[float]]:
+    """Uncoupled blocks on an interval of length 1, the first critical at a = q/5; one with its zero for a start.
+
+    x' = (q - r) x - x^3 for r = 0.2 with x(1) = -x(0) and for r = 0.3 with x(1) = x(0), w' = (q - 0.1 + 0.7 i) w - ...
+    """
+    x, a, q = ca.SX.sym("x", 5 + (first == "torus")), ca.SX.sym("a"), ca.SX.sym("q")
+
+    def spiral(w: ca.SX, rate: ca.SX, turn: float) -> ca.SX:
+        return ca.vertcat(rate * w[0] - turn * w[1], turn * w[0] + rate * w[1]) - ca.sumsqr(w) * w
+
+    rate = a - q / 5
+    rates = [spiral(x[:2], q - 0.1, 0.7), (q - 0.2) * x[2] - x[2] ** 3, (q - 0.3) * x[3] - x[3] ** 3]
+    one = rate - x[4] ** 2 if first == "fold" else rate * x[4] - x[4] ** 3
+    critical = spiral(x[4:], rate, 1.3) if first == "torus" else one
+    model = OdeModel("blocks", x, ca.vertcat(*rates, critical), ca.vertcat(a, q))
+    signs = np.array([1.0, 1.0, -1.0, 1.0, -1.0 if first == "period doubling" else 1.0, 1.0])[: x.numel()]
+    ends = [model.end(x) - ca.DM(signs) * model.start(x)]
+    start = {"a": 0.3 if first == "fold" else -0.3, "q": 0.0}
+    guess = [0.0] * 4 + [0.55 if first == "fold" else 0.0] + [0.0] * (x.numel() - 5)
+    return BoundaryValueProblem(model, ends, parameters=start), guess
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("first", "pair", "minus", "plus"),
+    [
+        ("fold", "fold-torus", "fold-flip", "1:1 resonance"),
+        ("period doubling", "flip-torus", "1:2 resonance", "fold-flip"),
+        ("torus", "torus-torus", "flip-torus", "fold-torus"),
+        ("branch point", "fold-torus", "fold-flip", "double branch point"),
+    ],
+)
+def test_other_multipliers_pass_the_circle_on_curves_of_problems_that_close(
+    first: str, pair: str, minus: str, plus: str
+) -> None:
+    """Multipliers exp(q - 0.1 +- 0.7 i), -exp(q - 0.2) and exp(q - 0.3) beside the critical one."""
+    problem, guess = blocks(first)
+    (point,) = problem.solve(guess).follow("a", -0.2 if first == "fold" else 0.2, stability=True).special_points
+    assert point.kind == first
+    curve = point.curve("q", 0.5)
+    assert curve.complete
+    assert curve.with_stability
+    np.testing.assert_allclose(curve["a"], 0.2 * curve["q"], rtol=0, atol=1e-12)
+    assert [special.kind for special in curve.special_points] == [pair, minus, plus]
+    for special, q in zip(curve.special_points, (0.1, 0.2, 0.3), strict=True):
+        assert abs(special.parameters["q"] - q) <= special.error + 1e-15 < 1e-5
+    known = [*np.exp(0.4 + np.array([0.7j, -0.7j])), -np.exp(0.3), np.exp(0.2)]
+    found = curve.solutions[-1].floquet().multipliers
+    assert all(np.min(np.abs(found - value)) < 1e-8 for value in known)
+
+
+@pytest.mark.slow
+def test_curves_of_a_cycle_with_a_stated_period_have_the_points_of_those_of_the_orbit() -> None:
+    """On a band of Moebius det [[a, 1], [-k, -1]] = 0 along a = k, with trace zero at k = 1: two multipliers -1."""
+    model = across_circle(lambda xi, eta, a, k: (a * xi + eta - xi**3, -k * xi - eta), half=True)
+    T, values = ca.SX.sym("T"), {"a": 0.4, "k": 0.5}
+    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
+    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
+    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
+    cycle = problem.solve(lambda s: np.stack([np.cos(2 * np.pi * s), np.sin(2 * np.pi * s), 0.0 * s], axis=-1))
+    (point,) = cycle.follow("a", 0.6, stability=True).special_points
+    assert point.kind == "period doubling"
+    (special,) = point.curve("k", 1.4).special_points
+    assert special.kind == "1:2 resonance"
+    assert abs(special.parameters["k"] - 1.0) <= 3.0 * special.error < 1e-9
+    np.testing.assert_allclose(special.solution.floquet().others, -1.0, rtol=0, atol=1e-5)
