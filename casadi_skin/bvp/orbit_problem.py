@@ -61,7 +61,11 @@ class OrbitProblem(Problem):
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
-        return np.asarray(self.metrics(z[None], parameter_scale)[0])
+        states = z[: self.states]
+        weights = np.full(z.size, 1.0 / np.einsum("i,i->", states, states))
+        weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
+        weights[self.parameter_index] = 1.0 / parameter_scale**2
+        return weights
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         weights, states = np.empty(z.shape), z[:, : self.states]

@@ -150,17 +150,21 @@ class PointSolver:
         found: list[Point | SingularError | None] = []
         for problem, these in groupby(points, key=lambda item: item[0].problem):
             some = list(these)
-            rows = [self._row(point, held) for point, held in some]
+            rows = self._rows(problem, some)
             held_states = [(point.z, row, float(row @ point.z)) for (point, _), row in zip(some, rows, strict=True)]
             corrections = confirmations(self.levels.corrector(problem), held_states)
             for (point, held), row, correction in zip(some, rows, corrections, strict=True):
                 found.append(self._last_word(point, held, row, correction))
         return found
 
-    def _row(self, point: Point, held: Scalar | None) -> Array:
-        """The row of the held value, or of the place along the tangent."""
-        problem = point.problem
-        return self.metric(problem, point.z) * point.tangent if held is None else problem.row_of(held)
+    def _rows(self, problem: Problem, points: Sequence[tuple[Point, Scalar | None]]) -> Array:
+        """The rows of the held values, or of the places along the tangents."""
+        rows = self.metrics(problem, np.stack([point.z for point, _ in points]))
+        rows *= np.stack([point.tangent for point, _ in points])
+        for row, (_, held) in zip(rows, points, strict=True):
+            if held is not None:
+                row[:] = problem.row_of(held)
+        return rows
 
     def _last_word(
         self, point: Point, held: Scalar | None, row: Array, correction: Correction

@@ -6,6 +6,7 @@ evaluation. The corrector has the last word on every point that is reported, and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -310,20 +311,19 @@ class SeriesContinuation:
     def _pieces(self, base: Point, stretch: Stretch, final: float) -> int:
         """Number of equal parts in which no limit on a step is exceeded."""
         problem, settings = base.problem, self.settings
-        taus = np.linspace(0.0, final, SAMPLES)
-        points = stretch.at(taus)
-        weights = np.sqrt(self.point_solver.metric(problem, points[0]))
-        slopes = weights * stretch.slope(taus)
-        slopes /= np.linalg.norm(slopes, axis=1)[:, None]
-        angles = np.degrees(np.arccos(np.clip(np.sum(slopes[1:] * slopes[:-1], axis=1), -1.0, 1.0)))
-        moves = np.abs(np.diff(points[:, problem.parameter_index]))
-        lengths = np.linalg.norm(weights * np.diff(points, axis=0), axis=1)
+        points, slopes = stretch.samples(final, SAMPLES)
+        weights = self.point_solver.metric(problem, points[0])
+        sizes = np.sqrt(np.einsum("ij,ij,j->i", slopes, slopes, weights))
+        cosines = np.einsum("ij,ij,j->i", slopes[1:], slopes[:-1], weights) / (sizes[1:] * sizes[:-1])
+        steps = points[1:] - points[:-1]
         most = [
-            np.sum(angles) / (SPARSE * settings.aim_angle),
-            (SAMPLES - 1) * np.max(moves) / (settings.max_parameter_step * abs(settings.parameter_max)),
-            np.sum(lengths) / settings.max_step,
+            float(np.sum(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))) / (SPARSE * settings.aim_angle),
+            (SAMPLES - 1)
+            * float(np.max(np.abs(steps[:, problem.parameter_index])))
+            / (settings.max_parameter_step * abs(settings.parameter_max)),
+            float(np.sum(np.sqrt(np.einsum("ij,ij,j->i", steps, steps, weights)))) / settings.max_step,
         ]
-        return max(1, int(np.ceil(max(most))))
+        return max(1, math.ceil(max(most)))
 
     def _found(
         self, problem: Problem, stretch: Stretch, stop: _Stop, last: float, reach: float, fractions: Sequence[float]

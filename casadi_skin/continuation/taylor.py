@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -30,6 +30,11 @@ class Stretch:
         powers = _powers(taus, self.coefficients.shape[0])[:, None]
         return (powers @ self.coefficients)[:, 0], (powers[..., :-1] @ self._derivative)[:, 0]
 
+    def samples(self, end: float, count: int) -> tuple[Array, Array]:
+        """Points and slopes at equal distances from the base to a place, shape (count, unknowns) each."""
+        powers = _powers_of_unit(count, self.coefficients.shape[0]) * end ** np.arange(self.coefficients.shape[0])
+        return powers @ self.coefficients, powers[:, :-1] @ self._derivative
+
     @cached_property
     def _derivative(self) -> Array:
         return np.arange(1, self.coefficients.shape[0])[:, None] * self.coefficients[1:]
@@ -42,17 +47,30 @@ class Stretch:
         """All (tau, value) with tau in (0, length] at which component `index` equals one of `values`, ascending."""
         course = self.coefficients[:, index]
         turn = np.arange(1, course.size) * course[1:]
-        grid = np.linspace(0.0, self.length, GRID)
-        turns = [_zero(turn.tolist(), a, b) for a, b in _brackets(grid, np.asarray(polyval(grid, turn)))]
-        nodes: Array = np.sort(np.concatenate([grid, np.array(turns)]))
-        heights: Array = np.asarray(polyval(nodes, course))
+        grid, powers = np.linspace(0.0, self.length, GRID), _powers_of_unit(GRID, course.size)
+        scaled = self.length ** np.arange(course.size)
+        steepness, slopes = powers[:, :-1] @ (turn * scaled[:-1]), turn.tolist()
+        turns = np.array([_zero(slopes, a, b) for a, b in _brackets(grid, steepness)])
+        nodes, heights = grid, powers @ (course * scaled)
+        if turns.size:
+            order = np.argsort(np.concatenate([grid, turns]), kind="stable")
+            nodes = np.concatenate([grid, turns])[order]
+            heights = np.concatenate([heights, polyval(turns, course)])[order]
         found = set()
         for value in values:
-            gap = course.copy()
-            gap[0] -= value
+            gap: list[float] | None = None
             for a, b in _brackets(nodes, heights - value):
-                found.add((_zero(gap.tolist(), a, b), value))
+                gap = gap or [float(course[0] - value), *course[1:].tolist()]
+                found.add((_zero(gap, a, b), value))
         return sorted((tau, value) for tau, value in found if tau > 0.0)
+
+
+@lru_cache(maxsize=8)
+def _powers_of_unit(samples: int, count: int) -> Array:
+    """Powers of samples of a stretch of length 1 at equal distances, shape (samples, count)."""
+    powers = _powers(np.linspace(0.0, 1.0, samples), count)
+    powers.flags.writeable = False  # kept and shared
+    return powers
 
 
 def _powers(tau: float | Array, count: int) -> Array:

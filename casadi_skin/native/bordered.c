@@ -9,6 +9,9 @@
 
 #define EXPORTED __attribute__((visibility("default")))
 
+enum { LANES = 8, ALIGNED = 64 }; /* right-hand sides that go together, side by side */
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), may_alias));
+
 typedef struct {
     int64_t count;
     const int64_t *source, *target; /* of non-zeros of the Jacobian that go to places of an array */
@@ -25,14 +28,16 @@ typedef struct {
 typedef struct {
     double *band, *right, *below, *corner;
     int64_t *pivots, *order;
+    double *room; /* for LANES right-hand sides of the band */
 } factors;
 
 static factors within(const layout *l, double *memory)
 {
     const int64_t n = l->banded, edge = l->size - n + 1;
-    factors f = {memory, 0, 0, 0, 0, 0};
+    factors f = {memory, 0, 0, 0, 0, 0, 0};
     f.right = f.band + n * (3 * l->width + 1), f.below = f.right + edge * n, f.corner = f.below + edge * n;
     f.pivots = (int64_t *)(f.corner + edge * (3 * edge - 2)), f.order = f.pivots + n;
+    f.room = (double *)(((uintptr_t)(f.order + edge) + ALIGNED - 1) / ALIGNED * ALIGNED);
     return f;
 }
 
@@ -42,12 +47,23 @@ static void fill(const entries *e, const double *nonzeros, double *array)
         array[e->target[i]] = nonzeros[e->source[i]];
 }
 
+/* The largest modulus, NaN where one of the numbers is. */
 static double largest(const double *x, int64_t count)
 {
-    double most = 0.0;
-    for (int64_t i = 0; i < count; i++)
-        most = fabs(x[i]) > most || x[i] != x[i] ? fabs(x[i]) : most;
-    return most;
+    double most[LANES] = {0.0}; /* independent of one another, so that they go together */
+    int64_t unknown = 0;
+    for (; count % LANES; count--) {
+        most[0] = fabs(x[count - 1]) > most[0] ? fabs(x[count - 1]) : most[0];
+        unknown |= x[count - 1] != x[count - 1];
+    }
+    for (int64_t i = 0; i < count; i += LANES)
+        for (int64_t k = 0; k < LANES; k++) {
+            most[k] = fabs(x[i + k]) > most[k] ? fabs(x[i + k]) : most[k];
+            unknown |= x[i + k] != x[i + k];
+        }
+    for (int64_t k = 1; k < LANES; k++)
+        most[0] = most[k] > most[0] ? most[k] : most[0];
+    return unknown ? NAN : most[0];
 }
 
 static double product(const double *x, const double *y, int64_t count)
@@ -80,8 +96,10 @@ static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchan
         double *pivot = band + j * (step + 1) + 2 * width;
         const int64_t below = smaller(width, n - 1 - j);
         int64_t p = 0;
+        double most = fabs(pivot[0]);
         for (int64_t i = 1; i <= below; i++)
-            p = fabs(pivot[i]) > fabs(pivot[p]) ? i : p;
+            if (fabs(pivot[i]) > most)
+                most = fabs(pivot[i]), p = i;
         exchanges[j] = p;
         if (pivot[p] == 0.0)
             return -1;
@@ -100,6 +118,27 @@ static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchan
         }
     }
     return odd;
+}
+
+/* Solutions of LANES systems side by side, x (n, LANES): each in the order of operations of `substitute`. */
+static void substitute_together(int64_t n, int64_t width, const double *band, const int64_t *exchanges, lanes *x)
+{
+    for (int64_t j = 0; j < n; j++) {
+        const double *pivot = band + j * (3 * width + 1) + 2 * width;
+        const int64_t below = smaller(width, n - 1 - j);
+        const lanes value = x[j + exchanges[j]];
+        x[j + exchanges[j]] = x[j], x[j] = value;
+        for (int64_t i = 1; i <= below; i++)
+            x[j + i] -= pivot[i] * value;
+    }
+    for (int64_t j = n - 1; j >= 0; j--) {
+        const double *pivot = band + j * (3 * width + 1) + 2 * width;
+        const int64_t above = smaller(2 * width, j);
+        const lanes value = x[j] / pivot[0];
+        x[j] = value;
+        for (int64_t i = above; i > 0; i--)
+            x[j - i] -= pivot[-i] * value;
+    }
 }
 
 /* Solutions of `count` systems with these factors, each `apart` numbers after the one before. */
@@ -127,12 +166,10 @@ static void substitute(int64_t n, int64_t width, const double *band, const int64
     }
 }
 
-/* Solutions of `count` systems in the place of their right-hand sides, (count, size); at most 8 unknowns in the border. */
-EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_t count, double *x)
+/* What the border makes of solutions with the band alone, (count, size); at most 8 unknowns in the border. */
+static void complete(const layout *l, factors f, int64_t count, double *x)
 {
     const int64_t n = l->banded, edge = l->size - n + 1;
-    const factors f = within(l, memory);
-    substitute(n, l->width, f.band, f.pivots, count, l->size, x);
     for (; count > 0; count--, x += l->size) {
         double outer[8] = {0.0};
         memcpy(outer + 1, x + n, (size_t)(edge - 1) * sizeof(double));
@@ -146,8 +183,41 @@ EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_
     }
 }
 
-/* Factors in `memory`; the sign of the determinant, or 0 where elimination meets a zero. */
-static double factors_of(const layout *l, const double *z, const double *nonzeros, const double *row, double *memory)
+/* Solutions of `count` systems in the place of their right-hand sides, (count, size). */
+EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_t count, double *x)
+{
+    const factors f = within(l, memory);
+    substitute(l->banded, l->width, f.band, f.pivots, count, l->size, x);
+    complete(l, f, count, x);
+}
+
+/* The columns of the border and `count` right-hand sides x, (count, size), with the band alone, in one go where they
+   are no more than LANES. */
+static void eliminate(const layout *l, factors f, int64_t count, double *x)
+{
+    const int64_t n = l->banded, edge = l->size - n + 1;
+    if (edge + count > LANES) {
+        substitute(n, l->width, f.band, f.pivots, edge, n, f.right);
+        substitute(n, l->width, f.band, f.pivots, count, l->size, x);
+        return;
+    }
+    double *columns[LANES];
+    for (int64_t k = 0; k < edge + count; k++)
+        columns[k] = k < edge ? f.right + k * n : x + (k - edge) * l->size;
+    memset(f.room, 0, (size_t)(n * LANES) * sizeof(double));
+    for (int64_t k = 0; k < edge + count; k++)
+        for (int64_t i = 0; i < n; i++)
+            f.room[i * LANES + k] = columns[k][i];
+    substitute_together(n, l->width, f.band, f.pivots, (lanes *)f.room);
+    for (int64_t k = 0; k < edge + count; k++)
+        for (int64_t i = 0; i < n; i++)
+            columns[k][i] = f.room[i * LANES + k];
+}
+
+/* Factors in `memory`, and right-hand sides x, (each, size), eliminated in the band; the sign of the determinant, or 0
+   where elimination meets a zero. */
+static double factors_of(const layout *l, const double *z, const double *nonzeros, const double *row, int64_t each,
+                         double *x, double *memory)
 {
     const int64_t n = l->banded, edge = l->size - n + 1, stored = 3 * l->width + 1;
     const factors f = within(l, memory);
@@ -164,7 +234,7 @@ static double factors_of(const layout *l, const double *z, const double *nonzero
     const int64_t odd = factorise(n, l->width, f.band, f.pivots);
     if (odd < 0)
         return 0.0;
-    substitute(n, l->width, f.band, f.pivots, edge, n, f.right);
+    eliminate(l, f, each, x);
     double corner[64] = {1.0}; /* of the border, by rows */
     fill(&l->corner, nonzeros, corner);
     memcpy(corner + (edge - 1) * edge + 1, row + n, (size_t)(edge - 1) * sizeof(double));
@@ -200,10 +270,10 @@ EXPORTED int casadi_skin_bordered_steps(const layout *l, int64_t states, const d
                                         double *memory, double *defect)
 {
     for (; states > 0; states--, z += l->size, nonzeros += l->nonzeros, rows += l->size, x += each * l->size) {
-        *orientation = factors_of(l, z, nonzeros, rows, memory);
+        *orientation = factors_of(l, z, nonzeros, rows, each, x, memory);
         if (*orientation++ == 0.0)
             return 1;
-        casadi_skin_bordered_solve(l, memory, each, x);
+        complete(l, within(l, memory), each, x);
         if (!reliable(l, nonzeros, rows, x + (each - 2) * l->size, x + (each - 1) * l->size, defect))
             return 1;
     }

@@ -15,6 +15,7 @@ from casadi_skin.native.library import library
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 INTEGER, POINTER = ctypes.c_int64, ctypes.c_void_p
+LANES = 8  # right-hand sides that go together
 MOST = 7  # unknowns beside the band
 WIDEST = 64  # half bandwidth beyond which LAPACK's blocks are faster
 
@@ -74,7 +75,8 @@ class BorderedKernel:
         self.address = ctypes.addressof(self._layout)
         self.solve_address = int(ctypes.cast(self._solve, POINTER).value or 0)
         edge = self.size - self.banded + 1
-        self._room = self.banded * (3 * width + 2 + 2 * edge) + edge * (3 * edge - 1)  # integers among them
+        room = self.banded * (3 * width + 2 + 2 * edge) + edge * (3 * edge - 1)  # integers among them
+        self._room = room + LANES * (self.banded + 1)
         self._defect, self._scratch = np.empty(self.size), np.empty(self._room)
 
     def memory(self) -> Array:

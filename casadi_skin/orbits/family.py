@@ -133,8 +133,10 @@ class Family(FamilyStability):
             found: Continuation = kind(self.point_solver, history, reported)
             return found
 
+        tolerance = self.corrector_tolerance
+
         def precision(problem: Problem) -> float:
-            allowed = max(self.corrector_tolerance, ROUND_OFF * problem.resolution**2)
+            allowed = max(tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
         series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,7 @@ class Following:
         self._keep = keep
         self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
         self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed)
-        self._stopped = False
+        self._stopped = self._at_hand = False  # the second: whether the next result has been computed
         self.solutions = list(self._with_bifurcations(self.solutions))
 
     def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
@@ -71,12 +71,15 @@ class Following:
     def __iter__(self) -> Iterator[Solution | StabilityChange]:
         results = self._results()
         while True:
-            with (
-                one_thread(),
-                interrupts_deferred(),
-                np.errstate(all="ignore"),
-            ):  # not while the caller of the iteration is at work
+            if self._at_hand:  # nothing is computed for it
                 result = next(results, None)
+            else:
+                with (
+                    one_thread(),
+                    interrupts_deferred(),
+                    np.errstate(all="ignore"),
+                ):  # not while the caller of the iteration is at work
+                    result = next(results, None)
             if result is None:
                 return
             yield result
@@ -106,7 +109,9 @@ class Following:
     def _finish_waiting(self) -> Iterator[Solution | StabilityChange]:
         """The solutions of the points that wait, with their stability and its changes, in order."""
         try:
-            for solution in map(self._critical, self._with_stability()):
+            solutions = self._with_stability()
+            known = isinstance(solutions, list) and not self.events and self.until is None
+            for solution in map(self._critical, solutions):
                 for special in self._bifurcations_before(solution):
                     self.solutions.append(special)
                     yield special
@@ -116,6 +121,7 @@ class Following:
                     yield change
                 self.solutions.append(solution)
                 self._waiting.popleft()
+                self._at_hand = known and bool(self._waiting)
                 yield solution
                 if self.until is not None and self.until(solution):
                     self._stopped = True
@@ -149,18 +155,19 @@ class Following:
         if _closes(before) and _closes(solution) and not leaving:
             yield from bifurcations_between(before, solution)
 
-    def _with_stability(self) -> Iterator[Solution]:
-        """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
+    def _with_stability(self) -> Iterable[Solution]:
+        """Solutions of the points that wait, a list where nothing is left to be computed.
+
+        Raises FlowError at the first whose stability cannot be computed.
+        """
         points = list(self._waiting)
         if not (points and self.stability):
-            yield from (solution_at(self.space, point) for point in points)
-            return
+            return [solution_at(self.space, point) for point in points]
         try:
             known = self.space.floquets(points)
         except FlowError:  # of one of them: those before it are computed by themselves
-            yield from (solution_at(self.space, point, self.space.floquets([point])[0]) for point in points)
-            return
-        yield from (solution_at(self.space, point, result) for point, result in zip(points, known, strict=True))
+            return (solution_at(self.space, point, self.space.floquets([point])[0]) for point in points)
+        return [solution_at(self.space, point, result) for point, result in zip(points, known, strict=True)]
 
     def branch(self) -> Branch:
         """The branch computed so far."""

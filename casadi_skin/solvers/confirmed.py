@@ -75,7 +75,7 @@ class ConfirmedCorrector:
     def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
         """The verdicts of Ipopt on solutions: each itself where it agrees; one by one where it does not solve all."""
         if self.together == 1:
-            return [self._agreed(z, self._ipopt().correct(z, row, value)) for z, row, value in points]
+            return self._agreed([z for z, _, _ in points], [self._ipopt().correct(*point) for point in points])
         results: list[Correction] = []
         for first in range(0, len(points), self.together):
             some = points[first : first + self.together]
@@ -85,14 +85,17 @@ class ConfirmedCorrector:
                 corrections = [Correction(z, Status.CONVERGED, iterations, words) for z in found]
             else:
                 corrections = [self._ipopt().correct(*point) for point in some]
-            results += [self._agreed(z, correction) for (z, _, _), correction in zip(some, corrections, strict=True)]
+            results += self._agreed([z for z, _, _ in some], corrections)
         return results
 
-    def _agreed(self, z: Array, correction: Correction) -> Correction:
-        """The correction of z, by z itself where it is the same within the tolerance."""
-        if not correction.converged:
-            return correction
-        step = correction.z - z
-        apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2)))
-        same = apart <= AGREED * self.tolerance
-        return Correction(z, correction.status, correction.iterations) if same else correction
+    def _agreed(self, states: Sequence[Array], corrections: Sequence[Correction]) -> list[Correction]:
+        """The corrections of states, by these themselves where they are the same within the tolerance."""
+        z = np.stack(states)
+        steps = np.stack([correction.z for correction in corrections]) - z
+        with np.errstate(all="ignore"):
+            apart = np.sqrt(np.sum(self.problem.metrics(z, 1.0) * steps**2, axis=1))
+        same = (apart <= AGREED * self.tolerance).tolist()
+        return [
+            Correction(state, found.status, found.iterations) if agrees and found.converged else found
+            for state, found, agrees in zip(states, corrections, same, strict=True)
+        ]
