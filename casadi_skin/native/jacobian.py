@@ -38,6 +38,18 @@ def _function() -> Any | None:
     return function
 
 
+class Orbits(ctypes.Structure):
+    """The kernel's arguments for one orbit at a time, as other kernels take them."""
+
+    _fields_ = (
+        ("function", POINTER),
+        *((name, INTEGER) for name in ("sites", "nodes", "phases", "stride")),
+        *((name, POINTER) for name in ("values", "weights", "parameters", "constant", "terms")),
+        *((name, POINTER) for name in ("states", "products", "found")),
+    )
+    held: tuple[NDArray[Any], ...]  # the structure holds addresses alone
+
+
 class JacobianKernel:
     """Non-zeros of J, `constant` and the terms that depend on states and parameter."""
 
@@ -76,6 +88,23 @@ class JacobianKernel:
             len(values), sites, nodes, phases, data[0], values.shape[1], data[1], data[2], self._held[-1].size,
             data[3], ctypes.addressof(self._terms), data[4], data[4] + 8 * sites * phases, data[5],
         )  # fmt: skip
+
+    def orbits(self, sites: int, values: Array, weights: Array, parameters: Array) -> Orbits:
+        """Arguments of a call for each of several orbits, see `__call__`, with room for one result."""
+        (nodes, phases), constant = weights.shape, self._held[-1]
+        room = np.empty((sites + 1 + constant.size) * phases)
+        held = np.ascontiguousarray(values), weights, np.ascontiguousarray(parameters), constant
+        assert weights.flags.c_contiguous
+        assert values.shape[1] >= sites * nodes
+        assert parameters.shape == (len(values),)
+        at, first = [array.ctypes.data for array in held], room.ctypes.data
+        places = first, first + 8 * sites * phases, first + 8 * (sites + 1) * phases
+        found = Orbits(
+            ctypes.cast(self._function, POINTER), sites, nodes, phases, values.shape[1], *at,
+            ctypes.addressof(self._terms), *places,
+        )  # fmt: skip
+        found.held = (*held, room)
+        return found
 
 
 def jacobian_kernel(constant: Array, terms: Sequence[Term]) -> JacobianKernel | None:

@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.jacobian import Orbits
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
 Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
 Kernel = Callable[[Pattern, tuple[int, int], tuple[Array, Array], Array, Array, int | None], Array]
+Sequences = tuple[NDArray[np.int64], Array, Array]  # numbers of kicks, all kicks and drifts, one after the other
+Flows = Callable[[Orbits, Pattern, int, Sequences, Array], Array]
 COLUMNS = 8  # that go through the stages together
 
 
@@ -49,6 +52,35 @@ def splitting_kernel() -> Kernel | None:
         at = [_address(array) for array in (*held, jacobians, result)]
         stride = jacobians.strides[0] // jacobians.itemsize
         if function(points, size, *reaches, *at[:2], count, *at[2:-1], stride, -1 if band is None else band, at[-1]):
+            raise MemoryError(f"the variational flow of {size} components")
+        return result
+
+    return transitions
+
+
+@cache
+def flows_kernel() -> Flows | None:
+    """Function of orbits, the pattern of J, its half bandwidth, kicks and drifts, and steps; None without a compiler.
+
+    Kicks and drifts are those of several numbers of steps, of which `steps`, shape (levels, points), are the lengths;
+    the phases of the orbits are theirs, one after the other. The result has shape (levels, points, 2n, 2n).
+    """
+    found = library("splitting")
+    if found is None:
+        return None
+    function, integer, pointer = found.casadi_skin_flows, ctypes.c_int64, ctypes.c_void_p
+    function.argtypes = [pointer, *[integer] * 3, *[pointer] * 2, integer, *[pointer] * 5]
+    function.restype = ctypes.c_int
+
+    def transitions(orbits: Orbits, pattern: Pattern, reach: int, sequences: Sequences, steps: Array) -> Array:
+        (indptr, indices), (counts, kicks, drifts), (levels, points) = pattern, sequences, steps.shape
+        size = indptr.size - 1
+        assert orbits.phases == kicks.size == drifts.size + levels
+        held: list[NDArray[Any]] = [indptr, indices, counts, kicks, drifts, np.ascontiguousarray(steps)]
+        assert all(array.flags.c_contiguous for array in held)
+        result = np.empty((levels, points, 2 * size, 2 * size))
+        at = [_address(array) for array in held]
+        if function(ctypes.addressof(orbits), points, size, reach, *at[:2], levels, *at[2:], _address(result)):
             raise MemoryError(f"the variational flow of {size} components")
         return result
 

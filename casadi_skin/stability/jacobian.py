@@ -13,7 +13,7 @@ from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials, NotPolynomialError, polynomial_terms
-from casadi_skin.native.jacobian import JacobianKernel, jacobian_kernel
+from casadi_skin.native.jacobian import JacobianKernel, Orbits, jacobian_kernel
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -132,6 +132,13 @@ class JacobianAlong:
             found[:] = self(states, np.repeat(parameters, theta.size)).reshape(found.shape)
         else:
             self._kernel(self.size, z, weights, parameters, found)
+
+    def orbits(self, problem: Problem, z: Array, theta: Array) -> Orbits | None:
+        """What another kernel needs to compute them, orbit by orbit; None where this one's cannot."""
+        weights = problem.sampling(theta)
+        if weights is None or self._kernel is None:
+            return None
+        return self._kernel.orbits(self.size, z, weights, z[:, problem.parameter_index])
 
     def __call__(self, states: Array, parameters: Array) -> Array:
         """Non-zeros, (phases, non-zeros), at states (phases, size), with the parameter's value at each, (phases,)."""

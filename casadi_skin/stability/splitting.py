@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import Array
 from casadi_skin.integrators.srkn import KicksAndDrifts
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.native.splitting import COLUMNS, splitting_kernel
+from casadi_skin.native.splitting import COLUMNS, Sequences, flows_kernel, splitting_kernel
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
 from casadi_skin.stability.stepping import SteppedFlow
@@ -190,6 +191,7 @@ class SplittingFlow(SteppedFlow):
         if model.order != 2:
             raise ValueError(f"{model.name}: the splitting needs a model of second order; use gauss, rk4 or cvodes")
         super().__init__(model, tolerance)
+        self._known: dict[tuple[int, ...], tuple[Sequences, Array]] = {}
 
     def _build(self, steps: int) -> SplittingMap:
         return SplittingMap(self.jacobian, steps)
@@ -214,7 +216,8 @@ class SplittingFlow(SteppedFlow):
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
         """As that of other flows; without a compiled kernel all at once where they fit into the cache."""
         if splitting_kernel() is not None:
-            return super().several(wanted, half_width)
+            found = None if half_width is not None else self._sampled_inside(wanted)
+            return found or super().several(wanted, half_width)
         maps = [self._splitting(steps) for steps, _ in wanted]
         runs = [
             step_map.run(self._linearised(orbits, step_map.fractions), self._durations(orbits))
@@ -224,3 +227,37 @@ class SplittingFlow(SteppedFlow):
         if sum(run.steps.size for run in runs) * 2 * self.model.size**2 <= CACHED:
             return propagated(self.jacobian, most, runs)
         return [propagated(self.jacobian, most, [run])[0] for run in runs]
+
+    def _sampled_inside(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]]) -> list[Array] | None:
+        """As `several` by a kernel that samples J orbit by orbit, whose J stays in the cache then.
+
+        None where it cannot, and where kicks do not reach through the whole chain.
+        """
+        kernel, jacobian, found = flows_kernel(), self.jacobian, list[Array]()
+        assert kernel is not None
+        for _, group in groupby(wanted, key=lambda item: id(item[1])):
+            those = list(group)
+            sequences, phases = self._sequences(tuple(steps for steps, _ in those))
+            if int(min(sequences[0])) * jacobian.half_bandwidth < jacobian.size:
+                return None
+            parts = []
+            for problem, some in groupby(those[0][1], key=lambda orbit: orbit.problem):
+                orbits = list(some)
+                sampled = jacobian.orbits(problem, np.stack([orbit.z for orbit in orbits]), phases)
+                if sampled is None:
+                    return None
+                steps = self._durations(orbits) / np.array([[steps] for steps, _ in those])
+                pattern = jacobian.indptr, jacobian.indices
+                parts.append(kernel(sampled, pattern, jacobian.half_bandwidth, sequences, steps))
+            found.extend(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+        return found
+
+    def _sequences(self, numbers: tuple[int, ...]) -> tuple[Sequences, Array]:
+        """Kicks and drifts in several numbers of steps, one after the other, and the phases of the kicks."""
+        if numbers not in self._known:
+            maps = [self._splitting(steps) for steps in numbers]
+            counts = np.array([each.sequence.kicks.size for each in maps])
+            parts = ([each.sequence.kicks, each.sequence.drifts, each.fractions] for each in maps)
+            kicks, drifts, fractions = (np.concatenate(part) for part in zip(*parts, strict=True))
+            self._known[numbers] = (counts, kicks, drifts), 2.0 * np.pi * self.fraction * fractions
+        return self._known[numbers]

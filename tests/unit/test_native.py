@@ -29,8 +29,10 @@ from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.orbits.request import family_request
 from casadi_skin.solvers.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability import splitting
+from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.splitting import SplittingMap
+from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
+from casadi_skin.stability.stepping import SteppedFlow
 
 needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 
@@ -82,7 +84,7 @@ def both_ways(model: OdeModel, steps: int, orbits: int, monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     "model",
     [
-        *(Chain(n, 1.0, 0.3, -1.0).gauge_model() for n in (1, 2, 7, 8, 9, 24, 150)),
+        *(Chain(n, 1.0, 0.3, -1.0).gauge_model() for n in (1, 2, 7, 8, 9, 17, 24, 33, 150)),
         family_request(pendulums(), 1, 1.0).coordinates.scaled,
         family_request(plane((4, 3)), 1, 1.0).coordinates.scaled,  # J with two bands
     ],
@@ -92,6 +94,20 @@ def test_kernel_and_numpy_agree_to_rounding(model: OdeModel, monkeypatch: pytest
     assert splitting_kernel() is not None
     compiled, plain = both_ways(model, 5, 3, monkeypatch)
     np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
+
+
+@needs_compiler
+@pytest.mark.parametrize("sites", [2, 9, 24, 31])
+def test_a_flow_that_samples_orbits_itself_gives_the_same_bits(sites: int) -> None:
+    """Against the kernels of J and of the flow one after the other; orbits of two resolutions, one taken twice."""
+    model, generator = Chain(sites, 1.0, 0.3, -1.0).gauge_model(), np.random.default_rng(5)
+    problems = [TrigonometricProblem(model, harmonics) for harmonics in (5, 5, 7)]
+    orbits = [OrbitState(each, np.append(generator.normal(size=each.states), [1.7, 0.4])) for each in problems]
+    flow, wanted = SplittingFlow(model, 1e-8), [(3, orbits), (4, orbits), (6, orbits[1:2])]
+    inside = flow._sampled_inside(wanted)
+    assert inside is not None
+    for one, other in zip(inside, SteppedFlow.several(flow, wanted), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @needs_compiler
