@@ -10,7 +10,7 @@ from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.gaps import Layout
 from casadi_skin.stability.hill import Hill, coefficients
-from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP, Sample
+from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP, Sample, names_of_arcs
 
 PHASES = 4  # values over half a period for each odd cosine
 SPARE = 16  # further ones
@@ -31,11 +31,11 @@ class EdgeHill:
             return None
         with np.errstate(all="ignore"):
             hill = self.hill(best.problem, best.z)
-            sample = Sample(0.0, 0.0, hill, Layout(hill.Omega, localised.bands), lambda: hill)
-            if sample.names in ((FILLS,), (NARROW_GAP,)):
+            layout = Layout(hill.Omega, localised.bands)
+            if names_of_arcs(layout) in ((FILLS,), (NARROW_GAP,)):
                 return None
             try:
-                return sample.counts.off
+                return Sample(0.0, 0.0, hill, layout, lambda: hill).counts.off
             except (ArithmeticError, np.linalg.LinAlgError):
                 return None
 

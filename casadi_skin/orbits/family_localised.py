@@ -12,6 +12,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.edge_hill import EdgeHill
 from casadi_skin.orbits.family import Family
+from casadi_skin.solvers.estimates import Refinement
 from casadi_skin.stability.gaps import Layout
 from casadi_skin.stability.hill import Hill
 from casadi_skin.stability.interpolation import OrbitNotFoundError
@@ -53,24 +54,44 @@ class EdgeOrbits:
 
     def sample(self, coordinate: float) -> Sample:
         """The orbit there; raises OrbitNotFoundError."""
-        before = int(np.clip(np.floor(coordinate), 0, len(self.points) - 2))
-        solver = self.family.point_solver
+        point = self._point(coordinate)
+        own, better = Refinement(point.problem, point.z), point.better
+        if better is not None and coordinate == round(coordinate):  # of the branch, as precise as the others
+            own, better = better, own
+        hill, S = self._hill(own), self.family.request.S_of(float(own.z[own.problem.parameter_index]))
+        return Sample(coordinate, S, hill, Layout(hill.Omega, self._bands), lambda: self._hill(better or own))
+
+    def layout(self, coordinate: float) -> Layout:
+        """Arcs and gaps there, on the level of the next point of the branch; raises OrbitNotFoundError."""
+        before, solver = self._before(coordinate), self.family.point_solver
+        here, following = self.points[before], self.points[before + 1]
+        if coordinate == before:
+            return Layout(here.Omega, self._bands)
+        correction, _ = solver.corrected_along(here, following, coordinate - before)
+        if correction is None:
+            raise self._not_found(before)
+        return Layout(following.problem.frequency(correction.z), self._bands)
+
+    def _before(self, coordinate: float) -> int:
+        """Number of the point before a coordinate."""
+        return int(np.clip(np.floor(coordinate), 0, len(self.points) - 2))
+
+    def _not_found(self, before: int) -> OrbitNotFoundError:
+        S = self.family.request.S_of(self.points[before].parameter)
+        return OrbitNotFoundError(f"no orbit is found near S = {S:g}: {self.family.point_solver.failure}")
+
+    def _point(self, coordinate: float) -> Point:
+        """The point of the branch there, or one that is solved for."""
+        if coordinate == round(coordinate) and self.points[int(coordinate)].better is not None:
+            return self.points[int(coordinate)]
+        before, solver = self._before(coordinate), self.family.point_solver
         point = solver.along(self.points[before], self.points[before + 1], coordinate - before)
         if point is None:
-            S = self.family.request.S_of(self.points[before].parameter)
-            raise OrbitNotFoundError(f"no orbit is found near S = {S:g}: {solver.failure}")
-        better = point.better
+            raise self._not_found(before)
+        return point
 
-        def finer() -> Hill:
-            return (
-                self._equations.hill(point.problem, point.z)
-                if better is None
-                else self._equations.hill(better.problem, better.z)
-            )
-
-        hill = self._equations.hill(point.problem, point.z)
-        S = self.family.request.S_of(point.parameter)
-        return Sample(coordinate, S, hill, Layout(hill.Omega, self._bands), finer)
+    def _hill(self, orbit: Refinement) -> Hill:
+        return self._equations.hill(orbit.problem, orbit.z)
 
     @cached_property
     def _bands(self) -> tuple[tuple[float, float], ...]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.native.elimination import eliminated
 from casadi_skin.stability.waves import Medium
 
 ROUND_OFF = 1e-15
@@ -119,33 +120,59 @@ class Hill:
 
     def _eliminated(self, frequency: Any, cells: Array, bonds: Array) -> tuple[Array, Any]:
         """Logarithms and phases of D, cell by cell from the medium to the edge; frequencies (values, sidebands)."""
-        beta, response, free = self.medium.answers(frequency)
+        _, response, free = self.medium.answers(frequency)
         values, count, p = frequency.shape[0], frequency.shape[1], self.medium.sites
         squares = np.repeat(frequency**2, p, axis=1)
-        complex_ = np.iscomplexobj(beta)
         diagonal, at_inlet = np.arange(count * p), np.arange(count) * p + self.inlet
         sizes = 1.0 + (2.0 * self.Omega * np.arange(-(count // 2), count - count // 2)[:, None]) ** 2
         poles = np.prod((frequency[:, :, None] ** 2 - self.medium.bound) / sizes, axis=2)  # of the medium's answer
         logs = np.sum(np.log(np.maximum(np.abs(poles), 1e-300)), axis=1)
         phases = np.prod(np.where(poles == 0.0, 1.0, poles / np.maximum(np.abs(poles), 1e-300)), axis=1)
-        log_free = np.sum(np.log(np.abs(free)), axis=1)
-        phase_free = np.prod(free / np.abs(free), axis=1)
-        behind: Any = None
-        for n, cell in enumerate(cells):
-            A = np.empty((values, count * p, count * p), complex if complex_ else float)
-            A[:] = cell
+        logs -= len(cells) * np.sum(np.log(np.abs(free)), axis=1)
+        phases = phases / np.prod(free / np.abs(free), axis=1) ** len(cells)
+        log, phase, behind = self._but_the_first(squares, cells, bonds)
+        A = np.empty((values, count * p, count * p), np.result_type(squares, response))
+        A[:] = cells[0] - (0.0 if behind is None else self._through(bonds, 0, behind))
+        A[:, diagonal, diagonal] -= squares
+        A[:, at_inlet, at_inlet] -= self.medium.coupling**2 * response
+        sign, last = np.linalg.slogdet(A)
+        phases = phases * phase * sign
+        return logs + log + last, phases / np.abs(phases)
+
+    def _but_the_first(self, squares: Any, cells: Array, bonds: Array) -> tuple[Any, Any, Any]:
+        """Logarithm and phase of the determinant of all cells but that at the medium, and the response of the next.
+
+        They are eliminated from the edge on: what the medium answers, alone complex at real exponents, comes last.
+        """
+        if len(cells) > 1 and self._springs is not None:
+            springs, ends = self._springs
+            found = eliminated(cells, springs, ends, self.medium.sites, squares)
+            if found is not None:
+                behind, log, phase = found
+                return log, phase, behind
+        log, phase, behind = 0.0, 1.0, None
+        for n in range(len(cells) - 1, 0, -1):
+            A = np.asarray(cells[n] - (0.0 if behind is None else self._through(bonds, n, behind)), squares.dtype)
+            A = np.array(np.broadcast_to(A, (len(squares), *cells[n].shape)))
+            diagonal = np.arange(len(cells[n]))
             A[:, diagonal, diagonal] -= squares
-            if n == 0:
-                A[:, at_inlet, at_inlet] -= self.medium.coupling**2 * response
-            else:
-                bond = bonds[n - 1]
-                A -= bond.T @ behind @ bond
-            sign, log = np.linalg.slogdet(A)
-            logs += log - log_free
-            phases = phases * sign / phase_free
-            if n + 1 < len(cells):
-                behind = np.linalg.inv(A)
-        return logs, phases / np.abs(phases)
+            sign, more = np.linalg.slogdet(A)
+            log, phase, behind = log + more, phase * sign, np.linalg.inv(A)
+        return log, phase, behind
+
+    def _through(self, bonds: Array, n: int, behind: Any) -> Any:
+        """The effect on a cell of the response of the next one."""
+        return bonds[n] @ behind @ bonds[n].T
+
+    @cached_property
+    def _springs(self) -> tuple[Array, tuple[int, int]] | None:
+        """Bonds as numbers, and the sites of two cells that they join; None where they oscillate or join others."""
+        p = self.medium.sites
+        sizes = np.max(np.abs(self.bonds), axis=0, initial=0.0)
+        a, b = divmod(int(np.argmax(sizes[0])), p)
+        sizes[0, a, b] = 0.0
+        springs = np.asarray(self.bonds[:, 0, a, b])
+        return (springs, (a, b)) if np.max(sizes) <= ROUND_OFF * self.medium.coupling else None
 
 
 def coefficients(samples: Array) -> Array:

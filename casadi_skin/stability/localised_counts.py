@@ -21,9 +21,11 @@ TURN = 0.6  # of the argument from one value to the next, at most
 MOST = 4000  # values of sigma under arcs
 DEGREES = (16, 32, 64, 128)  # of the series in a gap
 CONVERGED = 1e-6
-ROUGH = 1e-8  # of the stiffness: what the argument does without
 WHOLE = 0.02  # distance of a count from a whole number, at most
-NEAR = 0.04  # of the gap: how far from sigma = Omega its double zero is divided out
+COSINE_START, SINE_START = f"{START} cosine", f"{START} sine"
+COSINE_HALF, VELOCITY = f"{HALF} cosine", f"{HALF} velocity"
+NEAR = 0.25  # of the gap: radius of the circle about sigma = Omega on which its double zero is divided out
+QUARTER = 6  # values on a quarter of it: those of all of it leave out the 24th order
 
 
 class CountError(ArithmeticError):
@@ -49,8 +51,7 @@ class Counts:
 def count(hill: Hill, layout: Layout) -> Counts:
     """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
     zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
-    rough = hill.coarser(ROUGH)
-    turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
+    turned = sum(_turned(hill, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
     total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
     if abs(total - round(total)) > WHOLE or round(total) < 0:
         raise CountError(f"the argument of Hill's determinant turns by {total:.3f} half turns")
@@ -140,20 +141,34 @@ def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
 def by_velocity(hill: Hill, gap: float) -> float:
     """D over ((Omega - sigma)/gap)^2 at sigma = Omega, where the velocity of the flow makes a double zero.
 
-    It is even about Omega: from two distances along either axis errors are of the eighth order.
+    It is the mean over a circle, and even about Omega and real: a quarter of the circle has all of it.
     """
-    h = NEAR * gap * np.array([1.0, 0.5])
-    logs, phases = hill.determinant(hill.Omega + np.concatenate([-h, 1j * h]))
-    values = np.exp(logs) * np.real(phases) * np.tile((gap / h) ** 2, 2)
-    wide, near = 0.5 * (values[:2] - values[2:])
-    return float((16.0 * near - wide) / 15.0)
+    turns = NEAR * np.exp(0.5j * np.pi * (1.0 + (np.arange(QUARTER) + 0.5) / QUARTER))
+    logs, phases = hill.determinant(hill.Omega + gap * turns)
+    return float(np.mean(np.real(np.exp(logs) * phases / turns**2)))
 
 
-def at_end(hill: Hill, end: End, gap: float) -> dict[str, float]:
-    """Real functions of an orbit that vanish where a localised multiplier passes an end of a gap, by name."""
-    if end.name == START:
-        return {f"{START} {parity}": hill.at_end(0.0, parity) for parity in ("cosine", "sine")}
-    if end.name == HALF:
-        return {f"{HALF} cosine": hill.at_end(hill.Omega, "cosine"), f"{HALF} velocity": by_velocity(hill, gap)}
-    logs, signs = hill.determinant(np.array([end.sigma]))
-    return {end.name: float(np.real(signs[0]) * np.exp(logs[0]))}
+def names_of(layout: Layout) -> tuple[str, ...]:
+    """Names of the real functions of an orbit that vanish where a localised multiplier passes an end of a gap."""
+    found = dict.fromkeys(end.name for gap in layout.gaps for end in gap)
+    if START in found:
+        found |= dict.fromkeys((COSINE_START, SINE_START))
+    if HALF in found:
+        found |= dict.fromkeys((COSINE_HALF, VELOCITY))
+    at_ends = [name for name in found if name not in (START, HALF)]
+    covered = [START] if layout.covers_start else []  # real multipliers, whose determinant is real, leave the arcs
+    pinned = [COSINE_HALF] if layout.pinned else []  # that of sines falls to 0 where the gap opens
+    return (*at_ends, *covered, *pinned)
+
+
+def function_of(hill: Hill, layout: Layout, name: str) -> float:
+    """The value of one of them."""
+    if name in (COSINE_START, SINE_START):
+        return hill.at_end(0.0, "cosine" if name == COSINE_START else "sine")
+    if name == COSINE_HALF:
+        return hill.at_end(hill.Omega, "cosine")
+    if name == VELOCITY:
+        return by_velocity(hill, Gap(*layout.gaps[-1]).half)
+    sigma = next((end.sigma for end in layout.ends if end.name == name), 0.0)
+    logs, signs = hill.determinant(np.array([sigma]))
+    return float(np.real(signs[0]) * np.exp(logs[0]))

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
-import numpy as np
-
 from casadi_skin.bvp.problem import Array
-from casadi_skin.stability.gaps import HALF, START, Layout
+from casadi_skin.stability.gaps import Layout
 from casadi_skin.stability.hill import Hill
-from casadi_skin.stability.localised_counts import Counts, at_end, count
+from casadi_skin.stability.localised_counts import Counts, count, function_of
 
 NARROW_GAP, FILLS = "narrow", "fills"
+ROUGH = 1e-8  # of the stiffness: what signs and numbers do without
 EXACT = 1e-14  # relative distance from the edge of a band that rounding leaves
 NARROW = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
 
@@ -28,6 +27,7 @@ class Sample:
     hill: Hill
     layout: Layout
     better: Callable[[], Hill] = field(repr=False)
+    _functions: dict[str, float] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def Omega(self) -> float:
@@ -35,24 +35,30 @@ class Sample:
         return self.hill.Omega
 
     @cached_property
-    def functions(self) -> dict[str, float]:
-        """Real functions of the orbit, each zero where a multiplier passes an end of a gap, by name."""
-        return functions_of(self.hill, self.layout)
+    def rough(self) -> Hill:
+        """The same equations as far as signs and numbers need them."""
+        return self.hill.coarser(ROUGH)
+
+    def function(self, name: str) -> float:
+        """A function of the orbit, nearly; each is zero where a multiplier passes an end of a gap."""
+        if name not in self._functions:
+            self._functions[name] = function_of(self.rough, self.layout, name)
+        return self._functions[name]
 
     @cached_property
     def counts(self) -> Counts:
         """Localised multipliers; raises CountError."""
-        return count(self.hill, self.layout)
+        return count(self.rough, self.layout)
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Of the layout; with a mark where a gap beside a harmonic of the orbit is too narrow."""
-        if self.layout.fills:
-            return (FILLS,)
-        if self.layout.pinned:
-            return self.layout.names if self.layout.off_edge <= EXACT else (NARROW_GAP,)
-        wide = self.layout.gaps[-1][1].sigma - self.layout.gaps[-1][0].sigma > NARROW * self.Omega
-        return self.layout.names if wide else (NARROW_GAP,)
+
+def names_of_arcs(layout: Layout) -> tuple[str, ...]:
+    """Names of a layout; with a mark where a gap beside a harmonic of the orbit is too narrow."""
+    if layout.fills:
+        return (FILLS,)
+    if layout.pinned:
+        return layout.names if layout.off_edge <= EXACT else (NARROW_GAP,)
+    start, end = layout.gaps[-1]
+    return layout.names if end.sigma - start.sigma > NARROW * layout.Omega else (NARROW_GAP,)
 
 
 class EdgeBranch(Protocol):
@@ -67,16 +73,6 @@ class EdgeBranch(Protocol):
         """The orbit there; raises OrbitNotFoundError."""
         ...
 
-
-def functions_of(hill: Hill, layout: Layout) -> dict[str, float]:
-    """See `Sample.functions`."""
-    found: dict[str, float] = {}
-    for start, end in layout.gaps:
-        found.update(at_end(hill, start, end.sigma - start.sigma))
-        found.update(at_end(hill, end, end.sigma - start.sigma))
-    if layout.covers_start:  # of real multipliers, whose determinant is real, there is none left under the arcs
-        logs, phases = hill.determinant(np.zeros(1))
-        found[START] = float(np.real(phases[0]) * np.exp(logs[0]))
-    if layout.pinned:
-        found[f"{HALF} cosine"] = hill.at_end(hill.Omega, "cosine")  # that of sines falls to 0 where the gap opens
-    return found
+    def layout(self, coordinate: float) -> Layout:
+        """Its arcs and gaps, from a frequency that is nearly that of the sample; raises OrbitNotFoundError."""
+        ...

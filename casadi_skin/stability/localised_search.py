@@ -25,6 +25,7 @@ class Search:
 
     branch: EdgeBranch
     known: dict[float, Sample] = field(default_factory=dict)
+    layouts: dict[float, Layout] = field(default_factory=dict)
     found: list[LocalisedChange] = field(default_factory=list)
     gaps: list[tuple[float, float, str]] = field(default_factory=list)
 
@@ -33,6 +34,14 @@ class Search:
         if coordinate not in self.known:
             self.known[coordinate] = self.branch.sample(coordinate)
         return self.known[coordinate]
+
+    def layout(self, coordinate: float) -> Layout:
+        """Arcs and gaps at a coordinate."""
+        if coordinate in self.known:
+            return self.known[coordinate].layout
+        if coordinate not in self.layouts:
+            self.layouts[coordinate] = self.branch.layout(coordinate)
+        return self.layouts[coordinate]
 
     def place(self, coordinate: float, error: float) -> Place:
         """A place with the error of S, by its slope and bend."""

@@ -8,9 +8,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 from casadi_skin.stability.gaps import crossings
-from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP
-from casadi_skin.stability.localised_search import FINEST, Search
+from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP, names_of_arcs
+from casadi_skin.stability.localised_search import Search
 
+APART = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
 INSIDE = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
 FILLED = "the orbit fills the tail, so that its changes depend on the length"
 
@@ -25,16 +26,16 @@ def stretches(search: Search) -> list[tuple[float, float]]:
     bounds.append(places[-1])
     pairs = list(zip(bounds[::2], bounds[1::2], strict=True))
     pairs = [(a, b) for a, b in pairs if b > a]
-    search.gaps += [(a, b, FILLED) for a, b in pairs if search.at(a).names == (FILLS,)]
-    return [(a, b) for a, b in pairs if search.at(a).names not in ((FILLS,), (NARROW_GAP,))]
+    search.gaps += [(a, b, FILLED) for a, b in pairs if names_of_arcs(search.layout(a)) == (FILLS,)]
+    return [(a, b) for a, b in pairs if names_of_arcs(search.layout(a)) not in ((FILLS,), (NARROW_GAP,))]
 
 
 def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float]]:
     """Places between two points at which names change, from just before to just behind."""
-    first, last = search.at(start), search.at(end)
-    if first.names == last.names and not crossings(first.layout, last.layout):
+    first, last = search.layout(start), search.layout(end)
+    if names_of_arcs(first) == names_of_arcs(last) and not crossings(first, last):
         return []
-    meetings = [start, *(_at_Omega(search, start, end, Omega) for Omega in crossings(first.layout, last.layout)), end]
+    meetings = [start, *(_at_Omega(search, start, end, Omega) for Omega in crossings(first, last)), end]
     apart, found = INSIDE * (end - start), list[tuple[float, float]]()
     for number, (a, b) in enumerate(pairwise(meetings)):
         if number:
@@ -49,14 +50,14 @@ def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float
 def _at_Omega(search: Search, start: float, end: float, Omega: float) -> float:
     from scipy.optimize import brentq
 
-    return float(brentq(lambda c: search.at(float(c)).Omega - Omega, start, end, xtol=1e-14, rtol=1e-14))
+    return float(brentq(lambda c: search.layout(float(c)).Omega - Omega, start, end, xtol=1e-14, rtol=1e-14))
 
 
 def _by_halving(search: Search, start: float, end: float) -> list[tuple[float, float]]:
     """Places at which the orbit's frequency leaves a band, or the gap beside it becomes wide enough."""
-    if search.at(start).names == search.at(end).names:
+    if names_of_arcs(search.layout(start)) == names_of_arcs(search.layout(end)):
         return []
-    if end - start <= FINEST:
+    if end - start <= APART:
         return [(start, end)]
     middle = 0.5 * (start + end)
     return [*_by_halving(search, start, middle), *_by_halving(search, middle, end)]

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_skin.stability.localised_samples import functions_of
+from casadi_skin.stability.localised_counts import function_of, names_of
 from casadi_skin.stability.localised_search import FINEST, PRECISE, ROUNDING, SAFETY, Search, layout_like, others
 
 BEND = 0.3  # of the smaller end: what a function may do in between without being looked at
@@ -24,42 +24,48 @@ class Zero:
 
 
 def zeros_along(search: Search, places: Sequence[float]) -> list[Zero]:
-    """All zeros of the functions of `Sample` on a stretch on which ends of arcs keep their order, ascending."""
-    names = list(search.at(places[len(places) // 2]).functions)
+    """All zeros of the functions on a stretch on which ends of arcs keep their order, ascending."""
     found = []
-    for name in names:
+    for name in names_of(search.at(places[len(places) // 2]).layout):
         for a, b in pairwise(places):
             found += [_zero(search, name, *ends) for ends in _brackets(search, name, a, b)]
     return sorted(found, key=lambda zero: zero.coordinate)
 
 
-def _value(search: Search, name: str, coordinate: float) -> float:
-    return search.at(coordinate).functions[name]
-
-
 def _brackets(search: Search, name: str, a: float, b: float) -> list[tuple[float, float]]:
     """Intervals at whose ends a function has opposite signs, after halving where it may come near zero."""
-    first, last = _value(search, name, a), _value(search, name, b)
+    first, last = (search.at(c).function(name) for c in (a, b))
     if first * last < 0.0:
         return [(a, b)]
     if b - a <= FINEST or min(abs(first), abs(last)) > 0.5 * max(abs(first), abs(last)) > 0.0:
         return []
     middle = 0.5 * (a + b)
-    bend = abs(first + last - 2.0 * _value(search, name, middle))
+    bend = abs(first + last - 2.0 * search.at(middle).function(name))
     if bend <= BEND * min(abs(first), abs(last)):
         return []
     return [*_brackets(search, name, a, middle), *_brackets(search, name, middle, b)]
 
 
 def _zero(search: Search, name: str, a: float, b: float) -> Zero:
+    """The zero between two places; at one of them where the sign there was that of an error."""
     from scipy.optimize import brentq
 
-    at = float(brentq(lambda c: _value(search, name, float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
-    sample = search.at(at)
-    step = 1e-3 * (b - a)
-    sides = np.clip([at - step, at + step], a, b)
-    slope = abs(_value(search, name, float(sides[1])) - _value(search, name, float(sides[0]))) / (sides[1] - sides[0])
-    size = max(abs(_value(search, name, a)), abs(_value(search, name, b)))
-    values = [functions_of(hill, layout_like(hill, sample))[name] for hill in others(sample)]
-    error = SAFETY * sum(abs(other - sample.functions[name]) for other in values) + ROUNDING * size
+    known: dict[float, float] = {}
+
+    def value(c: float) -> float:
+        if c not in known:
+            sample = search.at(c)
+            known[c] = function_of(sample.hill, sample.layout, name)
+        return known[c]
+
+    ends = [value(a), value(b)]
+    if ends[0] * ends[1] > 0.0:
+        at = a if abs(ends[0]) < abs(ends[1]) else b
+    else:
+        at = float(brentq(lambda c: value(float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
+    sample, step = search.at(at), 1e-3 * (b - a)
+    low, high = np.clip([at - step, at + step], a, b).tolist()
+    slope = abs(value(high) - value(low)) / (high - low)
+    away = sum(abs(function_of(hill, layout_like(hill, sample), name) - value(at)) for hill in others(sample))
+    error = SAFETY * away + abs(value(at)) + ROUNDING * max(map(abs, ends))
     return Zero(at, float(error / slope) + PRECISE * (b - a), name)

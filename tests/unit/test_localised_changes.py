@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.cli import main
-from casadi_skin.orbits.family_localised import EdgeOrbits
+from casadi_skin.native import elimination
+from casadi_skin.native.library import without
+from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.family_localised import EdgeOrbits, localised_changes
 from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.gaps import Layout, crossings
-from casadi_skin.stability.hill import Hill
+from casadi_skin.stability.hill import Hill, Parity
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.localised_counts import count, zeros_in
 from casadi_skin.stability.localised_diagram import LocalisedDiagram
@@ -32,16 +35,20 @@ CHAIN = Medium(np.array([[3.0]]), math.sqrt(1.0 - 0.25**2))
 TWO_SITES = Medium(np.array([[3.0, -0.4], [-0.4, 3.5]]), 0.9, 0, 1)
 THREE_SITES = Medium(np.array([[3.0, -0.4, 0.0], [-0.4, 3.5, -0.7], [0.0, -0.7, 2.8]]), 0.9, 0, 2)
 MEDIA = [CHAIN, TWO_SITES, THREE_SITES]
+PARITIES: tuple[Parity, Parity] = ("cosine", "sine")
 
 
 @cache
-def soft(S: float = 2.9, tolerance: float = 1e-9) -> Branch:
-    return follow_family(SOFT, "first", S, tolerance=tolerance, stability=True)
+def hard(S: float = 0.12) -> Branch:
+    return follow_family(HARD, "last", S, tolerance=1e-9, stability=True)
 
 
 @cache
-def hard(chain: Chain = HARD, S: float = 2.2) -> Branch:
-    return follow_family(chain, "last", S, tolerance=1e-9, stability=True)
+def changes_of(chain: Chain | LongLattice, mode: str, S: float, tolerance: float = 1e-9) -> LocalisedDiagram:
+    """As `localised_diagram`, without multipliers of each orbit."""
+    branch = follow_family(chain, mode, S, tolerance=tolerance)
+    assert isinstance(branch.space, Family)
+    return localised_changes(branch.space, [orbit.point for orbit in branch.orbits])
 
 
 def diagram_of(branch: Branch) -> LocalisedDiagram:
@@ -113,8 +120,8 @@ def test_states_bound_at_the_end_of_a_medium_are_those_of_many_cells() -> None:
 # Hill's determinant ---------------------------------------------------------------------------------------------------
 
 
-def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5) -> Hill:
-    """Two cells whose stiffness oscillates."""
+def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5, swing: float = 0.05) -> Hill:
+    """Two cells whose stiffness oscillates, and that of their bond by `swing`."""
     p = medium.sites
     cells = np.zeros((2, 3, p, p))
     cells[:, 0] = medium.stiffness
@@ -122,14 +129,15 @@ def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5) -> Hill:
     cells[1, :, medium.outlet, medium.outlet] += [strength, -0.7 * strength, 0.1]
     bonds = np.zeros((1, 3, p, p))
     bonds[0, 0, medium.outlet, medium.inlet] = -medium.coupling
-    bonds[0, 1, medium.outlet, medium.inlet] = 0.05
+    bonds[0, 1, medium.outlet, medium.inlet] = swing
     return Hill(Omega, medium, cells, bonds, medium.inlet)
 
 
 @pytest.mark.parametrize("medium", MEDIA)
-def test_the_determinant_is_that_of_many_cells(medium: Medium) -> None:
+@pytest.mark.parametrize("swing", [0.05, 0.0])
+def test_the_determinant_is_that_of_many_cells(medium: Medium, swing: float) -> None:
     """Ratios at two exponents, with the free medium's determinant taken off by hand."""
-    hill, tail = example(medium), dense_tail(medium, 24)
+    hill, tail = example(medium, swing=swing), dense_tail(medium, 24)
     p = medium.sites
     m = np.arange(-hill.sidebands - 1, hill.sidebands + 1)
 
@@ -167,6 +175,31 @@ def test_the_determinant_is_that_of_many_cells(medium: Medium) -> None:
     expected = dense(one) - dense(other) - free(one) + free(other)
     assert logs[0] - logs[1] == pytest.approx(expected.real, abs=1e-9)
     assert np.all(np.abs(np.abs(phases) - 1.0) < 1e-12)
+
+
+@pytest.mark.skipif(without() is not None, reason="no C compiler here")
+@pytest.mark.parametrize("medium", MEDIA)
+def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Medium, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At real exponents in arcs and gaps, at complex ones, and where cosines and sines part."""
+    two = example(medium, swing=0.0)
+    cells = np.concatenate([0.3 * two.cells[:1] + 0.7 * two.cells[1:], two.cells, two.cells])
+    bonds = np.repeat(two.bonds, 4, axis=0) * np.array([1.0, 0.8, 1.1, 0.9])[:, None, None, None]
+    hill, sigma = replace(two, cells=cells, bonds=bonds), np.linspace(0.05, 1.25, 9)
+
+    def found() -> list[Array]:
+        parts = [*hill.determinant(sigma), *hill.determinant(sigma + 0.2j)]
+        return [*parts, np.array([hill.at_end(end, parity) for end in (0.0, 1.3) for parity in PARITIES])]
+
+    compiled = found()
+    monkeypatch.setattr(elimination, "_function", lambda: None)
+    for one, other in zip(compiled, found(), strict=True):
+        assert np.max(np.abs(one - other) / np.maximum(np.abs(other), 1.0)) < 1e-11
+
+
+@pytest.mark.skipif(without() is not None, reason="no C compiler here")
+def test_a_pivot_that_vanishes_is_an_error() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        elimination.eliminated(np.zeros((2, 1, 1)), np.ones(1), (0, 0), 1, np.zeros((1, 1)))
 
 
 @pytest.mark.parametrize("medium", MEDIA)
@@ -291,14 +324,14 @@ def test_counted_numbers_beside_a_complex_pair_leave_complex_ones_in_twos(
 @pytest.mark.slow
 def test_changes_of_the_softening_chain() -> None:
     """Four places: the first below the threshold, one at an extremum of the energy, a pair born at a band's edge."""
-    found = diagram_of(soft())
+    found = changes_of(SOFT, "first", 2.9)
     kinds = [(change.kind, change.off_before, change.off_after) for change in found.all]
     assert kinds == [("real", 0, 1), ("real", 1, 0), ("band edge", 0, 0), ("complex", 0, 2)]
     assert not found.unresolved
-    assert [change.S for change in soft().changes] == [change.S for change in found.changes]
     assert [change.kind for change in found.further] == ["band edge"]
-    branch, (first, second, _, last) = soft(), found.all
-    assert branch.first_instability().S == first.S  # type: ignore[union-attr]
+    _, second, _, last = found.all
+    before, after = last.S - 2e-6, last.S + 2e-6  # 500 sites: decay over 60 sites
+    branch = follow_family(SOFT, "first", after + 0.01, at=(before, after), tolerance=1e-9, stability_sites=500)
 
     def slope(S: float) -> float:
         return float(branch.at(S + 1e-3).energy - branch.at(S - 1e-3).energy)
@@ -306,8 +339,8 @@ def test_changes_of_the_softening_chain() -> None:
     low, high = slope(second.S - 2e-3), slope(second.S + 2e-3)
     assert low * high < 0.0  # the energy is extremal where multipliers leave 1 with the velocity
     assert second.S - 2e-3 - 4e-3 * low / (high - low) == pytest.approx(second.S, abs=1e-5)
-    for S, stable in ((last.S - 2e-6, True), (last.S + 2e-6, False)):  # 500 sites: decay over 60 sites
-        cut = follow_family(SOFT, "first", S + 0.01, at=(S,), tolerance=1e-9, stability_sites=500).at(S).floquet()
+    for S, stable in ((before, True), (after, False)):
+        cut = branch.at(S).floquet()
         assert isinstance(cut, LocalisedFloquet)
         near = cut.mu[np.abs(cut.mu - last.mu) < 0.01]
         assert near.size == 2
@@ -318,13 +351,13 @@ def test_changes_of_the_softening_chain() -> None:
 @pytest.mark.slow
 def test_changes_do_not_depend_on_tolerance_and_are_those_of_finite_chains() -> None:
     """Above the threshold by exponentially little: 60 sites have the change at S = 1.86 to 1e-9."""
-    (first, second) = diagram_of(hard()).all
+    (first, second) = changes_of(HARD, "last", 2.0).all
     assert (first.kind, second.kind) == ("real", "real")
-    whole = follow_family(Chain(60, 1.0, 0.25, 1.0), 60, 2.2, tolerance=1e-9, stability=True)
+    whole = follow_family(Chain(60, 1.0, 0.25, 1.0), 60, 2.0, tolerance=1e-9, stability=True)
     assert len(whole.changes) == 2
     assert abs(whole.changes[1].value - second.S) <= whole.changes[1].error + second.S_error
     assert whole.changes[0].value > first.S  # in the tail's band: it comes down as the chain becomes longer
-    (again,) = diagram_of(follow_family(HARD, "last", 0.12, tolerance=1e-6, stability=True)).all
+    (again,) = changes_of(HARD, "last", 0.12, 1e-6).all
     assert abs(again.S - first.S) <= again.S_error + first.S_error + 1e-11
 
 
@@ -333,10 +366,9 @@ def test_the_chain_as_a_long_lattice_and_its_mirror_image_have_the_same_changes(
     parameters = {"alpha": 1.0, "gamma": 0.25, "g": 1.0}
     site, bond = Site("a", onsite="alpha*y + g*y^3"), Bond("a", "a", [1], "d", ("1 - gamma", "1 + gamma"))
     lattice = LongLattice(math.inf, [site], [bond], "fixed", parameters)
-    there = diagram_of(follow_family(lattice, "last", 0.12, tolerance=1e-9, stability=True)).all
-    mirrored = diagram_of(hard(Chain(math.inf, 1.0, -0.25, 1.0), 0.12)).all
-    (expected,) = diagram_of(hard(HARD, 0.12)).all
-    for (found,) in (there, mirrored):
+    (expected,) = changes_of(HARD, "last", 0.12).all
+    for other in (lattice, Chain(math.inf, 1.0, -0.25, 1.0)):
+        (found,) = changes_of(other, "last", 0.12).all
         assert abs(found.S - expected.S) <= found.S_error + expected.S_error + 1e-11
 
 
@@ -370,8 +402,10 @@ def test_scenes_write_changes_of_infinite_chains(tmp_path: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_results_print_become_tables_and_are_read_back(tmp_path: Path) -> None:
-    branch = hard(HARD, 0.12)
+    branch = hard()
     found = diagram_of(branch)
+    assert [change.S for change in branch.changes] == [change.S for change in found.changes]
+    assert branch.first_instability().S == found.changes[0].S  # type: ignore[union-attr]
     assert "real at 0.10184" in str(found)
     assert "changes of stability" in str(branch)
     assert list(found.to_xarray()["kind"].values) == ["real"]

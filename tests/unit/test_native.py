@@ -20,7 +20,7 @@ from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import Monomials
-from casadi_skin.native import bordered, tail, taylor
+from casadi_skin.native import bordered, elimination, tail, taylor
 from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
 from casadi_skin.native.decoupling import decoupling_kernel
@@ -54,6 +54,7 @@ def forget() -> None:
         native_jacobian._function,
         bordered._functions,
         tail._function,
+        elimination._function,
     )
     for kept in (*own, trigonometric._kept):
         kept.cache_clear()
