@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.orbits.coordinates import Coordinates
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.gaps import Layout
@@ -21,7 +21,7 @@ class EdgeHill:
 
     def __init__(self, coordinates: Coordinates) -> None:
         self.coordinates = coordinates
-        self._mapped: dict[int, ca.Function] = {}
+        self._mapped: dict[int, tuple[ca.Function, Indices, Indices]] = {}
 
     def off_circle(self, state: OrbitState) -> int | None:
         """Number of localised multipliers outside the circle, of the better orbit; None where they are not counted."""
@@ -39,10 +39,12 @@ class EdgeHill:
             except (ArithmeticError, np.linalg.LinAlgError):
                 return None
 
-    def _forces(self, count: int) -> ca.Function:
-        """Accelerations and their derivatives at so many phases."""
+    def _forces(self, count: int) -> tuple[ca.Function, Indices, Indices]:
+        """Accelerations and their derivatives at so many phases, and the rows and columns of the second."""
         if count not in self._mapped:
-            self._mapped[count] = self.coordinates.solved.rhs_and_jacobian().map(count)
+            forces = self.coordinates.solved.rhs_and_jacobian().map(count)
+            rows, columns = (np.asarray(part) for part in forces.sparsity_out(1).get_triplet())
+            self._mapped[count] = forces, rows, columns
         return self._mapped[count]
 
     def hill(self, problem: Problem, z: Array) -> Hill:
@@ -53,8 +55,8 @@ class EdgeHill:
         count, p = PHASES * problem.resolution + SPARE, medium.sites
         q = problem.sample(z, np.pi * np.arange(count) / count)
         parameter = np.full((1, count), float(z[problem.parameter_index]))
-        slopes = self._forces(count)(q.T, parameter)[1]
-        rows, columns = (np.asarray(part) for part in slopes.sparsity().get_triplet())
+        forces, rows, columns = self._forces(count)
+        slopes = forces(q.T, parameter)[1]
         phases, columns = np.divmod(columns, q.shape[1])
         cells = q.shape[1] // p
         own, beside = np.zeros((count, cells, p, p)), np.zeros((count, cells - 1, p, p))
