@@ -368,7 +368,7 @@ def test_digits_and_segments_out_of_range_are_refused(digits: int, segments: int
 
 @pytest.mark.parametrize("kind", [pytest.param("newton", marks=pytest.mark.slow), "ipopt"])
 def test_a_family_agrees_with_that_of_odd_cosines_within_its_errors(kind: str) -> None:
-    chain, at = Chain(3, 1.0, 0.25, -1.0), (0.5, 1.5)
+    chain, at = Chain(2, 1.0, 0.25, -1.0), (0.5, 1.5)
     found = follow_family(chain, 1, 1.5, at=at, transcription="shooting", corrector=kind)
     exact = follow_family(chain, 1, 1.5, at=at, tolerance=1e-12, corrector="newton")
     assert found.complete
@@ -414,7 +414,7 @@ def test_stability_along_shot_orbits_is_that_of_the_others(S: float) -> None:
 
 
 def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
-    chain = Chain(4, 1.0, 0.25, -1.0)
+    chain = Chain(2, 1.0, 0.25, -1.0)
     within = follow_family(chain, 1, 0.5, tolerance=1e-10, transcription="shooting", corrector="newton")
     assert within.complete
     beyond = follow_family(chain, 1, 0.5, tolerance=1e-13, transcription="shooting", corrector="newton")
