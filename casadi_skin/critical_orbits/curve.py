@@ -34,7 +34,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
 from casadi_skin.stability.reduction import ComplexArray
 
 KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
@@ -219,10 +219,7 @@ def curve_space(
         if isinstance(solution, Orbit):
             raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
-    if parameter == point.parameter:
-        names = [name for name in solution.parameters if name not in (parameter, *solution.space.free)]
-        accepted = ", ".join(names) or "none"
-        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
+    check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
     angle = np.pi
     if point.kind == TORUS:

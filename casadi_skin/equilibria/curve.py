@@ -19,7 +19,7 @@ from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.follow import following_settings
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.orbits.special_points import SpecialPoint, check_second
 from casadi_skin.solvers.levels import Levels
 
 UNFOLDS = 1e-7  # of a step: an imperfection that grows along a curve of branch points
@@ -89,9 +89,7 @@ def curve_space(
     solution = point.solution
     if not isinstance(solution, Equilibrium) or point.kind not in SYSTEMS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
-    if parameter == point.parameter:
-        others = ", ".join(name for name in solution.parameters if name != parameter) or "none"
-        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {others}")
+    check_second(point, parameter)
     settings = following_settings(
         solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )

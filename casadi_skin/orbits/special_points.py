@@ -141,6 +141,15 @@ class SpecialPoint(Result):
         return methods.TASKS["curve"].load()(self, parameter, to, **options)
 
 
+def check_second(point: SpecialPoint, parameter: str) -> None:
+    """Raise ValueError where a special point is to be followed in the parameter that it was found in."""
+    if parameter == point.parameter:
+        solution = point.solution
+        names = (name for name in solution.parameters if name not in (parameter, *solution.space.free))
+        accepted = ", ".join(names) or "none"
+        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
+
+
 def turns_between(before: Point, after: Point) -> bool:
     """Whether the continuation parameter turns back between two points."""
     return rate(before) * rate(after) < 0.0

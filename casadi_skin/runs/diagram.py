@@ -134,8 +134,8 @@ def write_diagram(
     first = branches[0]
     if not first.parameter:
         return
-    columns = special_columns(first)
-    rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
+    columns = diagram_columns(first)
+    rows = [row for name, branch in zip(names, branches, strict=True) for row in diagram_rows(name, branch, columns)]
     write_csv(directory / "special_points.csv", columns, rows)
     in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
     picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
@@ -147,7 +147,7 @@ def write_diagram(
         picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
 
 
-def special_columns(branch: Branch) -> list[str]:
+def diagram_columns(branch: Branch) -> list[str]:
     """Columns of special_points.csv of a diagram; the period that orbits have free is a column of its own."""
     fixed = ("branch", "kind", "error", "period", "frequency", "coefficient", "criticality")
     known = [name for name in branch.solutions[0].parameters if name not in branch.space.free or name != PERIOD]
@@ -155,7 +155,7 @@ def special_columns(branch: Branch) -> list[str]:
     return ["branch", "kind", *unique_names(names, fixed), *fixed[2:]]
 
 
-def special_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
+def diagram_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
     """A row for each special point of a branch; quantities that a point does not have are empty."""
     for point in branch.special_points:
         known = list(branch_parameters(point, columns[2:-5]).values())
