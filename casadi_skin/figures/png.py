@@ -28,7 +28,8 @@ def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
     """
     height, width = pixels.shape[:2]
     rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
-    rows[:, 1:].reshape(height, width, 3)[...] = pixels[..., :3]
+    for channel in range(3):  # one at a time takes a seventh of the time: numpy is slow along three
+        rows[:, 1 + channel :: 3] = pixels[..., channel]
     metre = round(dpi / INCH)
     stream.write(SIGNATURE)
     for kind, content in (

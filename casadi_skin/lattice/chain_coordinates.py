@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.full_chain import ChainCoordinates, EdgeSite, FullChain
 from casadi_skin.methods import PAYS_FROM, TRIGONOMETRIC
 
@@ -48,7 +47,11 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
     eliminated = method.tail == "eliminated" or chain.infinite or cut is not None
     if method.tail is None and not obstacle:
         eliminated = eliminated or chain.sites >= max(PAYS_FROM, PAYS * sites)
-    return CoreWithTail(chain, sites, number, cut) if eliminated else FullChain(chain, number)
+    if not eliminated:
+        return FullChain(chain, number)
+    from casadi_skin.lattice.core_with_tail import CoreWithTail  # here: short chains do not need it
+
+    return CoreWithTail(chain, sites, number, cut)
 
 
 def core_sites(chain: Chain, amplitude_max: float) -> int:
