@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON
+from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.bend import quadratic_term
 from casadi_skin.critical_orbits.branch_forms import branching_equation, second_singular
@@ -35,6 +36,8 @@ ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another
 }
 VANISHES = 1e-2  # of its values at both ends: a test where it has a root
 INTERPOLATED = 1e-3  # of a step: an error of interpolation with which a point is named
+SMALL = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
+NOISE = 100.0  # times what a finer level changes: a test above it has its sign
 NEUTRAL = 1e-6  # imaginary part of a pair that is one
 Test = Callable[[Point], float]
 
@@ -56,10 +59,20 @@ def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, 
         yield from _branching(space, before, after)
     for kind, test in [*_resonances(space), *_of_multipliers(space), *_of_normal_form(space, before)]:
         try:
-            if test(before) * test(after) < 0.0:
+            if test(before) * test(after) < 0.0 and not _is_rounding(space, before, after, test):
                 yield kind, test
         except (RuntimeError, NotImplementedError):  # the model has no third derivatives
             continue
+
+
+def _is_rounding(space: Followed, before: Point, after: Point, test: Test) -> bool:
+    """Whether a test changes its sign because it goes to zero with the orbit, down to what a finer level changes."""
+    if PERIOD not in space.statement.free:
+        return False
+    smaller, larger = sorted((before, after), key=space.amplitude)
+    if space.amplitude(smaller) > SMALL * space.amplitude(larger) or smaller.better is None:
+        return False
+    return abs(test(smaller)) <= NOISE * abs(test(_finer(smaller)) - test(smaller))
 
 
 def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
@@ -201,12 +214,16 @@ def _length(space: Followed, before: Point, after: Point) -> float:
 
 def _error(space: Followed, point: Point, test: Test, slope: float) -> float:
     """Estimated relative error of the parameter where a test vanishes, from its value on a finer level."""
+    along = (abs(test(_finer(point))) + abs(test(point))) / abs(slope) if slope else 0.0
+    moved = abs(_finer(point).parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+    return float(moved / point.problem.parameter_size(point.z) + EPSILON)
+
+
+def _finer(point: Point) -> Point:
+    """The point on its finer level."""
     better = point.better
     assert better is not None
-    finer = replace(point, problem=better.problem, z=better.z, better=None)
-    along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
-    moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
-    return float(moved / point.problem.parameter_size(point.z) + EPSILON)
+    return replace(point, problem=better.problem, z=better.z, better=None)
 
 
 ENDS = {

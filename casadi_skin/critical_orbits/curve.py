@@ -129,6 +129,10 @@ class OrbitCurveSpace(BoundarySpace):
         one, other = (self._variation(point) for point in (before, after))
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
+    def amplitude(self, point: Point) -> float:
+        """How far the orbit goes from its mean, in the sizes of its states."""
+        return float(np.max(np.abs(self._variation(point))))
+
     def _variation(self, point: Point) -> Array:
         states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
         return np.asarray((states - states.mean(axis=0)) / self._critical.sizes)

@@ -88,6 +88,27 @@ def test_folds_of_cycles_end_at_a_generalized_hopf_point_in_all_units(
 
 
 @pytest.mark.slow
+def test_rounding_of_a_coefficient_that_goes_to_zero_with_the_orbit_is_no_cusp() -> None:
+    """r' = r (mu + a r^2 - r^4) in mixed coordinates: the coefficient falls with r^3, its sign is lost at 1e-4."""
+    random = np.random.default_rng(1)
+    mix, bends = random.normal(size=(3, 3)) + 2.0 * np.eye(3), random.uniform(-0.4, 0.4, (3, 3))
+    x, y, (mu, a) = ca.SX.sym("x", 3), ca.SX.sym("y", 3), ca.vertsplit(ca.SX.sym("p", 2))
+    u, v, w = ca.vertsplit(y)
+    growth = mu + a * (u**2 + v**2) - (u**2 + v**2) ** 2
+    rates = ca.vertcat(growth * u - 1.3 * v, growth * v + 1.3 * u, 0.3 * u * v - w)
+    curved = ca.vertcat(u, v + bends[1, 0] * u**2, w + bends[2, 0] * u**2 + bends[2, 1] * v**2)
+    field = ca.mtimes(ca.jacobian(ca.mtimes(ca.DM(mix), curved), y), rates)
+    u, v, w = ca.vertsplit(ca.mtimes(ca.DM(np.linalg.inv(mix)), x))
+    v -= bends[1, 0] * u**2
+    field = ca.substitute(field, y, ca.vertcat(u, v, w - bends[2, 0] * u**2 - bends[2, 1] * v**2))
+    model = OdeModel("mixed", x, field, ca.vertcat(mu, a), nominal=(-1.0, 0.8))
+    (hopf,) = find_equilibrium(model, [0.0, 0.0, 0.0]).follow("p_0", 0.5).special_points
+    cycles = hopf.follow("p_0", -0.5, stability=True)
+    curve = cycles.special_points[0].curve("p_1", -0.5)
+    assert [point.kind for point in curve.special_points] == ["generalized hopf"]
+
+
+@pytest.mark.slow
 def test_normal_forms_of_period_doublings_and_tori_are_the_ones_written_down() -> None:
     """xi' = a xi + c xi^3 on a band of Moebius; w' = (a + 0.3 i) w + c w |w|^2, with v of mean square 1 twice c."""
     coefficient = 0.5
