@@ -16,6 +16,7 @@ from casadi_skin.bvp.statement import Bounds, Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.models.conserved import quantities
 from casadi_skin.models.expressions import Expression, expression_of
+from casadi_skin.models.forcing import check_forcing_period
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import Periodic
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -94,7 +95,9 @@ def find_orbit(
     space = cast(BoundarySpace, solution.space)
     space = replace(space, periodic=Periodic(model, first, symmetry, tuple(int(k) for k in turns)))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
-    if not model.forced:
+    if model.forced:
+        check_forcing_period(model, orbit, orbit.period, orbit.parameters)
+    else:
         _check_moves(orbit, solution, guess, length)
     if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"

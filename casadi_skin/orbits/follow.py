@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.arguments import check_name, duration, function_of, number, numbers, truth, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, Target
+from casadi_skin.models.forcing import check_forcing_period
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
@@ -199,7 +200,10 @@ def following_settings(
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
-    forced = isinstance(solution.model, OdeModel) and solution.model.forced
+    model = solution.model
+    forced = isinstance(model, OdeModel) and model.forced
+    if isinstance(solution, Orbit) and isinstance(model, OdeModel) and forced:
+        check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2, parameter_min=(back - start) / (end - start),

@@ -405,6 +405,21 @@ def test_arguments_that_do_not_fit_the_model_are_refused(
     assert "\n" not in str(error.value)
 
 
+def test_a_forcing_period_after_which_the_equations_do_not_repeat_is_refused() -> None:
+    """A number for 2 pi / omega holds at one omega: an orbit is found there, and nothing at another one."""
+    q, v, w, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
+    rhs = ca.vertcat(v, -q - q**3 - 0.1 * v + 0.5 * ca.cos(w * t))
+    model = OdeModel(
+        "Duffing", ca.vertcat(q, v), rhs, w, time=t, forcing_period=2.0 * np.pi / 1.7, nominal=(1.7,)
+    )  # fmt: skip
+    orbit = find_orbit(model, [0.0, 0.0])
+    words = "Duffing: forcing_period: given 3.69599 at omega = 1.5, after which equations do not repeat"
+    with pytest.raises(ValueError, match=words):
+        find_orbit(model, [0.0, 0.0], parameters={"omega": 1.5})
+    with pytest.raises(ValueError, match=words):
+        orbit.follow("omega", 1.5)
+
+
 def test_a_guess_that_does_not_move_is_refused() -> None:
     with pytest.raises(ValueError, match="guess: given a state that does not move; accepted: one period of an orbit"):
         find_orbit(van_der_pol(), [0.0, 0.0], 6.6, parameters={"mu": 1.0})
