@@ -70,7 +70,7 @@ def _kept_table(nodes: bytes, ends: bytes) -> DefectTable:
 
 
 def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, Array]:
-    """What the solution z leaves in the residual of a method of twice as many stages, on its own mesh.
+    """The residual of the solution z in a method of twice as many stages, on its own mesh.
 
     Arguments:
         equations: the equations that z solves.

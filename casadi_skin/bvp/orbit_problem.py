@@ -39,7 +39,7 @@ class OrbitProblem(Problem):
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 
     def profile_change(self, z: Array, step: Array) -> float:
-        """Largest change of a state value relative to the largest state value; of what users see of it as well."""
+        """Largest change of a state value relative to the largest state value, also in the output scale."""
         return float(self.profile_changes(z[None], step[None])[0])
 
     def profile_changes(self, z: Array, steps: Array) -> Array:

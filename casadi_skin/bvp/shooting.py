@@ -1,9 +1,9 @@
 """Multiple shooting with SUNDIALS CVODES: the flow and its forward sensitivities join states at a few phases.
 
 Unknowns are full states at the ends of M segments of a quarter, half or full period; the equations are continuity by
-the flow (Stoer and Bulirsch 2002, section 7.3.5; Hindmarsh et al. 2005). What `resolution` counts is digits of CVODES'
-local tolerance. The residual jumps by about that tolerance wherever CVODES steps otherwise: no corrector can be
-with a larger tolerance.
+the flow (Stoer and Bulirsch 2002, section 7.3.5; Hindmarsh et al. 2005). `resolution` counts the digits of CVODES'
+local tolerance. The residual jumps by about that tolerance wherever CVODES steps otherwise: no corrector can
+be more accurate.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ DIGITS = (3, 15)  # of CVODES' local tolerance
 SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
 PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
 PATHS = 4  # orbits whose paths are kept
-ROUNDING = 1e-13  # what rounding makes of CVODES' steps, relative to the largest state: measured with 14 and 15 digits
+ROUNDING = 1e-13  # error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits
 
 
 class ShootingError(SingularError):
-    """The equations have no value: CVODES cannot follow a segment; the message has what it returned."""
+    """The equations have no value: CVODES cannot follow a segment; the message has its return code."""
 
 
 class ShootingProblem(FirstOrderProblem):

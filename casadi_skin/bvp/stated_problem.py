@@ -61,7 +61,7 @@ class BoundaryProblem(CollocationEquations):
         return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
 
     def parameter_size(self, z: Array) -> float:
-        """1, which is what u goes through along a branch."""
+        """1, the change of u along a branch."""
         return max(1.0, abs(float(z[-1])))
 
     # Values ---------------------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ class Structure:
     _made: dict[str, Any] = field(default_factory=dict)
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
-        """What has been made of this structure alone, and is not changed by those who use it."""
+        """Objects that depend on this structure alone; their users do not change them."""
         if name not in self._made:
             self._made[name] = make()
         return self._made[name]

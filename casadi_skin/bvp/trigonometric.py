@@ -121,7 +121,7 @@ class TrigonometricProblem(OrbitProblem):
         symbols = model.state, model.velocity, model.parameters
         return odd_cosine_equations(self.resolution, symbols, model.rhs, model.normalisation)
 
-    # What is built is kept for other models that differ in numbers alone -------------------------------------------
+    # Functions are shared with models that differ in numbers alone --------------------------------------------------
 
     @cached_property
     def _kept(self) -> _Kept | None:
@@ -174,7 +174,7 @@ class TrigonometricProblem(OrbitProblem):
         return self, z
 
     def eliminated(self, z: Array) -> tuple[Array, slice, int]:
-        """What eliminated sites add to the derivative of these equations by states: a block, its place, and a number.
+        """The contribution of eliminated sites to the derivative by states: a block, its place, and a number.
 
         It is the number of positive eigenvalues of the eliminated equations, up to one that is the same for all z.
         """

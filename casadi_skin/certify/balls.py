@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 PRECISION = 128  # bits of balls
 ROUNDING = 2.0**-51  # four times the unit roundoff, for each operation of a sum
-UNDERFLOW = 2.0**-900  # more than what all operations of a bound can lose below the smallest double
+UNDERFLOW = 2.0**-900  # more than all operations of a bound can lose below the smallest double
 
 
 def flint() -> Any:

@@ -92,7 +92,7 @@ class ArclengthContinuation:
             self.rejected += 1
             if departure.problem is current.problem:
                 step *= 0.5
-            else:  # perhaps for what the coarser level leaves out
+            else:  # perhaps for the error of the coarser level
                 departure = self._departure(current, current.problem)
         self.end, advice = End.NO_STEP, "try another transcription or a larger tolerance"
         self.detail = f"{self.detail or self.point_solver.failure}; {advice}".removeprefix("; ")

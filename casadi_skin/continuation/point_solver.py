@@ -24,7 +24,7 @@ COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less 
 START_ERROR = 1e-4  # of the linear mode where a walk starts
 PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
 MEANINGFUL = 1e-3
-ASYMPTOTIC = 1e-2  # relative error below which what finer levels will do is foreseen
+ASYMPTOTIC = 1e-2  # relative error below which the gain of finer levels is foreseen
 TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
 

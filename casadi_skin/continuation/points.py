@@ -54,7 +54,7 @@ class ContinuationSettings:
     min_step: float = 1e-7
     max_points: int = 20_000
     parameter_min: float = 0.0  # of parameter_max: the walk ends where it comes back to this
-    closing: bool = False  # from there it goes on as far to the other side, for what may close
+    closing: bool = False  # from there it goes on as far to the other side, as it may close
     tiny_first: bool = True  # a point next to the start is among the first ones, where that has no amplitude
     rounds_corners: bool = False  # whether a step across which the determinant changes sign is looked into
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
@@ -118,8 +118,8 @@ class Point:
     along: float = 0.0  # how far it lies after the point walked before it, where the continuation went on past it
     located: bool = False  # a special point between two of the continuation
     better: Refinement | None = None  # the point one Newton step nearer to the next finer level
-    at_round_off: bool = False  # the tolerance is below what round-off leaves of the point
-    special: str = ""  # of what kind a special point that was located is
+    at_round_off: bool = False  # the tolerance is below the round-off of the point
+    special: str = ""  # the kind of a special point that was located
 
     @property
     def parameter(self) -> float:

@@ -24,9 +24,9 @@ STACKED = 1000  # unknowns up to which arrays over the places of a stretch stay 
 class Guesses:
     """Places of a stretch, (places, unknowns) each, with what is held there, and the metric.
 
-    What is faint, as the tail of a breather, the series gives to the precision of what is not. It is left out of
-    the guess, so that the step does not correct it but solves for it, and finds it accurate relative to itself. It is
-    faint to users as well: amplitudes that grow into a tail in the gauge are no reason to leave out the edge.
+    In the series small components, as those in the tail of a breather, have the absolute precision of large ones. They
+    are left out of the guess, so that the step solves for them and finds them accurate relative to themselves. They are
+    small in the output too: amplitudes that grow into a tail in the gauge are no reason to leave out the edge.
     """
 
     z: Array

@@ -104,7 +104,7 @@ def normal_of(start: Vector, sizes: Array) -> Array:
 
 
 def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: Array) -> tuple[Array, Array]:
-    """The matrix of norm 1 that turns the null vector at a branch point into what its left null vector sees most.
+    """The matrix of norm 1 that turns the null vector at a branch point to the largest product with its left one.
 
     Where conditions alone decide, which that vector sees and not the field, the changes of these instead, of norm 1.
     """

@@ -21,7 +21,7 @@ def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
         model = space.periodic.given
     if not isinstance(model, OdeModel):
         return equations_of_motion(model)
-    # What stands for S in the normalisation of a family is no parameter of its orbits, and not in the equations.
+    # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
     values = {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
     return equations_of_motion(model, values)
 

@@ -212,7 +212,7 @@ class AlgebraicProblem(Problem):
 
 
 class ExactLevels(Levels):
-    """The one level of equations that are not discretised: what is left of errors is the corrector's, and rounding."""
+    """The one level of equations that are not discretised: errors are those of the corrector, and rounding."""
 
     def __init__(self, problem: Problem, correct_with: Callable[[Problem], Corrector]) -> None:
         super().__init__(lambda _: problem, correct_with, (1,))

@@ -1,7 +1,7 @@
 """A stretch of a branch of equilibria: quantities that change their sign on it, and whether it is resolved.
 
 The rate of the parameter and the real parts of eigenvalues are known with their derivatives at both ends and at a place
-between. A cubic through the ends predicts what is in between; by how much it fails there bounds how far the cubics
+between. A cubic through the ends predicts the values in between; its error there bounds how far the cubics
 through neighbouring samples may be from the truth. A quantity is settled where no root, or one that is simple, is
 within that bound.
 """
@@ -21,8 +21,8 @@ from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.statics import ComplexArray
 
 WITHIN = 0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
-BOUND = 0.25  # of what a cubic misses by between two ends: four times what cubics of half the length do
-MARGIN = 0.1  # of what a quantity changes by between two samples: is added, for what two cubics miss by alike
+BOUND = 0.25  # of the error of a cubic between two ends: four times that of cubics of half the length
+MARGIN = 0.1  # of the change of a quantity between two samples: is added, for errors that two cubics have in common
 _NEAR = 0.5 ** np.arange(6.0, 24.0, 2.0)
 PLACES = np.concatenate([[0.0], _NEAR[::-1], np.linspace(0.0, 1.0, 17)[1:-1], 1.0 - _NEAR, [1.0]])  # of half a stretch
 STILL = 1e-12  # rate of a parameter that does not change

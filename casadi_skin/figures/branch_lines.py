@@ -56,7 +56,7 @@ MARKS = {  # the symbols of the field, as far as there are any
     "torus-torus": ("X", "white"),
 }
 PLAIN = ("d", "0.8")
-LIMITS = ("homoclinic", "heteroclinic")  # what a branch of cycles may end at
+LIMITS = ("homoclinic", "heteroclinic")  # possible ends of a branch of cycles
 
 
 def stability_pieces(branch: Branch, path: Array) -> list[tuple[bool | None, Array]]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MOST_VALUES = 6  # of parameters in a title
 DPI = 200  # of pictures as PNG
 WIDEST = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
-DATED = {"svg": "Date", "pdf": "CreationDate"}  # formats, and what they call the date, which is left out
+DATED = {"svg": "Date", "pdf": "CreationDate"}  # formats, and their name of the date, which is left out
 AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
 
 DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
@@ -157,7 +157,7 @@ def number_sites(axes: Axes, first: int, last: int, label: str) -> None:
 
 
 def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[Path]:
-    """Write `stem`.png, or what `formats` name, each replaced atomically, and return their paths.
+    """Write `stem`.png, or the formats named, each replaced atomically, and return their paths.
 
     The bytes depend on the figure alone. Raises OSError where the folder does not exist or cannot be written to.
     """

@@ -21,9 +21,9 @@ from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.theory.linear import Array
 
-SHARE, TIGHTEST = 1e-3, 1e-15  # measured: what CVODES returns is up to 1500 of its local tolerances off
+SHARE, TIGHTEST = 1e-3, 1e-15  # measured: results of CVODES are up to 1500 of its local tolerances off
 TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls to 5
-STEPS = 200  # allowed per radian of the stiffest vibration: ten times what the tightest run needs
+STEPS = 200  # allowed per radian of the stiffest vibration: ten times the need of the tightest run
 GAP = 100.0  # radians from output to output
 STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
 STIFF_STEPS = 100_000  # of BDF, from output to output
@@ -112,7 +112,7 @@ def followed_by_cvodes(
     except CvodesError as error:
         before = t[t <= integrator.stats()["tcur"]]
         whole = Trajectory(np.empty((0, start.size)), 0)
-        if before.size:  # CasADi gives nothing of a run that fails: what went well is done again
+        if before.size:  # CasADi gives nothing of a run that fails: its good part is done again
             whole = followed_by_cvodes(dae, parameters, start, before, options, origin, gap)
         raise IntegrationError("cvodes", str(error), whole, t, origin) from error
     found = Trajectory(states[np.searchsorted(grid, t)], int(integrator.stats()["nfevals"]))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.method import Method
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
-NEGLIGIBLE = 1e-16  # of the cubic term: what of it the tail may leave out
+NEGLIGIBLE = 1e-16  # of the cubic term: the part that the tail may leave out
 PAYS = 8  # times the core's sites from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from casadi_skin.orbits.method import Method
 
 FIRST, LAST = "first", "last"
-SAMPLE = 6  # cells that show what all are like
+SAMPLE = 6  # cells of a lattice from which the properties of one cell are read
 FEWEST = 20  # cells of a lattice that is long
 ROUND_OFF = 1e-12
 

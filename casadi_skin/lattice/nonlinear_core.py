@@ -13,7 +13,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import EdgeMode, LongLattice
 from casadi_skin.models.ode import OdeModel
 
-NEGLIGIBLE = 1e-16  # of the nonlinear forces: what of them the tail may leave out
+NEGLIGIBLE = 1e-16  # of the nonlinear forces: the part that the tail may leave out
 LONGEST_CORE = 2000  # sites
 KEPT = 0.5  # of the decay of a bound mode's displacements: down to it the core holds all that is nonlinear
 HARMONICS = 4  # that are looked at before anything is solved

@@ -84,7 +84,7 @@ class Structure:
         return ", ".join([*found, *(["momentum"] if self.momentum else [])]) or "nothing that is known"
 
 
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not finite holds nowhere
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # values that are not finite hold nowhere
 def structure_of(equations: Equations) -> Structure:
     """Properties of a lattice, checked at random positions and parameters near the declared ones."""
     trials = list(trials_of(equations))

@@ -14,7 +14,7 @@ from casadi_skin.lattice.equations import Equations
 SAME = 1e-12  # relative difference of values that are the same but for rounding, per site
 TRIALS = 3  # random points
 AMPLITUDES = (1.0, 0.1, 0.01)  # of random positions: the first at which all forces are finite
-SPREAD = 0.1  # relative change of parameters at random points: what holds at the declared values alone is not declared
+SPREAD = 0.1  # relative change of parameters at random points: a property of the declared values alone is not declared
 
 
 @dataclass(frozen=True)

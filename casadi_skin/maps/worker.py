@@ -48,7 +48,7 @@ def main(descriptor: int, parent: int) -> None:
     """Compute tasks until the socket is closed, or none comes."""
     end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the process that waits
-    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  what a model prints is nobody's
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  nobody reads the output of a model
     connection = Connection(descriptor)
     from casadi_skin.maps.cell import Computer, Job
     from casadi_skin.maps.grid import Task

@@ -50,7 +50,7 @@ def in_scalars(symbols: Sequence[ca.MX], expression: ca.MX) -> ca.MX:
         return expression
 
 
-# What scripts give ----------------------------------------------------------------------------------------------------
+# Expressions of scripts -----------------------------------------------------------------------------------------------
 
 
 def symbols_of(label: str, given: Any) -> Expression:

@@ -28,7 +28,7 @@ FACTORS = np.array([1.0, -1.0, 2.0, -2.0, 4.0, -4.0])  # of the step, where the 
 # truncation is all, not with round-off.
 EXTRAPOLATED = np.repeat([[256.0 / 360.0, -40.0 / 360.0, 1.0 / 360.0], [16.0 / 24.0, -10.0 / 24.0, 1.0 / 24.0]], 2, 1)
 EXTRAPOLATED *= np.sign(FACTORS)
-AGREEMENT = 1e-5  # of the largest entry, between differences and what the FMU offers
+AGREEMENT = 1e-5  # of the largest entry, between differences and the FMU's own derivatives
 DIRECTIONS = 2
 TRIAL = 0.1  # of a state's nominal value, where that is compared
 
@@ -174,7 +174,7 @@ class Derivatives:
             return self.difference.quotients(values, steps, self._everything)
         return self.instance.directional(self._rates, self._known, self._given_seeds, t, x, p).ravel()
 
-    # What is right ----------------------------------------------------------------------------------------------------
+    # Checks -----------------------------------------------------------------------------------------------------------
 
     def _trials(self) -> Iterator[Point]:
         """Points where the FMU's derivatives are compared: beside its start, where it can be evaluated."""

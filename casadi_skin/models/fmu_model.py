@@ -54,7 +54,7 @@ class FmuModel(OdeModel):
 
     @property
     def rounding(self) -> float:
-        """Relative error of values: what makes differences with their step wrong by `noise`."""
+        """Relative error of values, which gives differences with their step the error `noise`."""
         return max(super().rounding, STEP * self.noise)
 
     @property

@@ -47,7 +47,7 @@ def to_operations(function: ca.Function) -> tuple[list[str], list[Entries]]:
     results: list[Entries] = [[None] * expanded.numel_out(i) for i in range(expanded.n_out())]
     operations: list[str] = []
     depths = [0] * first[-1]
-    held: dict[int, int] = {}  # the number of what each place of the function's memory holds
+    held: dict[int, int] = {}  # number of the value in each place of the function's memory
     for k in range(expanded.n_instructions()):
         code, arguments, out = expanded.instruction_id(k), expanded.instruction_input(k), expanded.instruction_output(k)
         if code == ca.OP_OUTPUT:

@@ -35,7 +35,7 @@ from casadi_skin.solvers.nlp import SOLVED, nlp_reason
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
 OPTIONS: Mapping[str, Any] = {
     "ipopt.max_iter": 3 * ITERATIONS,
-    "ipopt.mu_init": 1e-3,  # from 0.1, Ipopt's own, most starts of a search leave what their guess is near to
+    "ipopt.mu_init": 1e-3,  # from 0.1, Ipopt's own, most starts of a search leave the solution near their guess
     "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the guess, or 1; Ipopt's own factor is 10^4
 }
 PATIENCE = 4  # meshes that may fail, all together, to halve the error

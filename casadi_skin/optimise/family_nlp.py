@@ -18,7 +18,7 @@ from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.nlp import Limits, Nlp
 from casadi_skin.orbits.orbit import Orbit
 
-SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: what the square root is kept away from
+SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
 OPTIONS: Mapping[str, Any] = {
     "ipopt.tol": 1e-10,
     "ipopt.constr_viol_tol": 1e-10,

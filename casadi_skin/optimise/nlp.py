@@ -32,7 +32,7 @@ IPOPT_TOLERANCE = 1e-8  # Ipopt's own, unless options have another
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where Ipopt ended: point, multipliers, objective (of what is maximised the value itself) and return status."""
+    """Where Ipopt ended: point, multipliers, objective (its own sign, also where it is maximised) and return status."""
 
     x: Array
     lam_g: Array

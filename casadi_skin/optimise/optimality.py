@@ -13,7 +13,7 @@ import numpy as np
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.optimise.nlp import Nlp, Solution
 
-CURVED = 1e-6  # of what the Hessian does to the free directions: less is rounding
+CURVED = 1e-6  # of the Hessian in the free directions: less is rounding
 NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
 FLAT = 1e-9  # curvature of an objective that has the same value at neighbours
 NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at which it is active
@@ -152,6 +152,6 @@ def _null_space(J: Any) -> Array:
     J = diags(1.0 / np.where(largest > 0.0, largest, 1.0)) @ J
     project = splu(bmat([[identity(n), J.T], [J, None]]).tocsc())
     basis = np.random.default_rng(0).normal(size=(n, n - m))
-    for _ in range(2):  # the second time takes away what rounding left of the first
+    for _ in range(2):  # the second time takes away the rounding of the first
         basis, _ = np.linalg.qr(project.solve(np.vstack([basis, np.zeros((m, n - m))]))[:n])
     return basis

@@ -34,7 +34,7 @@ CRITICAL = 1e-4  # distance from the unit circle of a multiplier that is on it a
 BESIDE = 1e-3  # of it: a place next to a special orbit, whose own multiplier has no side
 HALVINGS = 8  # of a stretch on which several multipliers cross
 FAR = 6.0  # log |multiplier| at both ends of a stretch of one that does not come to the circle within it
-TINY = float(np.finfo(float).tiny)  # what stands for a multiplier that is below the smallest double
+TINY = float(np.finfo(float).tiny)  # in place of a multiplier that is below the smallest double
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class _Stretch:
         return _sides(self.before, self.first), _sides(self.after, self.last)
 
     def crossings(self) -> Iterator[tuple[str, Callable[[Floquet], float], complex]]:
-        """Kinds of what crosses, each with a function of the multipliers that changes its sign there, and where.
+        """Kinds of crossings, each with a function of the multipliers that changes its sign there, and where.
 
         A multiplier that errors keep from having a side at both ends, as along conservative orbits, crosses nothing.
         """

@@ -43,8 +43,8 @@ class BoundarySolutions:
         statement: the problem; values of its parameters are those at the start of a branch.
         tolerance: relative error of states and free parameters.
         method: how, with every choice made.
-        sizes: what states and free parameters are measured by at least.
-        periodic: what makes the solutions orbits; None where they are none.
+        sizes: least sizes by which states and free parameters are measured.
+        periodic: conditions that make the solutions orbits; None where they are none.
     """
 
     statement: Statement

@@ -52,7 +52,7 @@ class Certificate(Result):
         weight: nu of the norm.
         scale: the factors d_n of the norm, shape (positions,).
         reason: why there is no proof and what would help; empty with a proof.
-        versions: what computed it.
+        versions: of the programs that computed it.
         step: of the harmonics: 2 for odd cosines, 1 for all.
         decimals: whether parameters and S are the decimals that Python prints for their doubles.
     """

@@ -20,7 +20,7 @@ from casadi_skin.stability.trivial import Trivial, trivial_at
 TRIALS, SAME = 3, 1e-12  # random points at which derivatives of conditions are compared, and their difference
 TURNED = 1e-9  # relative: a field that is the same after a turn
 STILL = 1e-6  # of the largest value: the variation of a solution that rests
-KEPT = 1e-5  # relative: what closes as the solution does
+KEPT = 1e-5  # relative: values that close as the solution does
 
 
 @dataclass(frozen=True, eq=False)

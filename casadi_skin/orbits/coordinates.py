@@ -122,7 +122,7 @@ class Coordinates(ABC):
 
     @property
     def medium(self) -> Medium | None:
-        """What is beyond the edge where stability is that of localised perturbations, without an end."""
+        """The medium beyond the edge, without an end, where stability is that of localised perturbations."""
         return None
 
     @property
@@ -141,7 +141,7 @@ class Coordinates(ABC):
     def check_whole(self, purpose: str = "what is asked for") -> None:  # noqa: B027  most have every position as an unknown
         """Raises ValueError for a task that needs more positions than can be unknowns."""
 
-    # What users see ---------------------------------------------------------------------------------------------------
+    # Output -----------------------------------------------------------------------------------------------------------
 
     @property
     @abstractmethod

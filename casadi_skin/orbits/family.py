@@ -39,7 +39,7 @@ DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, 
 SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
-LARGEST = 10_000_000  # positions times harmonics squared: what fits into about a gigabyte
+LARGEST = 10_000_000  # positions times harmonics squared: about a gigabyte
 SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend on their number
 CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
 SERIES_PRECISION = 1e-6  # of a residual before Newton's step
@@ -182,7 +182,7 @@ class Family(FamilyStability):
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
 
     def singular_near(self, guess: Point) -> None:
-        """None: special points of a family are sought when they are asked for."""
+        """None: special points of a family are sought on first use."""
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Folds on the stretch between two points, where S turns back."""

@@ -12,7 +12,7 @@ from casadi_skin.bvp.problem import Array
 
 SYMMETRIC = 1e-12  # relative difference of entries that are the same but for rounding
 REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
-NODE = 1e-12  # of the largest amplitude: what rounding leaves where a mode rests
+NODE = 1e-12  # of the largest amplitude: rounding at sites where a mode rests
 SMALL = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
 
 

@@ -20,7 +20,7 @@ from casadi_skin.orbits.orbit import Orbit
 
 MOST = 10  # states of a model all of whose changes of sign are tried
 TRIALS, SAME = 3, 1e-9  # random points at which fields are compared, and their relative difference
-HELD = 1e-5  # of what an orbit varies by: how far off a symmetry may be that it has
+HELD = 1e-5  # of an orbit's extent: how far off a symmetry may be that it has
 PLACES = 64  # along the orbit
 
 

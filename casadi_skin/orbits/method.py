@@ -16,7 +16,7 @@ TOLERANCES = (1e-13, 1e-2)
 HIGHEST_DEGREE = 12
 MOST_INTERVALS = 1500  # of a first mesh
 STABILITY_SITES = (8, 2000)  # matrices of twice as many rows
-MAX_POINTS = 2000  # of a family: ten times what those need that do not wander from one resonance to the next
+MAX_POINTS = 2000  # of a family: ten times the need of those that do not wander from one resonance to the next
 SAME = 1e-12  # relative difference of periods that are the same
 
 

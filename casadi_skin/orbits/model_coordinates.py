@@ -220,7 +220,7 @@ class ModelCoordinates(Coordinates):
     def S_rate(self) -> float:  # type: ignore[override]
         return 1.0 if self._squared else 2.0
 
-    # What users see ---------------------------------------------------------------------------------------------------
+    # Output -----------------------------------------------------------------------------------------------------------
 
     @property
     def model(self) -> OdeModel:
@@ -319,7 +319,7 @@ def _check_mode(squares: Array, number: int, name: str) -> None:
 
 
 def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:
-    """Homogeneous parts of polynomial forces by degree, but for what rounding leaves at rest; None for others."""
+    """Homogeneous parts of polynomial forces by degree, without rounding at rest; None for others."""
     try:
         return {degree: part for degree, part in homogeneous_parts(force, state).items() if degree}
     except NotPolynomialError:

@@ -122,7 +122,7 @@ class OrbitRequest:
     objective: Expression | str | None = None
     running: Expression | None = None
 
-    # What is unfolded -----------------------------------------------------------------------------------------------
+    # Unfolding --------------------------------------------------------------------------------------------------------
 
     @cached_property
     def unfolded(self) -> dict[str, Expression]:
@@ -278,7 +278,7 @@ def _symmetric(request: OrbitRequest) -> Statement:
     first, last = pinned_components(request.model, request.symmetry)
     model = request.extended()
     period = model.parameters[model.parameter_names.index(PERIOD)]
-    turned = np.pi * request.rotations[last]  # half of what a period adds
+    turned = np.pi * request.rotations[last]  # half of the change in a period
     conditions = [model.start(model.state)[first], model.end(model.state)[last] - ca.DM(turned)]
     conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
     minimised, part = request.minimised(model, period), request.symmetry.value

@@ -22,7 +22,7 @@ from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
 
-SYMMETRIC = 1e-9  # of the largest entry: what a symmetric Jacobian differs by from its transpose
+SYMMETRIC = 1e-9  # of the largest entry: difference of a symmetric Jacobian from its transpose
 NEAR = 3  # stretches between a turn of the frequency and the change of the number that belongs to it, at most
 BEYOND = 1.1  # times the highest frequency: harmonics above it have no resonance
 

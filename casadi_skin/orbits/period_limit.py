@@ -29,7 +29,7 @@ STILL = 1e-15  # of it: a parameter that does not change
 NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
 SAFETY = 3.0  # between an estimated distance and the reported error
 STEPS, CONVERGED = 30, 1e-10  # of Newton's method for the equilibrium
-NEAR = 0.2  # of what the orbit varies by: how far from its slowest place an equilibrium may be
+NEAR = 0.2  # of the orbit's extent: how far from its slowest place an equilibrium may be
 
 
 def limit_between(start: Point, before: Point, after: Point, tolerance: float) -> float | None:

@@ -91,7 +91,7 @@ class Left:
         problem = space.levels.problem(resolution).with_constants(lengths)
         assert isinstance(problem, BoundaryProblem)
         places = problem._fractions() / self.turns
-        reached = np.minimum(places, 1.0 - self.shift)  # beyond half a period: the image of what was half before
+        reached = np.minimum(places, 1.0 - self.shift)  # beyond half a period: the image of half a period before
         states = self._parts(own, near, reached)[0]
         if self.shift and self.turns == 1:
             late = places > 1.0 - self.shift

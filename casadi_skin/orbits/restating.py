@@ -46,7 +46,7 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
 
 
 def with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
-    """The model with S among its parameters, the name that it has there, and what vanishes where S has its value."""
+    """The model with S among its parameters, its name there, and the function that vanishes where S has its value."""
     form = amplitude_square(model)
     if form.parameter is not None:
         return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]

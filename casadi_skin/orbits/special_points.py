@@ -78,7 +78,7 @@ class SpecialPoint(Result):
 
     @property
     def has_criticality(self) -> bool:
-        """Whether the normal form is one that decides which side what is born here is on, and is known."""
+        """Whether the normal form is known and decides on which side the new branch is."""
         if self.kind not in (HOPF, DOUBLING, TORUS) or self.mu is not None:
             return False
         space: Any = self.solution.space

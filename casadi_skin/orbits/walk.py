@@ -193,7 +193,7 @@ class Walk:
         return change <= ROUNDED * max(1.0, abs(point.parameter))
 
     def _limit(self, point: Point) -> tuple[float, float]:
-        """The value of the parameter at a point, with what rounding leaves of it."""
+        """The value of the parameter at a point, and its rounding."""
         name = self.space.parameter
         value, start = (self.space.parameters(one)[name] for one in (point, self.space.start))
         digits = ROUNDED * abs(self.space.to - start) * max(1.0, abs(point.parameter))

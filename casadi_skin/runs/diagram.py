@@ -40,7 +40,7 @@ NATURAL = (
     End.ZERO_HOPF,
     End.RESONANCE_ONE,
     End.RESONANCE_TWO,
-)  # ends of what leaves a branch, or is followed in two parameters
+)  # ends of branches that leave another one, or are followed in two parameters
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
 FOLLOWED = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
 EMPTY: Cell = ""
@@ -53,8 +53,8 @@ def further_spaces(
     """Names and spaces of the branches that leave at special points, then of the curves through them.
 
     `branches` grows: its last one is what was followed for the name and space before. A name ends with the numbers of
-    the special points that lead to it; a special point that was met before is not left again. What cannot be started
-    is named in `failures`.
+    the special points that lead to it; a special point that was met before is not left again. Branches that cannot be
+    started are named in `failures`.
     """
     options = {"max_points": table.max_points, "max_step": table.max_step}
     kinds = table.switch or (() if table.depth is None else LEAVING)

@@ -103,7 +103,7 @@ def make_directory(directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        for path in new[1:]:  # nothing is left of what was made on the way
+        for path in new[1:]:  # none of the new folders is left
             with suppress(OSError):
                 path.rmdir()
         raise DirectoryError(f"{directory}: cannot be made: {error.strerror}; accepted: another path") from error

@@ -163,7 +163,7 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     i = int(crossed[0])
     start = found.start + t[i] + (t[i + 1] - t[i]) * values[i] / (values[i] - values[i + 1])
     end = float(evolution.t[-1])
-    while start + found.period > end:  # the cycle has to lie in what was simulated
+    while start + found.period > end:  # the cycle has to lie in the simulated time
         start -= found.period
     return Cycle(evolution, start, found.period) if start >= 0.0 else found
 

@@ -13,7 +13,7 @@ from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.runs.words import Lines, named
 
-ROUNDING = 1e-13  # of the largest omega^2: what is 0
+ROUNDING = 1e-13  # of the largest omega^2: smaller ones are 0
 MOST_MODES = 600  # whose frequencies a plan computes at once
 
 
@@ -34,7 +34,7 @@ def lattice_lines(lattice: LongLattice | OdeModel, parameters: Mapping[str, floa
 
 
 def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
-    """Frequencies about rest without damping and drives, what digits they lose, and bands and gaps of the cell."""
+    """Frequencies about rest without damping and drives, the digits that they lose, and bands and gaps of the cell."""
     words = []
     if lattice.declaration.size <= MOST_MODES:
         modes = lattice_modes(lattice, parameters)

@@ -17,7 +17,7 @@ from casadi_skin.scene import OrbitTable, Scene
 from casadi_skin.scene.lattice_tables import LatticeTable, UniformTable
 from casadi_skin.scene.model_tables import CONSERVED
 
-if TYPE_CHECKING:  # what a scene of a chain does not need is not loaded
+if TYPE_CHECKING:  # a scene of a chain needs none of it
     from casadi_skin.lattice.lattice import Lattice
     from casadi_skin.lattice.long_lattice import LongLattice
     from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from casadi_skin.scene.tables import Finite, Positive, Table, one_of
 
-AMPLITUDE = "S"  # what branches that leave families are followed in
+AMPLITUDE = "S"  # the parameter of branches that leave families
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
 CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
 

@@ -1,4 +1,4 @@
-"""Errors of points, from Newton steps on a finer level: estimates, and what rounding leaves of them."""
+"""Errors of points, from Newton steps on a finer level: estimates, and their part by rounding."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
-NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with what rounding does
+NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with those of rounding
 FOLD = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
 
 

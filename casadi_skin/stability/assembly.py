@@ -208,7 +208,7 @@ def _together(
     coordinates: Array,
     evaluate: Callable[[type[Block], Sequence[Block], Array], Iterable[Evaluated]],
 ) -> list[Evaluated]:
-    """What is evaluated of each block at coordinates, (blocks, points), of those that are alike together."""
+    """Values of each block at coordinates, (blocks, points), of those that are alike together."""
     kinds: dict[tuple[type[Block], Hashable], list[int]] = defaultdict(list)
     for i, block in enumerate(blocks):
         kinds[type(block), block.alike].append(i)

@@ -28,8 +28,8 @@ CLOSE = 1e-3  # to -1 or 0: a mu there is looked at
 REAL = 1e-13  # imaginary part of a mu, below which rounding may have made it
 REGULAR = 1e8  # condition number of eigenvectors up to which they serve as coordinates
 LARGEST = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
-PAIRS = 20_000  # of mu at nodes of intervals that are compared at a time: what stays in the cache of a core
-CLEAR = 2.0  # times what couplings move a mu by: a distance from -1 and 0 that it does not cross
+PAIRS = 20_000  # of mu at nodes of intervals that are compared at a time: they stay in the cache of a core
+CLEAR = 2.0  # times the shift of a mu by couplings: a distance from -1 and 0 that it does not cross
 
 
 @dataclass(frozen=True)

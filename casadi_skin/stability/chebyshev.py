@@ -15,7 +15,7 @@ from casadi_skin.bvp.problem import Array
 
 SLACK = 1e-9  # beyond the ends, in which a zero still counts
 NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
-NEGLIGIBLE = 1e-14  # of the largest coefficient: what the eigenvalue problem of the zeros leaves out
+NEGLIGIBLE = 1e-14  # of the largest coefficient: smaller ones are left out of the eigenvalue problem of the zeros
 POLISHING = 4  # steps of Newton's method on zeros
 PARTS = 4  # of [-1, 1], on each of which most functions are monotonic or have no zero
 CLEARLY = 0.99  # of a mean: variations that leave no zero, nor one just outside or beside the real axis
@@ -70,7 +70,7 @@ def middle_slope(degree: int) -> Array:
 
 
 def tail(coefficients: Array) -> Array:
-    """Size of the last coefficients, (degree + 1, ...) -> (...): what the series leaves out is no larger."""
+    """Size of the last coefficients, (degree + 1, ...) -> (...): the remainder of the series is no larger."""
     return np.asarray(np.sum(np.abs(coefficients[-TAIL:]), axis=0))
 
 

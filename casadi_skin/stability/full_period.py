@@ -107,7 +107,7 @@ def multipliers_of(
     from scipy.linalg import matrix_balance
 
     matrix, size = scaled_product(maps)
-    _, (scales, _) = matrix_balance(matrix, permute=False, separate=True)  # what is large is not so by its units
+    _, (scales, _) = matrix_balance(matrix, permute=False, separate=True)  # no entry is large by its units
     units = np.asarray(scales, dtype=float)
     balanced = maps * units / units[:, None]
     count = trivial.count

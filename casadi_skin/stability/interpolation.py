@@ -30,7 +30,7 @@ PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below w
 LEVEL = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
 DEVIATIONS = 3.0  # of that noise
 NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # what orbits, flows and linear algebra raise
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # of orbits, flows and linear algebra
 
 
 class OrbitNotFoundError(ArithmeticError):

@@ -17,7 +17,7 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 
 SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
-RESOLVED = 2.0  # logarithm of what a perturbation may change by in an interval
+RESOLVED = 2.0  # logarithm of the factor that a perturbation may change by in an interval
 WITHIN_PART = 1.0  # the same in a part
 MOST_PARTS = 20_000
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size

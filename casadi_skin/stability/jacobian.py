@@ -18,7 +18,7 @@ from casadi_skin.native.jacobian import JacobianKernel, Orbits, jacobian_kernel
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-CHUNK = 64  # phases a call: enough to hide what a call costs
+CHUNK = 64  # phases a call: enough to hide the cost of a call
 FEW = 4  # terms a non-zero up to which numpy is faster than CasADi
 
 

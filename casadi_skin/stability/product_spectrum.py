@@ -26,7 +26,7 @@ EXTREME = float(np.log(1e14))  # of the condition of a product: beyond it eigenv
 FAR = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
 WIDE = 1e200  # norm of a product that needs no scales
 SPREAD = float(np.log(1e4))  # of the moduli of a block
-CONVERGED = 40.0  # logarithm of what subspace iteration has to gain over a gap
+CONVERGED = 40.0  # logarithm of the gain of subspace iteration over a gap
 ROUNDS = 60  # of it
 
 

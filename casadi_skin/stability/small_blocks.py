@@ -107,7 +107,7 @@ class Block:
 
     @cached_property
     def is_coarse(self) -> bool:
-        """Whether what the series leave out is more than the errors from elsewhere."""
+        """Whether the remainder of the series is larger than the other errors."""
         return bool(is_coarse(self.errors[None], self._others[None], self.tails[None])[0])
 
     @cached_property
@@ -351,7 +351,7 @@ def is_coarse(errors: Array, noise: Array, tails: Array) -> Booleans:
 
 
 def find_segments(blocks: Sequence[Block]) -> None:
-    """Find what `Block.segments` needs of several blocks together: that is cheaper."""
+    """Compute the values that `Block.segments` needs of several blocks together: that is cheaper."""
     Function.find_zeros([function for block in blocks for function in block.functions])
     kinds: dict[Hashable, list[Block]] = defaultdict(list)
     for block in blocks:

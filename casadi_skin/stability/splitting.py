@@ -31,7 +31,7 @@ TINY = 1e-300
 NEGLIGIBLE = 1e-20  # of an entry of a transition matrix: entries farther from the diagonal are left out
 STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 SPARE = 2  # components by which the reach of other numbers of steps may be larger
-ALIKE = 2  # parts with the same J around them that columns are cut into, at least, in multiples of what they reach
+ALIKE = 2  # parts with the same J around them that columns are cut into, at least, in multiples of their reach
 LONG = 128  # components of chains from which on the bands of transition matrices may be stored
 CACHED = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
 

@@ -19,7 +19,7 @@ from casadi_skin.stability.jacobian import JacobianAlong
 
 ROUND_OFF = 2e-14
 SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
-WORK = 20_000  # entries of a batch of transition matrices: what stays in the cache of a core
+WORK = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
 HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
 
 

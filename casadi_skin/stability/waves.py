@@ -73,7 +73,7 @@ class Medium:
         return (D - self.coupling**2 * both) / (2.0 * self.coupling * oi)
 
     def answers(self, frequency: Any) -> tuple[Any, Any, Any]:
-        """What the medium does to each frequency, real ones the limit from above.
+        """The answer of the medium to each frequency, to real ones the limit from above.
 
         Returns:
             beta; the response at the outlet of its first cell to a force there; and the determinant of a cell with
