@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -31,22 +32,22 @@ class Group:
     segments: tuple[Segment, ...]
     edges: tuple[Edge, ...]
 
-    @property
+    @cached_property
     def start(self) -> float:
         """Coordinate where it begins."""
         return min(segment.start for segment in self.segments)
 
-    @property
+    @cached_property
     def end(self) -> float:
         """Coordinate where it ends."""
         return max(segment.end for segment in self.segments)
 
-    @property
+    @cached_property
     def first_edge(self) -> Edge | None:
         """The edge at its start; None where it is open."""
         return next((edge for edge in self.edges if edge.coordinate == self.start), None)
 
-    @property
+    @cached_property
     def last_edge(self) -> Edge | None:
         """The edge at its end; None where it is open."""
         return next((edge for edge in reversed(self.edges) if edge.coordinate == self.end), None)

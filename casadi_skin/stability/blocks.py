@@ -16,8 +16,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.native.graph import graph_kernel
 from casadi_skin.stability import chebyshev
-from casadi_skin.stability.decoupling import DEGREE, MIDDLE, Booleans, Indices, Numbers, applied, contracts, decoupled
+from casadi_skin.stability.decoupling import (
+    DEGREE,
+    MIDDLE,
+    Booleans,
+    Forms,
+    Indices,
+    Numbers,
+    applied,
+    contracts,
+    decoupled,
+)
 from casadi_skin.stability.reduction import ComplexArray
 
 APART = 1.3  # half-lengths of an interval from its middle to where two mu of different blocks would meet, at least
@@ -37,17 +48,15 @@ class Blocks:
     """Blocks in which something can happen, on several intervals; m mu in all, c columns, J nodes.
 
     `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
-    interval has fewer. `right` (intervals, J, m, c) and `left` (intervals, J, c, m) are the bases: left @ right is the
-    identity and left @ K @ right block diagonal. `real` (intervals, m) marks the mu with real columns. Where `done`
-    is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the
-    interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and `near`
-    marks the mu that may come to -1 or 0.
+    interval has fewer, and `forms` K, P and Q on them. `real` (intervals, m) marks the mu with real columns. Where
+    `done` is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half
+    of the interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and
+    `near` marks the mu that may come to -1 or 0.
     """
 
     labels: Indices
     columns: Indices
-    right: Numbers
-    left: Numbers
+    forms: Forms
     real: Booleans
     done: Booleans
     mu: ComplexArray
@@ -56,10 +65,6 @@ class Blocks:
     basis: Numbers
     inverse: Numbers
     near: Booleans
-
-    def parts(self, matrices: Array) -> Numbers:
-        """K, P and Q, or K alone, on the columns: (intervals, J, 3 or 1, m, m) -> (intervals, J, 3 or 1, c, c)."""
-        return _parts(matrices, self.right, self.left)
 
     def members(self) -> Iterator[tuple[Indices, Indices]]:
         """Blocks by their numbers of mu, where `done`: their intervals (b,) and the places of columns, (b, m)."""
@@ -85,30 +90,16 @@ class Blocks:
         labels = self.labels[chosen]
         same, basis, inverse = labels[:, :, None] == labels[:, None, :], self.basis[chosen], self.inverse[chosen]
         K = inverse[:, None] @ applied(matrices[:, :, 0], basis[:, None])
-        right, left, fine = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices)
-        return _parts(matrices, *_scaled(right, left)), fine
+        forms = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices, None, np.arange(len(matrices)))
+        return forms.values, forms.found
 
 
-def _parts(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
-    images = [(left, right), (right.swapaxes(2, 3), right), (left, left.swapaxes(2, 3))]
-    found = np.empty((*left.shape[:2], matrices.shape[2], *(left.shape[2],) * 2), dtype=left.dtype)
-    for i, (rows, columns) in enumerate(images[: matrices.shape[2]]):
-        np.matmul(rows, applied(matrices[:, :, i], columns), out=found[:, :, i])
-    return found
-
-
-def _scaled(right: Numbers, left: Numbers) -> tuple[Numbers, Numbers]:
-    """Bases whose columns and rows are of one length at the middle."""
-    scale = np.sqrt(np.linalg.norm(left[:, left.shape[1] // 2], axis=2))[:, None]
-    scale[scale == 0.0] = 1.0
-    return right * scale[..., None, :], left / scale[..., :, None]
-
-
-def blocks_of(matrices: Array) -> list[tuple[Indices, Blocks]]:
+def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
     """Take K apart on several intervals.
 
     Arguments:
         matrices: K, P and Q, or K alone, at the nodes of each interval, shape (intervals, DEGREE + 1, 3 or 1, m, m).
+        errors: matrices like their errors.
 
     Returns:
         Blocks of mu that cannot meet those of other blocks within the interval; of the intervals with complex mu at the
@@ -120,23 +111,24 @@ def blocks_of(matrices: Array) -> list[tuple[Indices, Blocks]]:
     for chosen in (np.flatnonzero(real.all(axis=1)), np.flatnonzero(~real.all(axis=1))):
         if chosen.size:
             basis = vectors[chosen].real if real[chosen[0]].all() else vectors[chosen]
-            those = matrices if chosen.size == len(matrices) else matrices[chosen]
-            found.append((chosen, _blocks(those, mu[chosen], basis.copy(), real[chosen])))
+            found.append((chosen, _blocks(matrices, errors, chosen, mu[chosen], basis.copy(), real[chosen])))
     return found
 
 
-def _blocks(matrices: Array, mu: ComplexArray, vectors: Numbers, real: Booleans) -> Blocks:
-    """Blocks from the eigenvalues and eigenvectors at the middle, `real` or complex."""
-    original = vectors.copy()
+def _blocks(
+    matrices: Array, errors: Array, chosen: Indices, mu: ComplexArray, vectors: Numbers, real: Booleans
+) -> Blocks:
+    """Blocks of chosen intervals, from the eigenvalues and eigenvectors at the middle, `real` or complex."""
+    original, here = vectors.copy(), matrices[:, :, 0] if chosen.size == len(matrices) else matrices[chosen, :, 0]
     glued = _separate_parallel(vectors, mu, real)
-    K, inverse, fine = _similar(matrices[:, :, 0], vectors)
+    K, inverse, fine = _similar(here, vectors)
     diagonal = np.diagonal(K, axis1=2, axis2=3)
-    rates = np.tensordot(chebyshev.middle_slope(DEGREE), diagonal.swapaxes(0, 1), 1)
+    rates = chebyshev.middle_slope(DEGREE) @ diagonal
     same, shifts = _graph(K, glued)
     while (conjugate := ~real & _conjugates_together(mu, same)).any():  # in real coordinates more may be joined
         _make_real(vectors, mu, conjugate)
         real = real | conjugate
-        K, inverse, fine = _similar(matrices[:, :, 0], vectors)
+        K, inverse, fine = _similar(here, vectors)
         same, shifts = _graph(K, same)
     counts = np.sum(same, axis=2)
     fine &= np.max(counts, axis=1) <= _most(mu.shape[1])
@@ -144,20 +136,18 @@ def _blocks(matrices: Array, mu: ComplexArray, vectors: Numbers, real: Booleans)
     near = np.any(same & near[:, None, :], axis=2)
     fine[fine] = contracts(K[fine], same[fine])
     columns = _columns(((counts > 1) | ~real | near) & fine[:, None])
-    right = np.zeros((*K.shape[:3], columns.shape[1]), dtype=K.dtype)
-    left = right.swapaxes(2, 3).copy()
-    if fine.any():
-        i = slice(None) if fine.all() else np.flatnonzero(fine)
-        right[i], left[i], fine[i] = decoupled(K[i], same[i], columns[i], near[i], vectors[i], inverse[i], matrices[i])
-    right[~fine], left[~fine] = 0.0, 0.0
-    right, left = _scaled(right, left)
+    if fine.all():
+        forms = decoupled(K, same, columns, near, vectors, inverse, matrices, errors, chosen)
+    else:
+        i = np.flatnonzero(fine)
+        some = K[i], same[i], columns[i], near[i], vectors[i], inverse[i]
+        forms = decoupled(*some, matrices, errors, chosen[i]).among(fine)
     return Blocks(
         labels=np.argmax(same, axis=2),
         columns=columns,
-        right=right,
-        left=left,
+        forms=forms,
         real=real,
-        done=fine,
+        done=forms.found,
         mu=np.asarray(mu, dtype=complex),
         vectors=original,
         rates=rates,
@@ -235,6 +225,9 @@ def _make_real(vectors: Numbers, mu: ComplexArray, chosen: Booleans) -> None:
 
 def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
     """Which mu have to stay in one block, (intervals, m, m), and what the others move each by, (intervals, m)."""
+    kernel = graph_kernel()
+    if kernel is not None:
+        return kernel.joined(K, glued, APART, COUPLED, RESOLVED)
     diagonal = np.diagonal(K, axis1=2, axis2=3)
     size = diagonal.shape[-1]
     middle = diagonal[:, MIDDLE, :, None] - diagonal[:, MIDDLE, None, :]

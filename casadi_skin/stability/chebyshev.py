@@ -69,6 +69,12 @@ def middle_slope(degree: int) -> Array:
     return _kept(basis(0.0, degree) @ derivative(degree) @ transform(degree))
 
 
+def combined(matrix: Array, values: Array) -> Array:
+    """A matrix times values by their second axis: (rows, J) and (n, J, ...) -> (n, rows, ...)."""
+    flat = matrix @ values.reshape(*values.shape[:2], -1)
+    return np.asarray(flat.reshape(len(values), len(matrix), *values.shape[2:]))
+
+
 def tail(coefficients: Array) -> Array:
     """Size of the last coefficients, (degree + 1, ...) -> (...): the remainder of the series is no larger."""
     return np.asarray(np.sum(np.abs(coefficients[-TAIL:]), axis=0))

@@ -36,6 +36,7 @@ SHORT = 1e-3  # of the series: an interval shorter than that whose linear algebr
 OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 ACCURATE = 1e-9  # of a block's entries: what its series may leave out
+SMALL = 6  # rows: series whose matrices are stacked to be evaluated
 FINE = 2 * DEGREE  # degree of the series of a block that needs more than the others of its interval
 MOST = 4096  # intervals of a series to begin with
 
@@ -208,18 +209,19 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
     size = batch[0].series.size
     found.intervals[size] = found.intervals.get(size, 0) + len(batch)
     matrices, errors = _at_nodes(batch)
-    for chosen, blocks in blocks_of(matrices):
+    for chosen, blocks in blocks_of(matrices, errors):
         intervals = [batch[k] for k in chosen.tolist()]
-        those, changes = (matrices, errors) if chosen.size == len(batch) else (matrices[chosen], errors[chosen])
         if size == whole:
-            found.spectra += _spectra(intervals, those, blocks)
+            found.spectra += _spectra(intervals, matrices[chosen, MIDDLE], blocks)
         parts = [_Part(interval, not done) for interval, done in zip(intervals, blocks.done.tolist(), strict=True)]
-        _sort(parts, blocks, those, changes)
+        _sort(parts, blocks)
         yield from parts
 
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
     """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
+    if batch[0].series.size <= SMALL:
+        return _of_small_series(batch)
     same: dict[int, list[int]] = defaultdict(list)
     for i, interval in enumerate(batch):
         same[id(interval.series)].append(i)
@@ -229,7 +231,23 @@ def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
     for numbers in same.values():
         series, shape = batch[numbers[0]].series, (len(numbers), *matrices.shape[1:])
         places = np.concatenate([batch[i].places for i in numbers])
-        matrices[numbers], errors[numbers] = series.at(places).reshape(shape), series.errors_at(places).reshape(shape)
+        those = slice(numbers[0], numbers[-1] + 1) if numbers[-1] - numbers[0] < len(numbers) else numbers
+        matrices[those], errors[those] = series.at(places).reshape(shape), series.errors_at(places).reshape(shape)
+    return matrices, errors
+
+
+def _of_small_series(batch: Sequence[Interval]) -> tuple[Array, Array]:
+    """The same of many small series, most of which have one or two of the intervals."""
+    kinds: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for i, interval in enumerate(batch):
+        kinds[len(interval.series.coefficients), len(interval.series.errors)].append(i)
+    shape = len(batch), DEGREE + 1, *batch[0].series.coefficients.shape[1:]
+    matrices, errors = np.empty(shape), np.empty(shape)
+    for numbers in kinds.values():
+        series = [batch[i].series for i in numbers]
+        bounds = np.array([(batch[i].start, batch[i].end) for i in numbers])
+        places = bounds[:, :1] + 0.5 * np.diff(bounds) * (1.0 + chebyshev.nodes(DEGREE))
+        matrices[numbers], errors[numbers] = MatrixSeries.several_at(series, places)
     return matrices, errors
 
 
@@ -268,10 +286,10 @@ class _Matrices:
         return zip(owners, self.members, self.k, self.changes, self.noise, self.tails, strict=True)
 
 
-def _sort(parts: Sequence[_Part], blocks: Blocks, matrices: Array, errors: Array) -> None:
+def _sort(parts: Sequence[_Part], blocks: Blocks) -> None:
     """Put the blocks of intervals where they belong."""
     rough: list[_Matrices] = []
-    for found, real in _by_size(parts, blocks, matrices, errors):
+    for found, real in _by_size(parts, blocks):
         for i, _, k, changes, noise, tails in found.of(~real):
             start, end = parts[i].interval.start, parts[i].interval.end
             parts[i].blocks.append(ComplexBlock(start, end, k, np.abs(changes), noise, tails))
@@ -297,13 +315,10 @@ def _sort(parts: Sequence[_Part], blocks: Blocks, matrices: Array, errors: Array
         _refine(parts, blocks, entries)
 
 
-def _by_size(
-    parts: Sequence[_Part], blocks: Blocks, matrices: Array, errors: Array
-) -> Iterator[tuple[_Matrices, Booleans]]:
+def _by_size(parts: Sequence[_Part], blocks: Blocks) -> Iterator[tuple[_Matrices, Booleans]]:
     """The matrices of all blocks, by their numbers of mu, and which have real ones."""
-    values, changes = blocks.parts(matrices), blocks.parts(errors)
-    x = np.max(np.linalg.norm(blocks.right, axis=2), axis=1) ** 2
-    y = np.max(np.linalg.norm(blocks.left, axis=3), axis=1) ** 2
+    values, changes = blocks.forms.values, blocks.forms.changes
+    x, y = blocks.forms.squares.swapaxes(0, 1)
     noise = np.stack([part.interval.series.noise for part in parts])
     for i, members in blocks.members():
         places = i[:, None, None], slice(None), slice(None), members[:, :, None], members[:, None, :]
@@ -316,7 +331,7 @@ def _by_size(
 
 def _singles(parts: Sequence[_Part], those: _Matrices, shortest: Booleans) -> _Matrices:
     """Make blocks of one mu, but for those that are stable on their whole intervals; those that need finer series."""
-    coefficients = np.tensordot(chebyshev.transform(DEGREE), those.k[..., 0, 0], (1, 1)).swapaxes(0, 1)
+    coefficients = chebyshev.transform(DEGREE) @ those.k[..., 0, 0]
     functions = single_functions(coefficients, those.changes[..., 0, 0], those.noise + those.tails)
     loud = np.array([not (f.excludes_zero and g.excludes_zero and f(0.0) * g(0.0) <= 0.0) for f, g in functions])
     again = loud & is_coarse(those.changes, those.noise, those.tails) & those.rough & ~shortest
@@ -359,7 +374,7 @@ def _refine(
 def _tails(k: Numbers) -> Array:
     """Norms of what the series of the matrices of blocks leave out, (blocks, J, 3 or 1, m, m) -> (blocks, 3 or 1)."""
     last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL :]
-    left_out = np.sum(np.abs(np.tensordot(last, k, (1, 1))), axis=0)
+    left_out = np.sum(np.abs(chebyshev.combined(last, k)), axis=1)
     return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
 
 
@@ -369,7 +384,7 @@ def _are_rough(k: Numbers, tails: Array) -> Booleans:
 
 def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) -> tuple[Interval, Interval]:
     """Both halves of an interval, with the matrices of one of its blocks alone."""
-    coefficients = np.tensordot(chebyshev.transform(len(k) - 1), k, 1)
+    coefficients = chebyshev.combined(chebyshev.transform(len(k) - 1), k[None])[0]
     series = MatrixSeries(interval.start, interval.end, coefficients, change, noise)
     return Interval(series, interval.start, interval.end).halves
 
@@ -393,10 +408,10 @@ def _finish_pairs(parts: Sequence[_Part]) -> None:
 
 
 def _spectra(batch: Sequence[Interval], matrices: Array, blocks: Blocks) -> Iterator[Spectrum]:
-    """Spectra at the middles of intervals."""
+    """Spectra at the middles of intervals, from the matrices there."""
     forms = np.zeros(blocks.mu.shape)
-    if matrices.shape[2] == 3:
-        forms = np.sum(blocks.vectors * (matrices[:, MIDDLE, 1] @ blocks.vectors), axis=1).real
+    if matrices.shape[1] == 3:
+        forms = np.sum(blocks.vectors * (matrices[:, 1] @ blocks.vectors), axis=1).real
     mu = blocks.mu
     on_circle = (mu.imag == 0.0) & (mu.real > -1.0) & (mu.real < 0.0)
     signatures = np.where(on_circle, -np.sign(forms), 0.0).astype(np.int64)
@@ -409,7 +424,7 @@ def are_definite(parts: Array) -> Booleans:
     """For which blocks P and Q are definite, of opposite signs, on all of the interval: their mu stay in (-1, 0)."""
     if parts.shape[2] == 1:
         return np.zeros(len(parts), dtype=bool)
-    coefficients = np.tensordot(chebyshev.transform(DEGREE), parts, (1, 1))
+    coefficients = chebyshev.combined(chebyshev.transform(DEGREE), parts).swapaxes(0, 1)
     found, signs = np.ones(len(parts), dtype=bool), []
     for form in (coefficients[:, :, 1], coefficients[:, :, 2]):
         values, vectors = np.linalg.eigh(_symmetric(form[0]))

@@ -1,7 +1,8 @@
-"""Bases that make matrices block diagonal at each node of an interval, from their eigenvectors at its middle."""
+"""Matrices between bases that make them block diagonal at each node of an interval, from their eigenvectors."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.native.decoupling import decoupling_kernel
+from casadi_skin.native.forms import forms_kernel
+from casadi_skin.native.graph import graph_kernel
 from casadi_skin.stability import chebyshev
 
 DEGREE = 16  # of the series on an interval
@@ -21,6 +24,7 @@ STEPS = 12  # at most, until all of one are small
 SMALL = 1e-3  # steps below this converge
 LARGEST = 1e3  # step of an iteration that converges
 BETWEEN = 32  # degree of the nodes at which distances are looked at between the probes
+COMPILED = 64  # mu at most, whose forms the kernel makes: products of larger matrices are left to BLAS
 NEARER = 0.25  # of the least square of a distance at the probes: the least one between them
 
 Booleans = NDArray[np.bool_]
@@ -83,10 +87,37 @@ def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]
 
 def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
     """Whether mu of different blocks, (intervals, probes, m), stay apart between the probes as well."""
+    kernel, weights = graph_kernel(), chebyshev.refinement(len(PROBES) - 1, BETWEEN)
+    if kernel is not None:
+        return kernel.apart(values, same, weights, NEARER)
     squares = (values[:, :, :, None] - values[:, :, None, :]) ** 2
     least = np.min(np.abs(squares), axis=1)
-    between = np.tensordot(chebyshev.refinement(len(PROBES) - 1, BETWEEN), squares, (1, 1))
+    between = np.tensordot(weights, squares, (1, 1))
     return np.asarray(np.all((np.min(np.abs(between), axis=0) >= NEARER * least) | same, axis=(1, 2)))
+
+
+@dataclass(frozen=True)
+class Forms:
+    """Matrices between bases that make K block diagonal on intervals; c columns, J nodes.
+
+    `values` are K, P and Q, or K alone, on the columns, and `changes` matrices like their errors, (intervals, J, 3 or
+    1, c, c) each. `squares` (intervals, 2, c) are the largest squares of the lengths of right and left columns. All are
+    zero where they are not `found`.
+    """
+
+    values: Numbers
+    changes: Numbers
+    squares: Array
+    found: Booleans
+
+    def among(self, chosen: Booleans) -> Forms:
+        """Those of the intervals that are chosen, among others that have none."""
+        every: list[Any] = []
+        for each in (self.values, self.changes, self.squares, self.found):
+            more = np.zeros((chosen.size, *each.shape[1:]), each.dtype)
+            more[chosen] = each
+            every.append(more)
+        return Forms(*every)
 
 
 def decoupled(
@@ -97,33 +128,64 @@ def decoupled(
     vectors: Numbers,
     inverse: Numbers,
     matrices: Array,
-) -> tuple[Numbers, Numbers, Booleans]:
-    """Right and left bases of the columns at the nodes of any degree, and for which intervals they are found.
+    errors: Array | None,
+    numbers: Indices,
+) -> Forms:
+    """The forms on the columns at the nodes of any degree, with the errors where there are any.
+
+    Of matrices and errors those of the intervals are taken by their `numbers`.
 
     Since P K is symmetric, P makes left bases of right ones, but for mu near -1 and 0, where it is nearly singular.
     """
     T, found = _invariant(K, same, columns)
-    right = vectors[:, None] @ T
     if matrices.shape[2] == 1:
         near = np.ones_like(near)
+    valid = columns >= 0
+    special = valid & np.take_along_axis(near, np.where(valid, columns, 0), axis=1)
+    S = np.zeros((*T.shape[:3], 0), T.dtype)
+    if special.any():
+        S, by_left = _invariant(K.swapaxes(2, 3), same, _columns_of(columns, special))
+        found &= by_left
+    kernel = forms_kernel() if K.shape[2] <= COMPILED else None
+    if kernel is not None:
+        return Forms(*kernel(matrices, errors, numbers, (vectors, inverse), same, columns, special, (T, S), found))
+    matrices, errors = matrices[numbers], None if errors is None else errors[numbers]
+    right = vectors[:, None] @ T
+    if matrices.shape[2] == 1:
         rows = np.zeros_like(right.swapaxes(2, 3))
     else:
         rows = applied(matrices[:, :, 1], right).swapaxes(2, 3)  # P is symmetric
-    valid = columns >= 0
-    special = valid & np.take_along_axis(near, np.where(valid, columns, 0), axis=1)
-    if special.any():
-        some = _columns_of(columns, special)
-        S, by_left = _invariant(K.swapaxes(2, 3), same, some)
-        found &= by_left
-        own = S.swapaxes(2, 3) @ inverse[:, None]
-        for i in range(len(K)):
-            rows[i][:, special[i]] = own[i][:, : np.count_nonzero(special[i])]
-    products = np.where(_within(same, columns)[:, None], rows @ right, 0.0)
+    for i in np.flatnonzero(special.any(axis=1)).tolist():
+        rows[i][:, special[i]] = (S[i].swapaxes(1, 2) @ inverse[i])[:, : np.count_nonzero(special[i])]
+    return _forms(right, rows, _within(same, columns), found, matrices, errors)
+
+
+def _forms(
+    right: Numbers, rows: Numbers, within: Booleans, found: Booleans, matrices: Array, errors: Array | None
+) -> Forms:
+    """The forms by right bases, and left ones that are combinations of rows."""
+    products = np.where(within[:, None], rows @ right, 0.0)
     found &= np.all(np.isfinite(products), axis=(1, 2, 3))
     products[~found] = 0.0
     idle = ~np.any(products != 0.0, axis=3)
     products[..., range(products.shape[2]), range(products.shape[2])] += idle
-    return right, np.linalg.solve(products, rows), found
+    left = np.linalg.solve(products, rows)
+    right[~found], left[~found] = 0.0, 0.0
+    scale = np.sqrt(np.linalg.norm(left[:, left.shape[1] // 2], axis=2))[:, None]  # one length at the middle
+    scale[scale == 0.0] = 1.0
+    right, left = right * scale[..., None, :], left / scale[..., :, None]
+    lengths = np.max(np.linalg.norm(right, axis=2), axis=1), np.max(np.linalg.norm(left, axis=3), axis=1)
+    changes = np.zeros(0, right.dtype) if errors is None else _between(errors, right, left)
+    return Forms(_between(matrices, right, left), changes, np.stack(lengths, axis=1) ** 2, found)
+
+
+def _between(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
+    """K, P and Q, or K alone, between bases: (intervals, J, 3 or 1, m, m) -> (intervals, J, 3 or 1, c, c)."""
+    images = [(left, right), (right.swapaxes(2, 3), right), (left, left.swapaxes(2, 3))]
+    found = np.empty((*left.shape[:2], matrices.shape[2], *(left.shape[2],) * 2), dtype=left.dtype)
+    for i, (rows, columns) in enumerate(images[: matrices.shape[2]]):
+        np.matmul(rows, applied(matrices[:, :, i], columns), out=found[:, :, i])
+    return found
 
 
 def _columns_of(columns: Indices, chosen: Booleans) -> Indices:

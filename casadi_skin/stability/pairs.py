@@ -205,7 +205,7 @@ class Pairs:
 
     def blocks(self) -> list[PairBlock | None]:
         """A block of each pair, None where its interval is too long for either form."""
-        fine = np.tensordot(chebyshev.refinement(DEGREE, FINE), self.parts, (1, 1)).swapaxes(0, 1)
+        fine = chebyshev.combined(chebyshev.refinement(DEGREE, FINE), self.parts)
         ends = self._ends(fine)
         usable, rho = np.ones(len(self.parts), dtype=bool), np.ones(fine.shape[:2])
         if self.parts.shape[2] == 3:
@@ -213,7 +213,7 @@ class Pairs:
         else:
             meetings = [self._discriminant(fine)]
         mean = 0.5 * (fine[:, :, 0, 0, 0] + fine[:, :, 0, 1, 1])
-        series = np.tensordot(chebyshev.transform(FINE), np.stack([mean, rho], axis=2), (1, 1))
+        series = (chebyshev.transform(FINE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
         first, last = (Function.several(*each) for each in ends)
         all_met = list(zip(*(Function.several(*each) for each in meetings), strict=True))
         found: list[PairBlock | None] = []

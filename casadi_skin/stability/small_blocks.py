@@ -113,11 +113,11 @@ class Block:
     @cached_property
     def coefficients(self) -> Numbers:
         """Of the matrices, shape (DEGREE + 1, 3 or 1, m, m)."""
-        return np.asarray(np.tensordot(chebyshev.transform(DEGREE), self.parts, 1))
+        return np.asarray(chebyshev.combined(chebyshev.transform(DEGREE), self.parts[None])[0])
 
     def at(self, x: Array) -> Numbers:
         """The matrices at places in [-1, 1], shape (places, 3 or 1, m, m)."""
-        return np.asarray(np.tensordot(chebyshev.basis(x, DEGREE), self.coefficients, 1))
+        return np.asarray(chebyshev.combined(chebyshev.basis(x, DEGREE), self.coefficients[None])[0])
 
     def local(self, coordinates: Array | float) -> Array:
         """Places in [-1, 1] of coordinates."""

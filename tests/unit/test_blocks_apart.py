@@ -59,9 +59,8 @@ def test_no_block_has_complex_mu_beside_real_ones() -> None:
     random, seen = np.random.default_rng(3), 0
     for _ in range(40):
         A, B = random.normal(size=(2, 8, 8))
-        for blocks in (
-            each for _, each in blocks_of((A + 0.3 * chebyshev.nodes(DEGREE)[:, None, None] * B)[None, :, None])
-        ):
+        K = (A + 0.3 * chebyshev.nodes(DEGREE)[:, None, None] * B)[None, :, None]
+        for _, blocks in blocks_of(K, np.zeros_like(K)):
             labels, real = blocks.labels[0], blocks.real[0]
             for label in np.unique(labels).tolist():
                 assert len(set(real[labels == label].tolist())) == 1

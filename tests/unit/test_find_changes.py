@@ -320,10 +320,10 @@ def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytes
     """Eigenvalues are not found of any matrix near 0.62."""
     original = crossings.blocks_of
 
-    def failing(matrices: Array) -> object:
+    def failing(matrices: Array, errors: Array) -> object:
         if np.any(np.abs(matrices[:, :, 0, 0, 0] - where) < 1e-3):
             raise np.linalg.LinAlgError("Eigenvalues did not converge")
-        return original(matrices)
+        return original(matrices, errors)
 
     family = SymplecticFamily([collision(cubic(-0.6, 2.0), 0.01), FAR])
     known = Interpolated()
