@@ -61,8 +61,11 @@ class _Reached:
 class SeriesContinuation:
     """A walk by Taylor series (see `Continuation`) for problems whose series `recursion` computes.
 
-    `precision` of a problem is the residual, relative to the state, that the series may leave.
+    `precision` of a problem is the residual, relative to the state, that the series may leave. `at_hand` is true where
+    nothing has to be computed for the next point.
     """
+
+    at_hand = False
 
     def __init__(
         self,
@@ -88,7 +91,12 @@ class SeriesContinuation:
         count, batches = 0, self._batches()
         self.end = known
         while self.end is None:
-            for reached, word in next(batches):
+            batch = next(batches)
+            left = sum(reached.point is not None and word is reached.point for reached, word in batch)
+            for reached, word in batch:
+                agreed = reached.point is not None and word is reached.point
+                left -= agreed
+                self.at_hand = agreed and left > 0
                 point, self.detail = self._emitted(reached, word), reached.detail or self.detail
                 if point is None:
                     self._without(reached, word)
@@ -104,7 +112,7 @@ class SeriesContinuation:
                     self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
                 if self.end is not None:
                     return
-                if point is not None and point.walked and word is not reached.point:
+                if point is not None and point.walked and not agreed:
                     batches = self._batches()  # from the point that the corrector has moved
                     break
 

@@ -57,6 +57,7 @@ class JacobianKernel:
         function = _function()
         assert function is not None
         self._function = function
+        self._function_address = int(ctypes.cast(function, POINTER).value or 0)
         degrees = [len(term[3]) for term in terms]
         lists = (
             [term[0] for term in terms],
@@ -97,10 +98,10 @@ class JacobianKernel:
         assert weights.flags.c_contiguous
         assert values.shape[1] >= sites * nodes
         assert parameters.shape == (len(values),)
-        at, first = [array.ctypes.data for array in held], room.ctypes.data
+        *at, first = (array.__array_interface__["data"][0] for array in (*held, room))
         places = first, first + 8 * sites * phases, first + 8 * (sites + 1) * phases
         found = Orbits(
-            ctypes.cast(self._function, POINTER), sites, nodes, phases, values.shape[1], *at,
+            self._function_address, sites, nodes, phases, values.shape[1], *at,
             ctypes.addressof(self._terms), *places,
         )  # fmt: skip
         found.held = (*held, room)

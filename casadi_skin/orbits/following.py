@@ -121,7 +121,8 @@ class Following:
                     yield change
                 self.solutions.append(solution)
                 self._waiting.popleft()
-                self._at_hand = known and bool(self._waiting)
+                others = self._waiting or (not self.stability and self._keep is None and self._walk.at_hand)
+                self._at_hand = known and bool(others)
                 yield solution
                 if self.until is not None and self.until(solution):
                     self._stopped = True

@@ -61,6 +61,11 @@ class Walk:
         """Why the branch ended before its continuation did."""
         return self._end
 
+    @property
+    def at_hand(self) -> bool:
+        """Whether the next point is known: nothing has to be computed for it."""
+        return not self.space.locates_folds and getattr(self._continuation, "at_hand", False)
+
     def stop(self, end: End, detail: str = "") -> None:
         """End the branch for a reason that its points do not show."""
         self._end, self._detail = end, detail

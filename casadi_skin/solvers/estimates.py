@@ -105,20 +105,21 @@ def _at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None,
         return steps
     index, sizes = problem.parameter_index, np.array([problem.parameter_size(one) for one in z])
     back = free & (np.abs(along[:, index]) > FOLD * sizes)
-    brought = steps[back] - along[back] * (steps[back, index] / along[back, index])[:, None]
-    brought[:, index] = 0.0  # but for round-off
-    found = steps.copy()
-    found[back] = brought
+    ratios = np.divide(steps[:, index], along[:, index], out=np.zeros(len(z)), where=back)
+    found = np.asarray(steps - along * ratios[:, None])
+    found[back, index] = 0.0  # but for round-off
     return found
 
 
 def _step_errors(problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_]) -> Array:
     """As `step_error` of several states: errors of Omega, of the profile and of the parameter, shape (3, states)."""
-    Omega = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
-    parameter = np.zeros(len(z))
+    errors = np.zeros((3, len(z)))
+    errors[0] = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
+    errors[1] = problem.profile_changes(z, steps)
     for i in np.flatnonzero(with_parameter).tolist():
-        parameter[i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
-    return SAFETY * np.array([Omega, problem.profile_changes(z, steps), parameter])
+        errors[2, i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
+    errors *= SAFETY
+    return errors
 
 
 def _largest(errors: Array, Omega: Array) -> Array:

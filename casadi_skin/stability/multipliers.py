@@ -28,6 +28,7 @@ from casadi_skin.stability.reduction import (
     Eigensystems,
     Reflections,
     eigensystems,
+    frobenius_norms,
     half_cosine_errors,
     half_cosines,
     stacked,
@@ -120,7 +121,7 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
     else:
         flow_part = flow_part_of(transitions, matrices, reflections)
         orbit_part = orbit_part_of(transitions, reflections, Reflections.of(better_accelerations))
-        norms = np.linalg.norm(flow_part, axis=(1, 2)) + np.linalg.norm(orbit_part, axis=(1, 2))
+        norms = frobenius_norms(flow_part) + frobenius_norms(orbit_part)
         parts, round_off = (flow_part, orbit_part), round_off_of(transitions, matrices)
         errors, first = eigenvalue_errors(systems, parts, norms, round_off)
         flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
@@ -171,9 +172,11 @@ def orbit_part_of(
 def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
     """Norm of the errors of B^T C from round-off, and from a flow without a matrix of its errors; shape (orbits,)."""
     n, columns = matrices.shape[1] // 2, matrices.shape[2] // 2
-    upper, lower = matrices[:, :n, columns:], matrices[:, n:, :columns]
-    norms = np.linalg.norm(upper, axis=(1, 2)) + np.linalg.norm(lower, axis=(1, 2))
-    unknown = [t.error if t.truncation is None else ROUND_OFF * np.linalg.norm(t.matrix) for t in transitions]
+    norms = frobenius_norms(matrices[:, :n, columns:]) + frobenius_norms(matrices[:, n:, :columns])
+    unknown = ROUND_OFF * frobenius_norms(matrices)
+    for i, transition in enumerate(transitions):
+        if transition.truncation is None:
+            unknown[i] = transition.error
     return np.asarray(unknown * norms)
 
 

@@ -42,21 +42,26 @@ def eigenvalue_errors(
     """
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         images = [part @ systems.basis for part in parts]
-        alone = [systems.expectations(image) for image in images]
-        left = systems.left_sizes
+        left, chosen = systems.left_sizes, np.ones(systems.values.shape[1], dtype=bool)
+        large = chosen.size > LARGE
+        if large:
+            alone = [systems.expectations(image) for image in images]
+        else:
+            coupled = [systems.couplings(image) for image in images]
+            alone = [np.einsum("pii->pi", W).copy() for W in coupled]
         first = sum(alone) + round_off[:, None] * left
         rest = first + FLOOR * np.max(first, axis=1, keepdims=True)
-        chosen = np.ones(first.shape[1], dtype=bool)
-        if first.shape[1] > LARGE:
+        if large:
             moved = left * (sum(systems.sizes(image) for image in images) + round_off[:, None])
             chosen = systems.whole_pairs(_close(systems.values.real, moved, DECIDES * rest))
             rest = (1.0 + DECIDES) * rest
         few = systems.of(chosen)
-        W = sum(few.couplings(image[:, :, chosen]) for image in images)
+        if large:
+            coupled = [few.couplings(image[:, :, chosen]) for image in images]
+        W = sum(coupled)
         W = W + (round_off[:, None] * left[:, chosen])[:, :, None]
         product = W * W.swapaxes(1, 2)
-        distance = np.abs(few.values[:, :, None] - few.values[:, None, :])
-        pairs = np.minimum(product / np.maximum(distance, MACHINE), np.sqrt(product))
+        pairs = np.minimum(product / np.maximum(few.distances, MACHINE), np.sqrt(product))
         np.einsum("pii->pi", pairs)[:] = 0.0
         rest[:, chosen] += np.max(pairs, axis=2, initial=0.0)
     # A pair moves by the root of the matrix's error at most, when it is defective; W is infinite there.

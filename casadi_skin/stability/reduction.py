@@ -47,6 +47,11 @@ def stacked(matrices: Sequence[Array]) -> Array:
     return matrices[0][None] if len(matrices) == 1 else np.stack(matrices)
 
 
+def frobenius_norms(matrices: Array) -> Array:
+    """Frobenius norms, without arrays of the size of the matrices."""
+    return np.asarray(np.sqrt(np.einsum("kij,kij->k", matrices, matrices)))
+
+
 def half_cosines(transitions: Array) -> Array:
     """B^T C of Phi = [[A, B], [C, D]], (points, 2n, 2n) or the bands of its blocks -> (points, n, n)."""
     n, columns = transitions.shape[1] // 2, transitions.shape[2] // 2
@@ -104,7 +109,25 @@ class Eigensystems:
 
     def couplings(self, images: Array) -> Array:
         """|left E right| from E times `basis`, shape (points, n, m); not finite at a defective eigenvalue."""
-        return np.abs(self._by_rows(self._by_columns(self.inverse @ images)))
+        products = self.inverse @ images
+        found, complex_ = np.abs(products), np.any(self.first, axis=1)
+        if complex_.any():
+            some = self.at(complex_)
+            found[complex_] = np.abs(some._by_rows(some._by_columns(products[complex_])))
+        return found
+
+    @property
+    def distances(self) -> Array:
+        """Distances between eigenvalues of one point, shape (points, m, m)."""
+        real, complex_ = self.values.real, np.any(self.first, axis=1)
+        found = np.abs(real[:, :, None] - real[:, None, :])
+        some = self.values[complex_]
+        found[complex_] = np.abs(some[:, :, None] - some[:, None, :])
+        return found
+
+    def at(self, points: NDArray[np.bool_]) -> Eigensystems:
+        """Those of some points, shape (points,)."""
+        return Eigensystems(self.values[points], self.basis[points], self.inverse[points], self.first[points])
 
     def expectations(self, images: Array) -> Array:
         """Diagonals of `couplings` alone, shape (points, m)."""
@@ -159,10 +182,11 @@ def eigensystems(matrices: Array) -> Eigensystems:
     """Of real matrices, shape (points, m, m)."""
     values, vectors = np.linalg.eig(matrices)
     order = _ascending(values)
+    second = (values.imag > 0.0)[:, None, :]
+    basis = np.where(second, -vectors.imag, vectors.real) if second.any() else vectors.real
+    basis = np.take_along_axis(basis, order[:, None, :], 2)
     values = np.take_along_axis(values, order, 1).astype(complex)
-    vectors = np.take_along_axis(vectors, order[:, None, :], 2)
     first = values.imag < 0.0
-    basis = np.where(np.roll(first, 1, axis=1)[:, None, :], -vectors.imag, vectors.real)
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:

@@ -16,6 +16,7 @@ from casadi_skin.bvp.symmetry import symmetry_class
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
 from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.reduction import frobenius_norms
 
 ROUND_OFF = 2e-14
 SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
@@ -43,6 +44,13 @@ def extrapolation(steps: tuple[int, ...], orders: tuple[int, ...]) -> Array:
     weights = np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
     weights.flags.writeable = False  # kept and shared
     return weights
+
+
+@cache
+def _remainder(steps: tuple[int, ...], orders: tuple[int, ...]) -> float:
+    """What extrapolation over those numbers of steps leaves of an error of the last order in 1/steps."""
+    weights = extrapolation(steps, orders[:-1])
+    return abs(float(np.sum(weights / np.array(steps, dtype=float) ** orders[-1])))
 
 
 class SteppedFlow(ABC):
@@ -177,7 +185,7 @@ class SteppedFlow(ABC):
             maps |= dict(zip(missing, found, strict=True))
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
-                truncation, round_off = _norms(errors), ROUND_OFF * _norms(matrices)
+                truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
             met = truncation <= np.maximum(tolerance, round_off)
             pairs = self._pairs(those, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
             for k in np.flatnonzero(met).tolist():
@@ -214,9 +222,7 @@ class SteppedFlow(ABC):
 
     def _leading(self, level: int) -> float:
         """The error of a level per the method's error of the order that remains, in a step over all the time."""
-        steps = self.step_numbers[level - len(self.orders) + 1 : level + 1]
-        weights = extrapolation(steps, self.orders[:-1])
-        return abs(float(np.sum(weights / np.array(steps, dtype=float) ** self.orders[-1])))
+        return _remainder(self.step_numbers[level - len(self.orders) + 1 : level + 1], self.orders)
 
     def _lower(self, level: int, truncation: float, tolerance: float) -> int:
         """The level to start from next time: one lower where that would have done for one orbit.
@@ -249,11 +255,6 @@ def _combined(maps: Sequence[Array], weights: Array) -> Array:
         np.multiply(matrices, weight, out=term)
         total += term
     return np.asarray(total)
-
-
-def _norms(matrices: Array) -> Array:
-    """Frobenius norms, without arrays of the size of the matrices."""
-    return np.asarray(np.sqrt(np.einsum("kij,kij->k", matrices, matrices)))
 
 
 def _place(orbit: OrbitState, errors: Array, size: int) -> str:
