@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.continuation.corners import Corner, Side, point_before, shifts, side_of, turned
-from casadi_skin.continuation.hermite import HISTORY, predictor
+from casadi_skin.continuation.hermite import HISTORY, predicting, predictor
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import End, Point, Target, known_end
 from casadi_skin.solvers.corrector import Correction
@@ -109,7 +109,8 @@ class ArclengthContinuation:
             (past.problem.prolong(past.z, problem), past.problem.prolong(past.tangent, problem))
             for past in self.history[-2::-1]
         ]
-        return _Departure(problem, z, t, weights, row, predictor(z, t, before, row), self._side_of(current, problem))
+        curve = predictor(z, t, predicting(z, before, row, weights), row)
+        return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem))
 
     def _side_of(self, current: Point, problem: Problem) -> Side | None:
         """The side of a corner that the current point is on; None where corners are not sought."""

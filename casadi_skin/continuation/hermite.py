@@ -78,6 +78,22 @@ def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Ar
     return interpolant(np.array(places), np.array(values), np.array(slopes))
 
 
+def predicting(
+    z: Array, before: Sequence[tuple[Array, Array]], row: Array, weights: Array
+) -> Sequence[tuple[Array, Array]]:
+    """Earlier points to predict the next from: none where the earliest of them predicted z worse than a tangent did.
+
+    Where steps are short the polynomial amplifies what the corrector leaves over, and they would stay as short.
+    """
+    if len(before) < 2 or not row @ before[0][1] > 0.0:
+        return before
+    (start, tangent), *earlier = before
+    sigma = float(row @ (z - start))
+    guesses = predictor(start, tangent, earlier, row)(sigma), start + sigma / float(row @ tangent) * tangent
+    by_curve, by_tangent = (float(weights @ (guess - z) ** 2) for guess in guesses)
+    return before if by_curve <= by_tangent else ()
+
+
 def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float | Array], Array]:
     """The polynomial of least degree through values and slopes, each (places, m), by divided differences.
 

@@ -205,7 +205,8 @@ class SeriesContinuation:
             if found is None:
                 continue
             coarser = problem is not base.problem and self.settings.rounds_corners
-            if not (coarser and shifts(self.point_solver, base, found[1], base.step * found[0].length)):
+            reach = base.step * min(found[0].length, 1.0)  # a base next to a corner may be beyond it on another level
+            if not (coarser and shifts(self.point_solver, base, found[1], reach)):
                 return tried, *found
         return None
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.continuation.hermite import predicting
 from casadi_skin.orbits.branch import Branch
 
 CHAIN = Chain(19, 0.405, 0.019, -1.0)
@@ -55,6 +56,27 @@ def test_excursion_reaches_the_orbits_of_the_mode_that_resonates() -> None:
     mode = 1 + int(np.argmin(np.abs(frequencies - 3.0 * turn.Omega)))
     other = follow_family(CHAIN, mode, 0.2, at=[turn.S], tolerance=1e-10).at(S=turn.S)
     assert other.Omega == pytest.approx(3.0 * turn.Omega, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_corners_that_lie_elsewhere_on_coarser_levels_are_walked_round() -> None:
+    """7, 5 and 3 Omega meet modes of a chain of hardly coupled lowest mode; the corners are 2e-5 to 2e-4 wide."""
+    runs = [(1e-7, "series"), (1e-9, "series"), (1e-8, "arclength")]
+    folds = [_folds(follow_family(Chain(24, 1e-8, 0.25, 1.0), 1, 3.0, tolerance=t, walker=w)) for t, w in runs]
+    known = [0.015447, 0.011112, 0.059918, 0.030412, 1.457849, 0.324977]
+    for found in folds:
+        assert found == pytest.approx(known, abs=1e-6)
+
+
+def test_a_prediction_goes_along_the_tangent_where_rounding_spoils_the_polynomial() -> None:
+    """A line whose places are off by 1e-9 and the steps 1e-6; a circle keeps its history."""
+    noise = np.random.default_rng(0).normal(size=(5, 2))
+    line = [(np.array([1e-6 * k, 0.0]) + 1e-9 * noise[k], np.array([1.0, 0.0]) + 1e-4 * noise[k]) for k in range(5)]
+    angles = 0.2 * np.arange(5)
+    circle = [(np.array([np.sin(a), np.cos(a)]), np.array([np.cos(a), -np.sin(a)])) for a in angles]
+    for points, kept in ((line, 0), (circle, 4)):
+        z, t = points[-1]
+        assert len(predicting(z, points[-2::-1], t, np.ones(2))) == kept
 
 
 @pytest.mark.slow
