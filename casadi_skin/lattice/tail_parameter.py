@@ -15,7 +15,7 @@ from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.tail import Tail, Wave
 from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 
-KEPT = 24  # values that are used again
+KEPT = 256  # values that are used again: those of all places of a series at several steps
 NEWTON_STEPS = 10  # for an angle, before it is bracketed
 RESOLVED = 1e-11  # of an angle: a step that ends them
 
@@ -118,9 +118,12 @@ class TailParameter:
             return 1, self.tail.wave(u)
         psi_1, psi_3 = self._turn
         at_1, at_3 = self._at_edges
-        if u >= psi_1 - psi_3:
-            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3, u + at_3)
-        return 3, self._wave_beside(3, -u, max(-u, psi_3), psi_1 - u, at_1 - u)
+        turn, edge = psi_1 - psi_3, self.tail.edge_angle
+        if u >= turn:  # Omega, and so psi_3, changes with the square of the distance from the edge, nearly
+            guess = at_3 + (psi_3 - at_3) * max((edge - at_3 - u) / (edge - at_3 - turn), 0.0) ** 2
+            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3, u + guess)
+        guess = at_1 + (psi_1 - at_1) * max((u - at_1 + edge) / (turn - at_1 + edge), 0.0) ** 2
+        return 3, self._wave_beside(3, -u, max(-u, psi_3), psi_1 - u, guess - u)
 
     @cached_property
     def _at_edges(self) -> tuple[float, float]:

@@ -243,16 +243,17 @@ class CoreWithTailProblem(TrigonometricProblem):
     def evaluator_of_all(self) -> Evaluate | None:
         return None if self.core.evaluator_of_all() is None else lambda z, _: self.evaluate_all(z)
 
-    def metrics(self, z: Array, parameter_scale: float) -> Array:
-        return Problem.metrics(self, z, parameter_scale)
-
     def metric(self, z: Array, parameter_scale: float) -> Array:
+        return np.asarray(self.metrics(z[None], parameter_scale)[0])
+
+    def metrics(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""
-        weights: Array = super().metrics(z[None], parameter_scale)[0]
-        weights[self.Omega_index] = 1.0
-        try:
-            values = self.values(z)
-        except ArithmeticError:  # a guess that is none
-            return weights
-        weights[self.Omega_index] += (FREQUENCY_WEIGHT * values.Omega_slope / values.Omega) ** 2
+        weights: Array = super().metrics(z, parameter_scale)
+        for weight, one in zip(weights, z, strict=True):
+            weight[self.Omega_index] = 1.0
+            try:
+                values = self.values(one)
+            except ArithmeticError:  # a guess that is none
+                continue
+            weight[self.Omega_index] += (FREQUENCY_WEIGHT * values.Omega_slope / values.Omega) ** 2
         return weights

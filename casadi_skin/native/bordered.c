@@ -17,11 +17,18 @@ typedef struct {
     const int64_t *source, *target; /* of non-zeros of the Jacobian that go to places of an array */
 } entries;
 
+/* Where a band is narrower than its width: the last row with an entry in columns up to each, the last column with one
+   in rows up to each, and the number of entries above the diagonal that factors have in each column. */
+typedef struct {
+    const int64_t *deep, *reach, *above;
+} extents;
+
 typedef struct {
     int64_t banded, size, width, nonzeros; /* unknowns in the band, all unknowns, half bandwidth */
     entries inside, right, below, corner;
     const int64_t *rows, *columns; /* of the non-zeros */
     double singular, accurate;
+    extents within_band;
 } layout;
 
 /* A factorised matrix: the band, what is left of the columns and rows of its border, and the Schur complement. */
@@ -88,13 +95,13 @@ static int64_t smaller(int64_t a, int64_t b) { return a < b ? a : b; }
 /* Row exchanges and factors of a band of this half width, in columns of 3 width + 1 with the diagonal at 2 width.
    Exchanges are counted from the diagonal; returns their number with that of negative pivots, or -1 where a pivot
    vanishes. */
-static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchanges)
+static int64_t factorise(int64_t n, int64_t width, const extents *e, double *band, int64_t *exchanges)
 {
     const int64_t step = 3 * width; /* from an entry to that right of it */
     int64_t last = 0, odd = 0;      /* the last column that rows so far reach */
     for (int64_t j = 0; j < n; j++) {
         double *pivot = band + j * (step + 1) + 2 * width;
-        const int64_t below = smaller(width, n - 1 - j);
+        const int64_t below = e ? e->deep[j] - j : smaller(width, n - 1 - j);
         int64_t p = 0;
         double most = fabs(pivot[0]);
         for (int64_t i = 1; i <= below; i++)
@@ -103,7 +110,8 @@ static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchan
         exchanges[j] = p;
         if (pivot[p] == 0.0)
             return -1;
-        last = smaller(n - 1, last > j + width + p ? last : j + width + p);
+        const int64_t right = e ? e->reach[j + p] : smaller(n - 1, j + width + p);
+        last = last > right ? last : right;
         odd += (p > 0) + (pivot[p] < 0.0);
         for (int64_t c = 0; p && c <= last - j; c++) {
             double *entry = pivot + c * step, other = entry[p];
@@ -121,11 +129,12 @@ static int64_t factorise(int64_t n, int64_t width, double *band, int64_t *exchan
 }
 
 /* Solutions of LANES systems side by side, x (n, LANES): each in the order of operations of `substitute`. */
-static void substitute_together(int64_t n, int64_t width, const double *band, const int64_t *exchanges, lanes *x)
+static void substitute_together(int64_t n, int64_t width, const extents *e, const double *band,
+                                const int64_t *exchanges, lanes *x)
 {
     for (int64_t j = 0; j < n; j++) {
         const double *pivot = band + j * (3 * width + 1) + 2 * width;
-        const int64_t below = smaller(width, n - 1 - j);
+        const int64_t below = e->deep[j] - j;
         const lanes value = x[j + exchanges[j]];
         x[j + exchanges[j]] = x[j], x[j] = value;
         for (int64_t i = 1; i <= below; i++)
@@ -133,7 +142,7 @@ static void substitute_together(int64_t n, int64_t width, const double *band, co
     }
     for (int64_t j = n - 1; j >= 0; j--) {
         const double *pivot = band + j * (3 * width + 1) + 2 * width;
-        const int64_t above = smaller(2 * width, j);
+        const int64_t above = e->above[j];
         const lanes value = x[j] / pivot[0];
         x[j] = value;
         for (int64_t i = above; i > 0; i--)
@@ -142,12 +151,12 @@ static void substitute_together(int64_t n, int64_t width, const double *band, co
 }
 
 /* Solutions of `count` systems with these factors, each `apart` numbers after the one before. */
-static void substitute(int64_t n, int64_t width, const double *band, const int64_t *exchanges, int64_t count,
-                       int64_t apart, double *right)
+static void substitute(int64_t n, int64_t width, const extents *e, const double *band, const int64_t *exchanges,
+                       int64_t count, int64_t apart, double *right)
 {
     for (int64_t j = 0; j < n; j++) {
         const double *pivot = band + j * (3 * width + 1) + 2 * width;
-        const int64_t below = smaller(width, n - 1 - j);
+        const int64_t below = e ? e->deep[j] - j : smaller(width, n - 1 - j);
         for (int64_t k = 0; k < count; k++) {
             double *x = right + k * apart + j;
             const double value = x[exchanges[j]];
@@ -157,7 +166,7 @@ static void substitute(int64_t n, int64_t width, const double *band, const int64
     }
     for (int64_t j = n - 1; j >= 0; j--) {
         const double *pivot = band + j * (3 * width + 1) + 2 * width;
-        const int64_t above = smaller(2 * width, j);
+        const int64_t above = e ? e->above[j] : smaller(2 * width, j);
         for (int64_t k = 0; k < count; k++) {
             double *x = right + k * apart + j;
             x[0] /= pivot[0];
@@ -175,7 +184,7 @@ static void complete(const layout *l, factors f, int64_t count, double *x)
         memcpy(outer + 1, x + n, (size_t)(edge - 1) * sizeof(double));
         for (int64_t r = 0; r < edge; r++)
             outer[r] -= product(f.below + r * n, x, n);
-        substitute(edge, edge - 1, f.corner, f.order, 1, 0, outer);
+        substitute(edge, edge - 1, 0, f.corner, f.order, 1, 0, outer);
         for (int64_t r = 0; r < edge; r++)
             for (int64_t i = 0; i < n; i++)
                 x[i] -= outer[r] * f.right[r * n + i];
@@ -187,7 +196,7 @@ static void complete(const layout *l, factors f, int64_t count, double *x)
 EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_t count, double *x)
 {
     const factors f = within(l, memory);
-    substitute(l->banded, l->width, f.band, f.pivots, count, l->size, x);
+    substitute(l->banded, l->width, &l->within_band, f.band, f.pivots, count, l->size, x);
     complete(l, f, count, x);
 }
 
@@ -197,8 +206,8 @@ static void eliminate(const layout *l, factors f, int64_t count, double *x)
 {
     const int64_t n = l->banded, edge = l->size - n + 1;
     if (edge + count > LANES) {
-        substitute(n, l->width, f.band, f.pivots, edge, n, f.right);
-        substitute(n, l->width, f.band, f.pivots, count, l->size, x);
+        substitute(n, l->width, &l->within_band, f.band, f.pivots, edge, n, f.right);
+        substitute(n, l->width, &l->within_band, f.band, f.pivots, count, l->size, x);
         return;
     }
     double *columns[LANES];
@@ -208,7 +217,7 @@ static void eliminate(const layout *l, factors f, int64_t count, double *x)
     for (int64_t k = 0; k < edge + count; k++)
         for (int64_t i = 0; i < n; i++)
             f.room[i * LANES + k] = columns[k][i];
-    substitute_together(n, l->width, f.band, f.pivots, (lanes *)f.room);
+    substitute_together(n, l->width, &l->within_band, f.band, f.pivots, (lanes *)f.room);
     for (int64_t k = 0; k < edge + count; k++)
         for (int64_t i = 0; i < n; i++)
             columns[k][i] = f.room[i * LANES + k];
@@ -231,7 +240,7 @@ static double factors_of(const layout *l, const double *z, const double *nonzero
     f.band[pin * stored + 2 * l->width] += raised;
     f.right[pin] = -raised, f.below[pin] = -1.0;
 
-    const int64_t odd = factorise(n, l->width, f.band, f.pivots);
+    const int64_t odd = factorise(n, l->width, &l->within_band, f.band, f.pivots);
     if (odd < 0)
         return 0.0;
     eliminate(l, f, each, x);
@@ -242,7 +251,7 @@ static double factors_of(const layout *l, const double *z, const double *nonzero
         for (int64_t c = 0; c < edge; c++)
             f.corner[c * (3 * edge - 2) + 2 * (edge - 1) + r - c] =
                 corner[r * edge + c] - product(f.below + r * n, f.right + c * n, n);
-    const int64_t more = factorise(edge, edge - 1, f.corner, f.order);
+    const int64_t more = factorise(edge, edge - 1, 0, f.corner, f.order);
     return more < 0 ? 0.0 : (odd + more) % 2 ? -1.0 : 1.0;
 }
 

@@ -30,6 +30,7 @@ class _Layout(ctypes.Structure):
         *((name, _Entries) for name in ("inside", "right", "below", "corner")),
         *((name, POINTER) for name in ("rows", "columns")),
         *((name, ctypes.c_double) for name in ("singular", "accurate")),
+        *((name, POINTER) for name in ("deep", "reach", "above")),
     )
 
 
@@ -68,10 +69,11 @@ class BorderedKernel:
         assert functions is not None
         self._steps, self._solve = functions
         self.banded, self.size, width = sizes
-        self._held = [np.ascontiguousarray(array) for pair in (*places, pattern) for array in pair]
+        held = [array for pair in (*places, pattern) for array in pair]
+        self._held = [np.ascontiguousarray(array) for array in (*held, *_extents(self.banded, width, places[0][1]))]
         at = [array.ctypes.data for array in self._held]
         parts = [_Entries(places[i][0].size, at[2 * i], at[2 * i + 1]) for i in range(4)]
-        self._layout = _Layout(*sizes, pattern[0].size, *parts, *at[8:], *limits)
+        self._layout = _Layout(*sizes, pattern[0].size, *parts, *at[8:10], *limits, *at[10:])
         self.address = ctypes.addressof(self._layout)
         self.solve_address = int(ctypes.cast(self._solve, POINTER).value or 0)
         edge = self.size - self.banded + 1
@@ -100,6 +102,20 @@ class BorderedKernel:
         assert x.flags.c_contiguous
         at = [array.__array_interface__["data"][0] for array in (memory, x)]
         self._solve(self.address, at[0], len(x), at[1])
+
+
+def _extents(banded: int, width: int, targets: Indices) -> tuple[Indices, Indices, Indices]:
+    """The last row with an entry in columns up to each, columns alike, and entries above the diagonal of factors.
+
+    Rows and columns next to a tail have entries farther off than others, for which the band is wider than they need.
+    """
+    columns, places = np.divmod(targets, 3 * width + 1)
+    rows, deep = columns + places - 2 * width, np.arange(banded)
+    reach = deep.copy()
+    np.maximum.at(deep, columns, rows)
+    np.maximum.at(reach, rows, columns)
+    deep, reach = np.maximum.accumulate(deep), np.maximum.accumulate(reach)
+    return deep, reach, np.arange(banded) - np.searchsorted(reach[deep], np.arange(banded))
 
 
 def bordered_kernel(

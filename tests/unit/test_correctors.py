@@ -16,6 +16,9 @@ from casadi_skin.bvp.problem import SingularError, Solve
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail_parameter import TailParameter
+from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.solvers.bordered import BandLayout, BorderedSolver
 from casadi_skin.solvers.confirmed import ConfirmedCorrector
 from casadi_skin.solvers.corrector import Corrector, Status
@@ -301,6 +304,23 @@ def test_the_band_of_a_model_whose_couplings_are_not_symmetric_is_not_transposed
     expected = np.linalg.solve(dense(problem, nonzeros, row), b)
     found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.usefixtures("only_the_band")
+@pytest.mark.parametrize("attached", [0, 18, 37])
+def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
+    """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""
+    chain = Chain(38, 1.0, 0.4, -1.0)
+    tail = TailParameter(Tail(400.0, 1.0, chain.coupling), 1, 6)
+    problem = CoreWithTailProblem(chain.gauge_model(), 6, tail, attached)
+    assert problem.half_bandwidth == 11
+    random = np.random.default_rng(attached)
+    z, row, b = (random.normal(size=problem.size) for _ in range(3))
+    nonzeros = random.normal(size=problem.pattern[0].size)
+    matrix = dense(problem, nonzeros, row)
+    expected = np.linalg.solve(matrix, b)
+    found = BorderedSolver(problem).factor(z, nonzeros, row)(b)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.linalg.cond(matrix) * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
