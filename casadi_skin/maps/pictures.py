@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from casadi_skin.maps.result import Map
 
 LEFT_OUT = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
-MOST_DRAWN = 1025  # values along an axis of a picture
 
 
 def drawn_names(found: Map) -> list[str]:

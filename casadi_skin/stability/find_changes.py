@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from casadi_skin.stability.assembly import SAME_MU, edges_of, groups_of, place_at, tongues_of
+from casadi_skin.stability.assembly import edges_of, place_at, tongues_of
 from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
+from casadi_skin.stability.groups import SAME_MU, groups_of
 from casadi_skin.stability.interpolation import (
     FIRST_LENGTH,
     BranchSampler,

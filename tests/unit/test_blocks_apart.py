@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from casadi_skin.stability import chebyshev
-from casadi_skin.stability.assembly import DISAGREEMENT, groups_of
 from casadi_skin.stability.blocks import blocks_of, comes_apart
 from casadi_skin.stability.decoupling import DEGREE, PROBES, contracts
+from casadi_skin.stability.groups import DISAGREEMENT, groups_of
 from casadi_skin.stability.small_blocks import Segment, SingleBlock, single_functions
 
 Array = np.ndarray
