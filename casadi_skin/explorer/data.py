@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.explorer.damaged import readable
 from casadi_skin.results.netcdf import read_name
 
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
@@ -27,15 +28,19 @@ Variables = Mapping[str, NDArray[Any]]
 def page_data(directory: Path) -> dict[str, Any]:
     """All that the page shows, as JSON takes it; raises ValueError where the directory has no branches."""
     files = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in FILES))
-    title, parts = "", list[tuple[str, Variables]]()
+    title, parts = "", list[tuple[Path, str, Variables]]()
     for path in files:
-        attributes, variables = _read(path)
-        title = title or attributes.get("title", "")
-        parts += _split(path.stem, variables)
+        with readable(path):
+            attributes, variables = _read(path)
+            title = title or attributes.get("title", "")
+            parts += [(path, name, part) for name, part in _split(path.stem, variables)]
     if not parts:
         raise ValueError(f"{directory}: holds no branches; {ACCEPTED}")
     share = max(NUMBERS // (len(parts) * PHASES * STATES), 20)
-    branches = [_branch(name, variables, share) for name, variables in parts]
+    branches = list[dict[str, Any]]()
+    for path, name, part in parts:
+        with readable(path):
+            branches.append(_branch(name, part, share))
     thinned = [b for b in branches if b["count"] > len(b["columns"]["point"])]
     note = f"curves show {POINTS} of the points of {len(thinned)} branches" if thinned else ""
     return {"title": title or directory.name, "note": note, "branches": branches}

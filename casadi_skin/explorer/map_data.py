@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.explorer.damaged import readable
 from casadi_skin.explorer.data import read_netcdf, short_numbers
 
 MAP = "map.nc"
@@ -18,10 +20,23 @@ SKIPPED = ("status", "reason", "regime")
 
 def map_data(directory: Path) -> dict[str, Any]:
     """All that the page shows, as JSON takes it; raises ValueError where the map has no cells."""
-    attributes, variables, dimensions, words = read_netcdf(directory / MAP)
-    axes = list(dimensions["status"])
-    if not variables["status"].size:
+    with readable(directory / MAP):
+        contents = read_netcdf(directory / MAP)
+        empty = not contents[1]["status"].size
+    if empty:
         raise ValueError(f"{directory}: a map without cells; accepted: one with at least one")
+    with readable(directory / MAP):
+        return _contents(directory.name, *contents)
+
+
+def _contents(
+    name: str,
+    attributes: Mapping[str, str],
+    variables: Mapping[str, NDArray[Any]],
+    dimensions: Mapping[str, tuple[str, ...]],
+    words: Mapping[str, str],
+) -> dict[str, Any]:
+    axes = list(dimensions["status"])
     chosen = _thinned(variables["status"].shape)
     index = np.ix_(*chosen)
     status = variables["status"][index]
@@ -29,7 +44,7 @@ def map_data(directory: Path) -> dict[str, Any]:
     numbers = {n: short_numbers(variables[n].astype(float)[index]) for n in whole if variables[n].dtype.kind in "fi"}
     left = status.size < variables["status"].size
     return {
-        "title": attributes.get("title", "") or directory.name,
+        "title": attributes.get("title", "") or name,
         "note": f"{status.size} of {variables['status'].size} cells are shown" if left else "",
         "axes": [_axis(n, variables[n][places], words.get(n, n)) for n, places in zip(axes, chosen, strict=True)],
         "quantities": [{"name": n, "words": words.get(n, n), "values": values} for n, values in numbers.items()],

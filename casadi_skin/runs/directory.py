@@ -112,7 +112,7 @@ def make_directory(directory: Path) -> None:
 def _remove_results(directory: Path, names: Sequence[str]) -> None:
     """Remove the files of a run; raises DirectoryError, before any is removed, where a directory is not of a run."""
     if not _of_a_run(directory):
-        held = next(iter(sorted(path.name for path in directory.iterdir())))
+        held = min(path.name for path in directory.iterdir() if not path.name.startswith(LOCK))
         accepted = f"--overwrite replaces the results of a run, with its {SCENE}; accepted: an empty or new directory"
         raise DirectoryError(f"{directory}: holds {held} and no run made it; {accepted}")
     old = [path for name in names for path in directory.glob(name)]

@@ -309,7 +309,8 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     assert "--overwrite" in capsys.readouterr().err
     assert sorted(p.name for p in out.iterdir()) == ["family.csv", "thesis.tex"]
     assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
-    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2  # no run made it
+    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 2
+    assert "holds family.csv and no run made it" in capsys.readouterr().err
     (out / "scene.toml").write_text(scene.read_text(encoding="utf-8"), encoding="utf-8")
     for flag in ("--overwrite", "--resume"):  # nor with a scene that a user wrote
         assert main(["run", str(scene), "--out", str(out), flag]) == 2

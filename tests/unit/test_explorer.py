@@ -98,6 +98,31 @@ def test_what_is_no_run_is_refused(
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["run", "map"])
+def test_damaged_files_are_refused_in_one_line(
+    kind: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cut off, with offsets and sizes of nothing, with another table beside them: a page or one line, no traceback."""
+    name = "family.nc" if kind == "run" else "map.nc"
+    if kind == "run":
+        shutil.copy(run / name, tmp_path)
+    else:
+        write_map(tmp_path)
+    good, random = (tmp_path / name).read_bytes(), np.random.default_rng(3)
+    refused = 0
+    for length in (0, 3, 40, len(good) // 3, *[len(good)] * 16):
+        data = bytearray(good[:length])
+        for place in random.integers(4, min(2000, len(good)), 4 if length == len(good) else 0):
+            data[place] = (0, 255, 127)[place % 3]
+        (tmp_path / name).write_bytes(data)
+        status = main(["explore", str(tmp_path)])
+        words = capsys.readouterr().err
+        assert status in (0, 2)
+        assert status == 0 or (words.startswith(f"casadi-skin: explore: {tmp_path}") and words.count("\n") == 1)
+        refused += status == 2
+    assert refused > 4
+
+
 def test_a_saved_branch_and_a_saved_diagram_are_shown(tmp_path: Path) -> None:
     family = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 0.5, stability=True, tolerance=1e-6)
     assert main(["explore", str(family.save(tmp_path / "family.skin")), "--quiet"]) == 0
