@@ -23,12 +23,12 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.progress import Progress
+from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import (
     BranchRecord,
     CutRecord,
     EndRecord,
     Records,
-    known_of,
     point_record,
     stability_record,
 )  # fmt: skip

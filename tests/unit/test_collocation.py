@@ -21,7 +21,8 @@ from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.results.branch_records import PointRecord, known_of, point_record
+from casadi_skin.results.branch_reading import known_of
+from casadi_skin.results.branch_records import PointRecord, point_record
 from casadi_skin.solvers.ipopt import IpoptCorrector
 from casadi_skin.solvers.newton import NewtonCorrector
 from casadi_skin.theory.duffing import duffing_frequency
